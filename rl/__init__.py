@@ -1,0 +1,1 @@
+"""Learning to swim; see the README for what exists so far."""

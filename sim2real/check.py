@@ -1,0 +1,168 @@
+"""A recording looked over before anyone fits: its clock, its joints and what is odd about them."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.clock import Timing, clock_findings, timing
+from sim2real.findings import Seen, joint_findings, moves
+from sim2real.noise import noise_floor, quantization_step
+from sim2real.recording import Load, Recording
+from sim2real.robot import Robot, match_joints
+from sim2real.servo.expect import expected_precision
+
+WIDTH = 100
+
+
+@dataclass(frozen=True)
+class JointCheck:
+    """One joint of a recording.
+
+    Attributes:
+        joint: Its name.
+        range_rad: Largest minus smallest position; 0 if there is none.
+        command_range_rad: Largest minus smallest command; 0 if there is none.
+        moves: Number of movements of the command; a pause or a reversal begins a new one.
+        noise_rad: Standard deviation of the measurement noise, quantization included.
+        step_rad: Quantization step; 0 if none shows.
+        missing: Number of missing positions.
+        load: The load in words.
+        findings: What is odd, one sentence each.
+        identifiable: What can and can't be identified from it, one sentence each.
+    """
+
+    joint: str
+    range_rad: float
+    command_range_rad: float
+    moves: int
+    noise_rad: float
+    step_rad: float
+    missing: int
+    load: str
+    findings: tuple[str, ...]
+    identifiable: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a recording is like: ``findings`` concern all of it, each joint has its own."""
+
+    recording: str
+    kind: str
+    duration_s: float
+    timing: Timing
+    joints: tuple[JointCheck, ...]
+    findings: tuple[str, ...]
+
+
+def check(recording: Recording, robot: Robot | None = None) -> Check:
+    """Look a recording over; with ``robot``, against its limits and data sheets too.
+
+    Raises:
+        InputError: If the robot lacks a joint of the recording.
+    """
+    if robot is not None:
+        match_joints(recording, robot)
+    clock = timing(recording)
+    findings = list(clock_findings(recording.t, clock))
+    if np.isnan(recording.command).all():
+        findings.append("No command was recorded: no servo can be identified from it.")
+    if recording.kind == "pool" and "body.x_m" not in recording.columns:
+        findings.append("The body was not tracked: nothing about the water can be calibrated.")
+    joints = tuple(_check_joint(recording, j, robot) for j in range(len(recording.joints)))
+    return Check(
+        recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
+    )
+
+
+def format_check(check: Check) -> str:
+    """The check as text for a terminal, at most 100 columns wide."""
+    clock = check.timing
+    pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
+    lines = [
+        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, {_count(check.joints)}",
+        f"clock: {clock.rate_hz:.4g} Hz, jitter {1000 * clock.jitter_s:.2g} ms, {pauses}, "
+        f"{clock.missing_cells} positions missing",
+        "",
+        f"{'joint':<12} {'moves':>5} {'command':>8} {'range':>8} {'noise':>9} {'step':>9} "
+        f"{'missing':>7}  load",
+        f"{'':<12} {'':>5} {'rad':>8} {'rad':>8} {'rad':>9} {'rad':>9}",
+    ]
+    for row in check.joints:
+        step = f"{row.step_rad:.6f}" if row.step_rad else "-"
+        lines.append(
+            f"{_cut(row.joint, 12):<12} {row.moves:>5} {row.command_range_rad:>8.3f} "
+            f"{row.range_rad:>8.3f} {row.noise_rad:>9.6f} {step:>9} "
+            f"{row.missing:>7}  {row.load}"
+        )
+    lines = [_cut(line.rstrip(), WIDTH) for line in lines]
+    findings = [*check.findings, *(f for row in check.joints for f in row.findings)]
+    identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
+    for mark, sentences in (("! ", findings), ("  ", identifiable)):
+        if sentences:
+            lines.append("")
+        for sentence in sentences:
+            lines += textwrap.wrap(sentence, WIDTH, initial_indent=mark, subsequent_indent="  ")
+    return "\n".join(lines) + "\n"
+
+
+def _check_joint(recording: Recording, j: int, robot: Robot | None) -> JointCheck:
+    name, position = recording.joints[j], recording.position[:, j]
+    powered = recording.powered(j)
+    command = recording.command[:powered, j]
+    step = quantization_step(position)
+    load = recording.loads.get(name)
+    noise = noise_floor(recording.t, recording.command[:, j], position)
+    findings: tuple[str, ...] = ()
+    if powered > 1:
+        seen = Seen(
+            joint=name,
+            t=recording.t[:powered],
+            command=command,
+            position=position[:powered],
+            noise_rad=noise,
+            step_rad=step,
+            off_s=float(recording.t[powered]) if powered < position.size else None,
+            bench=recording.kind == "servo",
+            load=load,
+            sheet=robot.joint(name) if robot else None,
+        )
+        findings = tuple(joint_findings(seen))
+    return JointCheck(
+        joint=name,
+        range_rad=_range(position),
+        command_range_rad=_range(command),
+        moves=moves(recording.t[:powered], command) if powered > 1 else 0,
+        noise_rad=noise,
+        step_rad=step,
+        missing=int(np.isnan(position).sum()),
+        load=_load_text(load) if recording.kind == "servo" else recording.medium,
+        findings=findings,
+        identifiable=expected_precision(recording, name) if powered > 1 else (),
+    )
+
+
+def _range(values: NDArray[np.float64]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
+
+
+def _load_text(load: Load | None) -> str:
+    if load is None:
+        return "not given"
+    text = f"{load.inertia_kgm2:.3g} kg m2"
+    if load.gravity_Nm:
+        text += f", {load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:.3g} m"
+    return text
+
+
+def _count(joints: tuple[JointCheck, ...]) -> str:
+    return "1 joint" if len(joints) == 1 else f"{len(joints)} joints"
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1] + "…"

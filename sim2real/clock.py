@@ -1,0 +1,76 @@
+"""The clock of a recording: its rate, its gaps and what is odd about its times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.recording import Recording
+
+Array = NDArray[np.float64]
+
+GAP = 2.5  # usual steps
+SLOWEST_RATE_HZ = 20.0
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The clock of a recording.
+
+    Attributes:
+        rate_hz: One over the median step between samples.
+        jitter_s: Standard deviation of the steps, gaps left out.
+        gaps: Start and length in s of every pause of more than 2.5 usual steps.
+        missing_cells: Number of missing positions, all joints together.
+    """
+
+    rate_hz: float
+    jitter_s: float
+    gaps: tuple[tuple[float, float], ...]
+    missing_cells: int
+
+
+def timing(recording: Recording) -> Timing:
+    """Measure the clock of ``recording``."""
+    t, steps = recording.t, np.diff(recording.t)
+    usual = float(np.median(steps))
+    long = steps > GAP * usual
+    return Timing(
+        rate_hz=1 / usual,
+        jitter_s=float(steps[~long].std()),
+        gaps=tuple((float(t[k]), float(steps[k])) for k in np.flatnonzero(long)),
+        missing_cells=int(np.isnan(recording.position).sum()),
+    )
+
+
+def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
+    """What is odd about the times ``t`` (T,), measured as ``clock``."""
+    steps, usual = np.diff(t), 1 / clock.rate_hz
+    doubled, short = int(np.sum(steps < 0.01 * usual)), int(np.sum(steps < 0.2 * usual))
+    if doubled:
+        often = "Once" if doubled == 1 else f"{doubled} times"
+        yield f"{often} a sample comes at almost the time of the one before: doubled?"
+    if short - doubled > max(1, steps.size // 200):
+        yield (
+            f"{short - doubled} samples come within a fifth of the usual step of the one before: "
+            "the times look like those of arrival, in bunches, not of measurement."
+        )
+    quarter = max(1, steps.size // 4)
+    first, last = (float(np.median(part)) for part in (steps[:quarter], steps[-quarter:]))
+    if abs(first / last - 1) > 0.03:
+        yield f"The sampling rate changes from {1 / first:.4g} to {1 / last:.4g} Hz."
+    elif clock.jitter_s > 0.2 * usual:
+        varies = 100 * clock.jitter_s / usual
+        yield f"The sampling rate is far from constant: steps vary by {varies:.0f} %."
+    if clock.rate_hz < SLOWEST_RATE_HZ:
+        yield (
+            f"At {clock.rate_hz:.3g} Hz a servo's latency and damping (tens of milliseconds) "
+            "hardly show."
+        )
+    if clock.gaps:
+        start, longest = max(clock.gaps, key=lambda gap: gap[1])
+        number = "A gap" if len(clock.gaps) == 1 else f"{len(clock.gaps)} gaps, the longest"
+        yield f"{number} of {longest:.3g} s, from {start:.4g} s on."

@@ -1,0 +1,79 @@
+"""The command ``sim2real import``: a public log in, a recording out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from sim2real.errors import InputError
+from sim2real.importers.bam import read_bam
+from sim2real.importers.rosbag import read_bag
+from sim2real.output import check_writable
+from sim2real.recording import Recording, write_recording
+
+BAGS = (".bag", ".db3", ".mcap")
+STATE_TOPIC = "/joint_states"
+LARGEST_START_RAD = 0.1  # further off than this, a joint was not at rest on its first command
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import one log and say in one line what was written.
+
+    Args:
+        args: ``source``: a BAM log (``.json``) or a ROS bag (a folder, ``.bag``, ``.db3`` or
+            ``.mcap``). ``out``: the CSV to write; its JSON stands beside it. For bags also
+            ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one topic
+            for all joints or one for each; ``joints``: list of names in the order of the
+            set-points, or None.
+
+    Returns:
+        0, the exit status.
+
+    Raises:
+        InputError: If the log or an argument is not as expected.
+    """
+    source, out = Path(args.source), check_writable(args.out)
+    if out.suffix != ".csv":
+        raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
+    if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
+        raise InputError(out, "", "a name that would overwrite the log", "another name")
+    recording = _read(source, args)
+    write_recording(recording, out)
+    print(f"{out}: {_summary(recording)}")
+    return 0
+
+
+def _read(source: Path, args: argparse.Namespace) -> Recording:
+    if source.suffix == ".json" and not source.is_dir():
+        return read_bam(source)
+    if not source.exists():
+        raise InputError(source, "", "no such file", "a BAM log (.json) or a ROS bag")
+    if not source.is_dir() and source.suffix not in BAGS:
+        expected = f"a BAM log (.json) or a ROS bag (a folder, {', '.join(BAGS)})"
+        raise InputError(source, "", f"the ending {source.suffix!r}", expected)
+    if not args.command_topic:
+        raise InputError(source, "--command-topic", "nothing", "the topic of the set-points")
+    state_topic = args.state_topic or STATE_TOPIC
+    return read_bag(
+        source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
+    )
+
+
+def _summary(recording: Recording) -> str:
+    sampled = np.isfinite(recording.position).any(axis=1)
+    rate = 1 / np.median(np.diff(recording.t[sampled])) if sampled.sum() > 1 else 0.0
+    known = [joint for joint in recording.joints if joint in recording.loads]
+    loads = f"load known on {', '.join(known)}" if known else "loads unknown"
+    parts = [f"{recording.t.size} rows in {recording.duration_s:.2f} s"]
+    parts += [f"joints {', '.join(recording.joints)}", f"{rate:.0f} samples a second", loads]
+    for j, joint in enumerate(recording.joints):
+        first = np.flatnonzero(np.isfinite(recording.position[:, j]))[0]
+        off = float(recording.position[first, j] - recording.command[first, j])
+        if abs(off) > LARGEST_START_RAD:
+            parts.append(f"{joint} starts {off:+.2f} rad off its first command")
+    if "left_out" in recording.metadata:
+        left = recording.metadata["left_out"]
+        parts.append(f"{left['rows']} rows left out from {left['from_s']:g} s: {left['why']}")
+    return "; ".join(parts)

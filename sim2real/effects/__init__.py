@@ -1,0 +1,29 @@
+"""The catalogue of effects: one file an effect, found by itself.
+
+To add an effect, add a file here that defines ``EFFECT`` (see ``effect.Effect``): its equation and
+source in the docstring, its parameters, its term as a Warp function. Rollouts, models and
+predictions then know it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from sim2real.effects.effect import Effect, Parameter
+from sim2real.warp_start import start_warp
+
+start_warp()
+
+CATALOGUE: tuple[Effect, ...] = tuple(
+    importlib.import_module(f"{__name__}.{module.name}").EFFECT
+    for module in sorted(pkgutil.iter_modules(__path__), key=lambda module: module.name)
+    if module.name != "effect"
+)
+
+__all__ = ["CATALOGUE", "Effect", "Parameter", "effect_named"]
+
+
+def effect_named(name: str) -> Effect | None:
+    """The effect with this identifier, or None."""
+    return next((effect for effect in CATALOGUE if effect.name == name), None)

@@ -1,0 +1,29 @@
+"""Coulomb friction: dry friction of one size, whatever the speed.
+
+While the shaft turns, the torque ``torque_Nm`` acts against the motion; at rest it holds any
+smaller torque. Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def bound(
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+) -> wp.float64:
+    """Largest friction torque in N m."""
+    return p[c]
+
+
+EFFECT = Effect(
+    name="coulomb_friction",
+    site="friction",
+    term=bound,
+    parameters=(Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),),
+)

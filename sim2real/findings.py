@@ -1,0 +1,182 @@
+"""What a roboticist would remark on seeing one joint of a recording, a plain sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.recording import Load
+from sim2real.robot import Joint
+
+Array = NDArray[np.float64]
+
+SLOWEST_EXCITATION_HZ = 0.2
+FEWEST_MOVES = 4
+LONGEST_LATENCY_S = 0.15
+STUCK_S = 0.5
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One joint of a recording while its torque is on.
+
+    Attributes:
+        joint: Its name.
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,), none missing.
+        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
+        noise_rad: Standard deviation of the measurement noise.
+        step_rad: Quantization step; 0 if there is none.
+        off_s: Time from which on the torque is off; None if it never is.
+        bench: A known load is expected, as in a ``servo`` recording.
+        load: That load.
+        sheet: What the robot's description says of the joint.
+    """
+
+    joint: str
+    t: Array
+    command: Array
+    position: Array
+    noise_rad: float
+    step_rad: float
+    off_s: float | None
+    bench: bool
+    load: Load | None
+    sheet: Joint | None
+
+
+def moves(t: Array, command: Array) -> int:
+    """Movements of ``command`` (T,): it starts after a pause of 0.1 s or more, or turns back."""
+    changed = np.flatnonzero(np.diff(command)) + 1
+    if not changed.size:
+        return 0
+    turned = np.diff(np.sign(command[changed] - command[changed - 1])) != 0
+    pause = np.diff(t[changed]) > max(0.1, 2.5 * np.median(np.diff(t)))
+    return 1 + int(np.sum(turned | pause))
+
+
+def joint_findings(seen: Seen) -> Iterator[str]:
+    """What is odd about one joint, and what its load leaves open."""
+    finite = np.isfinite(seen.position)
+    if not finite.any():
+        yield f"{seen.joint} has no position at all."
+        return
+    missing = float(np.mean(~finite))
+    if missing > 0.01:
+        yield f"{seen.joint} lacks {100 * missing:.2g} % of its positions."
+    span, least = float(np.ptp(seen.command)), max(2 * seen.step_rad, 9 * seen.noise_rad)
+    if span <= max(2 * seen.step_rad, 1e-4):
+        yield f"{seen.joint} is never commanded to move: nothing can be fitted to it."
+    elif float(np.ptp(seen.position[finite])) <= min(least, 0.5 * span):
+        yield f"{seen.joint} never moves, although its command spans {span:.3g} rad."
+    else:
+        yield from _motion(seen, finite)
+    yield from _start(seen, finite)
+    yield from _excitation(seen)
+    if seen.sheet is not None:
+        yield from _data_sheet(seen, seen.sheet)
+    if seen.off_s is not None:
+        yield f"{seen.joint}'s torque is off from {seen.off_s:.4g} s on."
+    if seen.bench and seen.load is None:
+        yield f"{seen.joint} has no load given: its gains come per unit of inertia."
+    elif seen.bench and seen.load is not None and not seen.load.gravity_Nm:
+        yield (
+            f"{seen.joint}'s load has no pendulum: only kp/inertia and kd/inertia show, so the "
+            "inertia given can't be checked."
+        )
+
+
+def _motion(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
+    t, command, position = seen.t[finite], seen.command[finite], seen.position[finite]
+    edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
+    for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
+        # What was commanded at the end of the run has had no time to show.
+        due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
+        moved = float(np.ptp(due)) if due.size else 0.0
+        if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * seen.step_rad):
+            yield (
+                f"{seen.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
+                f"while its command moves by {moved:.2g} rad: stuck by friction, gears or sensor?"
+            )
+            return
+    largest = max(1, int(LONGEST_LATENCY_S / np.median(np.diff(t)))) if t.size > 2 else 0
+    lags = range(min(largest, t.size - 3) + 1)
+    match = [_correlation(command[: t.size - k], position[k:]) for k in lags]
+    if match and max(match) < 0 and min(match) < -0.5:
+        yield (
+            f"{seen.joint} moves against its command (correlation {min(match):.2f}): the sign of "
+            "the one or the other is reversed."
+        )
+
+
+def _correlation(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    return float(np.sum(a * b)) / size if size > 0 else 0.0
+
+
+def _start(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
+    changed = np.flatnonzero(seen.command != seen.command[0])
+    rest = int(changed[0]) + 1 if changed.size else seen.t.size  # the change itself comes later
+    early = np.flatnonzero(finite[:rest] & (seen.t[:rest] <= seen.t[0] + 0.5))
+    if not early.size:
+        return
+    offset = float(np.median(seen.position[early] - seen.command[0]))
+    if float(np.ptp(seen.position[early])) > max(5 * seen.step_rad, 9 * seen.noise_rad, 0.01):
+        yield f"{seen.joint} still moves when the recording starts: it should start at rest."
+    elif abs(offset) > 0.1:
+        yield f"{seen.joint} starts {abs(offset):.2g} rad off its first command, not at rest on it."
+    elif abs(offset) > max(3 * seen.step_rad, 4 * seen.noise_rad, 0.005):
+        side = "above" if offset > 0 else "below"
+        yield (
+            f"{seen.joint} starts at rest {abs(offset):.2g} rad {side} its command: an offset, "
+            "a load or a dead band."
+        )
+
+
+def _excitation(seen: Seen) -> Iterator[str]:
+    count = moves(seen.t, seen.command)
+    if not count:
+        return
+    if count < FEWEST_MOVES:
+        times = ("once", "twice", "three times")[count - 1]
+        yield f"{seen.joint} is commanded to move only {times}: little to hold out for a check."
+    step = np.diff(seen.t)
+    spread = float(np.average((seen.command[1:] - seen.command.mean()) ** 2, weights=step))
+    speed = float(np.average((np.diff(seen.command) / step) ** 2, weights=step))
+    frequency = float(np.sqrt(speed / spread)) / (2 * np.pi)  # exact for a sine
+    if frequency < SLOWEST_EXCITATION_HZ:
+        yield (
+            f"{seen.joint} is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
+            "inertia hardly show."
+        )
+
+
+def _data_sheet(seen: Seen, sheet: Joint) -> Iterator[str]:
+    low, high = sheet.limits_rad
+    extremes = (float(seen.command.min()), float(seen.command.max()))
+    if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
+        beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
+        yield (
+            f"{seen.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
+            f"{high:.3g} rad."
+        )
+    changed = np.flatnonzero(np.diff(seen.command)) + 1
+    slope = np.abs(np.diff(seen.command[changed]) / np.diff(seen.t[changed]))
+    # Two slopes in a row: one alone may be a step, which no servo follows.
+    fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
+    if fastest > sheet.servo.no_load_speed_rad_s:
+        yield (
+            f"{seen.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
+            f"speed of {sheet.servo.no_load_speed_rad_s:.3g} rad/s: its rate limit will show."
+        )
+    stated = sheet.servo.position_step_rad
+    counts = seen.step_rad / stated if stated > 0 else 0.0
+    if counts and abs(counts - round(counts)) > 0.05:
+        yield (
+            f"{seen.joint} is read in steps of {seen.step_rad:.3g} rad, where the data sheet says "
+            f"{stated:.3g} rad."
+        )

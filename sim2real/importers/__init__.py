@@ -1,0 +1,1 @@
+"""Public logs made into recordings: one reader for each format of log."""

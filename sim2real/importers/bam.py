@@ -1,0 +1,149 @@
+"""Logs of BAM, Better Actuator Models (Rhoban, github.com/Rhoban/bam): one servo, one pendulum."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim2real.errors import InputError
+from sim2real.recording import LARGEST_ANGLE_RAD, Array, Load, Recording
+from sim2real.structured import Fields, read_json
+
+SAMPLE = ("timestamp", "goal_position", "torque_enable", "position")
+COLUMNS = {"speed": "j1.velocity_rad_s", "load": "j1.load", "temp": "j1.temperature_C"}
+COLUMNS |= {"input_volts": "supply_V"}
+TEXTS = {"motor": "servo", "trajectory": "trajectory"}
+NUMBERS = {"kp": "firmware_p_gain", "damping": "damping_gain", "vin": "supply_nominal_V"}
+NUMBERS |= {"dt": "resampled_every_s"}
+
+
+def read_bam(path: str | os.PathLike[str]) -> Recording:
+    """Read a raw (or resampled) BAM log, a JSON file, as a recording of joint ``j1``.
+
+    Commands are empty once the torque is off. A recording may have that at its end only: where
+    the torque comes on again it is cut, and ``metadata["left_out"]`` says what is missing. Speed,
+    load, temperature and supply become columns if they were measured (a recorder writes 0
+    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the fields left behind.
+
+    Args:
+        path: The log.
+
+    Returns:
+        A ``servo`` recording with its T rows at the logged timestamps.
+
+    Raises:
+        InputError: If a field isn't as the recorders write it or the torque is off at the start.
+    """
+    top = Fields(path, "", read_json(path))
+    samples = _samples(top)
+    load = _load(top)
+    t = _times(samples)
+    off, stop = _torque(samples)
+    command = [_angle(sample, "goal_position") for sample in samples[:off]]
+    position = [_angle(sample, "position") for sample in samples]
+    read = {name: _optional(samples, name) for name in COLUMNS}
+    measured = {name: values[:stop] for name, values in read.items() if values is not None}
+    left = {str(name) for sample in samples for name in sample.content} - {*SAMPLE, *measured}
+    metadata = _metadata(top) | {"not_imported": sorted(left)}
+    if off < stop:
+        metadata["torque_off_from_s"] = float(t[off])
+    if stop < t.size:
+        why = "the torque comes on again"
+        metadata["left_out"] = {"from_s": float(t[stop]), "rows": t.size - stop, "why": why}
+    return Recording(
+        name=Path(path).stem,
+        kind="servo",
+        joints=("j1",),
+        t=t[:stop],
+        command=np.array(command + [math.nan] * (stop - off))[:, None],
+        position=np.array(position[:stop])[:, None],
+        loads={"j1": load},
+        source=_source(top),
+        columns={COLUMNS[name]: values for name, values in measured.items()},
+        metadata=metadata,
+    )
+
+
+def _load(top: Fields) -> Load:
+    """A point mass m at the end of a uniform rod of length l, as BAM's test bench has it.
+
+    Inertia: m l^2 + m_arm l^2 / 3. Gravity acts on the rod at half its length, so the point mass
+    at l with the same gravity torque is m + m_arm / 2.
+    """
+    mass, arm = top.number("mass", low=0), top.number("arm_mass", 0.0, low=0)
+    length = top.number("length", above=0)
+    if mass + arm <= 0:
+        raise top.error("mass", "a mass above 0, or an arm_mass")
+    return Load((mass + arm / 3) * length**2, mass + arm / 2, length)
+
+
+def _samples(top: Fields) -> list[Fields]:
+    entries = top.content.get("entries")
+    if not isinstance(entries, list) or len(entries) < 2:
+        found = f"{len(entries)} samples" if isinstance(entries, list) else "no list of samples"
+        raise InputError(top.file, "entries", found, "at least two samples of a BAM log")
+    return [Fields(top.file, f"entries[{k}]", entry) for k, entry in enumerate(entries)]
+
+
+def _times(samples: list[Fields]) -> Array:
+    t = np.array([sample.number("timestamp") for sample in samples])
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        raise samples[back[0] + 1].error("timestamp", f"a time after {t[back[0]]:g} s")
+    return t
+
+
+def _torque(samples: list[Fields]) -> tuple[int, int]:
+    """Index of the first sample with the torque off, and of the first with it on again."""
+    for sample in samples:
+        if not isinstance(sample.content.get("torque_enable"), bool):
+            raise sample.error("torque_enable", "true or false")
+    on = [sample.content["torque_enable"] for sample in samples]
+    if not on[0]:
+        raise samples[0].error("torque_enable", "true: a recording starts on its first command")
+    off = on.index(False) if False in on else len(on)
+    return off, on.index(True, off) if True in on[off:] else len(on)
+
+
+def _angle(sample: Fields, name: str) -> float:
+    angle = sample.number(name)
+    if abs(angle) > LARGEST_ANGLE_RAD:
+        raise sample.error(name, f"radians within {LARGEST_ANGLE_RAD:.1f} (degrees, perhaps?)")
+    return angle
+
+
+def _optional(samples: list[Fields], name: str) -> Array | None:
+    """Values of an optional field, shape (T,), NaN where missing; None if it was not measured."""
+    there = np.array([sample.content.get(name) is not None for sample in samples])
+    values = np.full(there.size, np.nan)
+    values[there] = [samples[k].number(name) for k in np.flatnonzero(there)]
+    if not np.nan_to_num(values).any():
+        return None
+    negative = values >= 2**15
+    if name != "load" or not negative.any():
+        return values
+    # The XL330's recorder logs a signed 16-bit register unsigned: -1 arrives as 65535. Resampling
+    # that interpolates between 0 and 65535, which nothing can undo.
+    return None if (values[there] % 1).any() else np.where(negative, values - 2**16, values)
+
+
+def _metadata(top: Fields) -> dict[str, Any]:
+    texts = {ours: top.text(name) for name, ours in TEXTS.items() if name in top}
+    numbers = {ours: top.number(name) for name, ours in NUMBERS.items() if name in top}
+    return {**texts, **numbers, "original_file": Path(top.file).name}
+
+
+def _source(top: Fields) -> str:
+    load = "inertia_kgm2 is mass*length^2: arm and rotor are not in it."
+    if top.number("arm_mass", 0.0) > 0:
+        load = "inertia_kgm2 is mass*length^2 + arm_mass*length^2/3, without the rotor; the point "
+        load += "mass mass + arm_mass/2 at that length has the gravity torque of weight and arm."
+    return (
+        "Log in the format of Rhoban's BAM, Better Actuator Models (github.com/Rhoban/bam); "
+        f"licence not stated in the log. {load} Position 0 is taken to hang straight down. A "
+        "set-point left a few milliseconds, how many was not logged, before its t_s."
+    )

@@ -1,0 +1,136 @@
+"""Series of each joint out of ROS messages: what was measured, what was commanded, and when."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.importers.ros_messages import Message
+from sim2real.recording import LARGEST_ANGLE_RAD, Array
+
+Times = NDArray[np.int64]
+Series = tuple[Times, Array]  # times in ns, not decreasing, and values without NaN: (N,) and (N,)
+
+LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of one clock
+LARGEST_DISORDER_NS = 10**9  # of stamps, if nobody has set the clock back
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The N messages of one topic, and when they were sampled or sent.
+
+    Attributes:
+        file: The bag.
+        topic: The topic.
+        messages: The messages.
+        t: Their times in ns, shape (N,).
+        clock: What those times are, in words.
+    """
+
+    file: str | os.PathLike[str]
+    topic: str
+    messages: Sequence[Message]
+    t: Times
+    clock: str
+
+
+def streams(
+    file: str | os.PathLike[str], messages: Mapping[str, Sequence[Message]]
+) -> dict[str, Stream]:
+    """The messages of each topic with their times.
+
+    Header stamps where every message of a topic has one, receive times on the other topics. If
+    those two lie further apart than a message takes on its way, they are of different clocks
+    (simulated time, or another computer's): then it is receive times on all topics.
+
+    Raises:
+        InputError: If a clock was set back.
+    """
+    receive = {topic: _ns([m.receive_ns for m in sent]) for topic, sent in messages.items()}
+    header = {topic: _ns([m.header_ns for m in sent]) for topic, sent in messages.items()}
+    stamped = {topic for topic in messages if header[topic].all()}
+    apart = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
+    if stamped != set(messages) and max(apart, default=0) > LARGEST_DELAY_NS:
+        stamped = set()
+    result = {}
+    for topic, sent in messages.items():
+        t, clock = receive[topic], "receive time"
+        if topic in stamped:
+            t, clock = header[topic], "header stamp"
+        result[topic] = Stream(file, topic, sent, _running(file, topic, t), clock)
+    return result
+
+
+def joint_series(
+    stream: Stream,
+    joints: Sequence[str],
+    values: Callable[[Message], Mapping[str, float]],
+    limit: float = sys.float_info.max,
+) -> dict[str, Series]:
+    """Series of the joints that a stream has; NaN, which drivers send for no value, is left out.
+
+    Args:
+        stream: Messages and times.
+        joints: The joints to look for.
+        values: Reads the values by joint name out of one message.
+        limit: Largest size of a value.
+
+    Raises:
+        InputError: If a message does not fit together or a value exceeds the limit.
+    """
+    pairs: dict[str, list[tuple[int, float]]] = {joint: [] for joint in joints}
+    for k, (t, message) in enumerate(zip(stream.t.tolist(), stream.messages, strict=True)):
+        place = f"{stream.topic}, message {k}"
+        try:
+            read = values(message)
+        except ValueError as error:
+            raise InputError(stream.file, place, *error.args) from None
+        for joint in joints:
+            value = read.get(joint, math.nan)
+            if abs(value) > limit:
+                expected = f"a size of at most {limit:.3g} (for angles: radians, not degrees)"
+                raise InputError(stream.file, f"{place}, {joint}", f"{value:g}", expected)
+            if not math.isnan(value):
+                pairs[joint].append((t, value))
+    return {joint: _in_order(samples) for joint, samples in pairs.items() if samples}
+
+
+def angle_series(
+    stream: Stream, joints: Sequence[str], angles: Callable[[Message], Mapping[str, float]]
+) -> dict[str, Series]:
+    """`joint_series` of angles in rad, which every one of the joints must have.
+
+    Raises:
+        InputError: If a joint has none, or see `joint_series`.
+    """
+    found = joint_series(stream, joints, angles, LARGEST_ANGLE_RAD)
+    for joint in joints:
+        if joint not in found:
+            named = sorted({name for message in stream.messages for name in message.joints})
+            expected = f"one of {', '.join(named)}" if named else "one"
+            raise InputError(stream.file, stream.topic, f"no angle of joint {joint}", expected)
+    return found
+
+
+def _running(file: str | os.PathLike[str], topic: str, t: Times) -> Times:
+    back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
+    if back.size:
+        found = f"a time {(t[back[0]] - t[back[0] + 1]) / 1e9:g} s before the previous one"
+        raise InputError(file, f"{topic}, message {back[0] + 1}", found, "a clock never set back")
+    return t
+
+
+def _ns(times: list[int]) -> Times:
+    return np.array(times, dtype=np.int64)
+
+
+def _in_order(samples: list[tuple[int, float]]) -> Series:
+    samples.sort(key=lambda sample: sample[0])
+    return _ns([t for t, _ in samples]), np.array([value for _, value in samples])

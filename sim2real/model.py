@@ -1,0 +1,192 @@
+"""The fitted simulator: what every other part takes, as ``MODEL.json`` or as a value."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sim2real.output import write_json
+from sim2real.recording import Load, read_load
+from sim2real.structured import Fields, finite_number, read_json
+
+SCHEMA = "sim2real.model/1"
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """An effect of the catalogue that the model has beside the plain PD servo."""
+
+    effect: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class JointModel:
+    """One servo: torque = kp (command(t - latency) - position) - kd velocity.
+
+    Attributes:
+        kp_Nm_per_rad: Proportional gain; per kg m2 (rad/s2 per rad) where ``per_inertia``.
+        kd_Nms_per_rad: Derivative gain; per kg m2 (1/s) where ``per_inertia``.
+        latency_s: Time from sending a set-point to its taking effect.
+        inertia_kgm2: Moment of inertia on the output shaft; 1 where ``per_inertia``.
+        per_inertia: The load was not known, so gains are per unit of inertia.
+        load: The load stated by the recordings, if any.
+        interval: 90 % interval by parameter; an infinite end where the data set no bound.
+        correlation: Correlation of the estimates by pair, ``"a, b"``.
+        effects: Effects beyond the PD servo.
+        notes: What a user must know about these numbers, one sentence each.
+    """
+
+    kp_Nm_per_rad: float
+    kd_Nms_per_rad: float
+    latency_s: float
+    inertia_kgm2: float
+    per_inertia: bool = False
+    load: Load | None = None
+    interval: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    correlation: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[FittedEffect, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Model:
+    """The fitted robot.
+
+    Attributes:
+        joints: Servo of each joint, by name.
+        body: Fitted body: ``normalised_density`` and ``effects``; empty before calibration.
+        effects: Effects on the supply or the link, shared by the joints.
+        fit: For each signal (``j1.position_rad``) its figures: ``train`` and ``heldout`` root mean
+            square error, ``noise`` and so on, in the signal's unit.
+        notes: What a user must know about the whole, one sentence each.
+        provenance: Command line, versions, seed and SHA-256 of the inputs.
+    """
+
+    joints: Mapping[str, JointModel]
+    body: Mapping[str, Any] = field(default_factory=dict)
+    effects: tuple[FittedEffect, ...] = ()
+    fit: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_model(model: Model, path: str | os.PathLike[str]) -> None:
+    """Write ``MODEL.json``; an infinite end of an interval is written as null.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "joints": {name: _joint_content(joint) for name, joint in model.joints.items()},
+        "body": dict(model.body),
+        "effects": [_effect_content(effect) for effect in model.effects],
+        "fit": {signal: dict(figures) for signal, figures in model.fit.items()},
+        "notes": list(model.notes),
+        "provenance": dict(model.provenance),
+    }
+    write_json(path, content)
+
+
+def read_model(path: str | os.PathLike[str]) -> Model:
+    """Read ``MODEL.json``.
+
+    Raises:
+        InputError: If the file or one of its fields is not as the format says.
+    """
+    top = Fields(path, "", read_json(path, SCHEMA))
+    joints, fit = top.table("joints"), top.table("fit")
+    return Model(
+        joints={name: _read_joint(joints.table(name)) for name in joints.content},
+        body=top.table("body").content,
+        effects=_read_effects(top),
+        fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
+        notes=_read_notes(top),
+        provenance=top.table("provenance").content,
+    )
+
+
+def _joint_content(joint: JointModel) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "kp_Nm_per_rad": joint.kp_Nm_per_rad,
+        "kd_Nms_per_rad": joint.kd_Nms_per_rad,
+        "latency_s": joint.latency_s,
+        "inertia_kgm2": joint.inertia_kgm2,
+    }
+    if joint.per_inertia:
+        content["per_inertia"] = True
+    if joint.load is not None:
+        content["load"] = vars(joint.load)
+    return content | {
+        "interval": {
+            name: [end if math.isfinite(end) else None for end in ends]
+            for name, ends in joint.interval.items()
+        },
+        "correlation": dict(joint.correlation),
+        "effects": [_effect_content(effect) for effect in joint.effects],
+        "notes": list(joint.notes),
+    }
+
+
+def _effect_content(effect: FittedEffect) -> dict[str, Any]:
+    return {"effect": effect.effect, "parameters": dict(effect.parameters)}
+
+
+def _read_joint(fields: Fields) -> JointModel:
+    per_inertia = fields.content.get("per_inertia", False)
+    if not isinstance(per_inertia, bool):
+        raise fields.error("per_inertia", "true or false")
+    interval, correlation = fields.table("interval"), fields.table("correlation")
+    return JointModel(
+        kp_Nm_per_rad=fields.number("kp_Nm_per_rad", low=0),
+        kd_Nms_per_rad=fields.number("kd_Nms_per_rad", low=0),
+        latency_s=fields.number("latency_s", low=0),
+        inertia_kgm2=fields.number("inertia_kgm2", above=0),
+        per_inertia=per_inertia,
+        load=read_load(fields.table("load")) if "load" in fields else None,
+        interval={name: _read_interval(interval, name) for name in interval.content},
+        correlation={pair: correlation.number(pair) for pair in correlation.content},
+        effects=_read_effects(fields),
+        notes=_read_notes(fields),
+    )
+
+
+def _read_notes(fields: Fields) -> tuple[str, ...]:
+    notes = fields.content.get("notes", [])
+    if not isinstance(notes, list):
+        raise fields.error("notes", "a list of sentences")
+    return tuple(str(note) for note in notes)
+
+
+def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
+    ends = fields.content[name]
+    infinite = (-math.inf, math.inf)
+    if isinstance(ends, list) and len(ends) == 2:
+        low, high = (
+            end if given is None else finite_number(given)
+            for given, end in zip(ends, infinite, strict=True)
+        )
+        if low is not None and high is not None and low <= high:
+            return low, high
+    raise fields.error(name, "two numbers, the smaller first (null for an infinite end)")
+
+
+def _read_figures(fields: Fields) -> dict[str, float | None]:
+    figures = fields.content
+    return {name: None if figures[name] is None else fields.number(name) for name in figures}
+
+
+def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:
+    if not fields.content.get("effects"):
+        return ()
+    return tuple(_read_effect(entry) for entry in fields.tables("effects"))
+
+
+def _read_effect(fields: Fields) -> FittedEffect:
+    parameters = fields.table("parameters")
+    values = {name: parameters.number(name) for name in parameters.content}
+    return FittedEffect(fields.text("effect"), values)

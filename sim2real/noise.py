@@ -1,0 +1,193 @@
+"""What the sensor adds to a measured angle: its step and the floor of its noise."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.special import chdtri, logsumexp, ndtr
+
+Array = NDArray[np.float64]
+
+FINEST_STEP_RAD = 5e-6  # below it a step can't be told from printing with six decimals
+COARSEST_STEP_RAD = 0.05  # 126 counts a turn
+BLOCK = 10  # samples over which a joint at rest may drift along a line
+FEWEST_BLOCKS = 4  # 32 degrees of freedom: the standard deviation is good to 12 %
+STILL_COMMAND_RAD = 1e-4
+DIFFERENCES = 20  # in a block
+
+
+def quantization_step(position: Array) -> float:
+    """Step of the grid on which all positions lie.
+
+    The step is the greatest common divisor of the gaps between the levels visited, up to the
+    rounding of the file. It is believed if the gaps would not fit such a grid by chance, or if
+    most levels are visited repeatedly, which a continuous signal doesn't do.
+
+    Args:
+        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
+
+    Returns:
+        The step in rad; 0.0 if the positions show none between 5e-6 and 0.05 rad.
+    """
+    levels, visits = np.unique(np.round(position[np.isfinite(position)], 9), return_counts=True)
+    apart = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
+    if not apart.any():
+        return 0.0
+    visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, apart]))
+    levels = levels[np.r_[True, apart]]
+    gaps, printed = np.diff(levels), _printed_step(levels)
+    repeated = int(np.sum(visits > 1)) >= max(2, levels.size / 2)
+    candidates = 20
+    for divisor in range(1, candidates + 1):
+        step = _refined(gaps, float(gaps.min()) / divisor)
+        error = float(np.abs(gaps - step * np.round(gaps / step)).max())
+        if step < FINEST_STEP_RAD or error > min(1.1 * printed, step / 5):
+            continue
+        chance = min(1.0, (2 * error + printed) / step)  # that a gap of any length fits
+        if repeated or (gaps.size - 1) * np.log(chance) < np.log(1e-4 / candidates):
+            return step if step <= COARSEST_STEP_RAD else 0.0
+    return 0.0
+
+
+def _printed_step(values: Array) -> float:
+    """Power of ten to which ``values`` (N,) were printed; 1e-6 at the finest."""
+    for decimals in range(2, 6):
+        if np.allclose(values, np.round(values, decimals), rtol=0, atol=1e-9):
+            return float(10.0**-decimals)
+    return 1e-6
+
+
+def _refined(gaps: Array, step: float) -> float:
+    """``step`` made exact on ever longer ``gaps`` (N,), so that counts are never off by one."""
+    for reach in (1.5, 4.5, 16.5, 64.5, np.inf):
+        near = gaps[gaps < reach * step]
+        counts = np.round(near / step).sum()
+        if counts > 0:
+            step = float(near.sum() / counts)
+    return step
+
+
+def noise_floor(t: Array, command: Array, position: Array) -> float:
+    """Standard deviation of the measurement noise, quantization included.
+
+    From stretches where the command is constant and the joint has settled: variance about a line
+    over every 10 samples, so that slow drift (and noise slower than that) doesn't count. Where it
+    is below about half a step, the samples of a resting joint say little of the quantization
+    error, which is then constant; the noise before quantization is estimated by maximum
+    likelihood instead and ``step**2 / 12`` added (the variance of a uniform error: B. Widrow,
+    I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such stretches see
+    ``difference_noise``.
+
+    Args:
+        t: Times in s, shape (T,), increasing.
+        command: Set-points in rad, shape (T,); NaN where there is none.
+        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
+
+    Returns:
+        The standard deviation in rad, never below ``step / sqrt(12)``; 0.0 if nothing is known.
+    """
+    step = quantization_step(position)
+    given = np.isfinite(position)
+    t, command, position = t[given], command[given], position[given]
+    blocks, variance = _quiet_blocks(t, command, position, step)
+    sd = difference_noise(t, position)
+    if len(blocks) >= FEWEST_BLOCKS:
+        at_rest = float(np.sqrt(variance.mean()))
+        if at_rest < 0.6 * step:
+            sd = float(np.hypot(_noise_before_rounding(blocks / step) * step, step / np.sqrt(12)))
+        elif sd < 0.6 * step or at_rest < 2 * sd:  # else something moves it at constant command
+            sd = at_rest
+    return max(sd, step / float(np.sqrt(12)))
+
+
+def difference_noise(t: Array, position: Array) -> float:
+    """Standard deviation of the noise on a moving joint, from differences of high order.
+
+    Each ``order + 1`` neighbouring samples are combined with the weights of the divided
+    difference, scaled to unit norm: they cancel polynomial motion of degree below ``order`` and
+    keep the variance of white noise (difference-based estimation: P. Hall, J. W. Kay, D. M.
+    Titterington, Biometrika 77, 1990, pp. 521-528). Motion can only add, so the smallest estimate
+    of orders 2 to 5 counts, each from the quietest fifth of blocks of 20.
+
+    Args:
+        t: Times in s, shape (T,), increasing.
+        position: Measured angles in rad, shape (T,), none missing.
+
+    Returns:
+        The standard deviation in rad; 0.0 for fewer than 6 samples.
+    """
+    if t.size < 6:
+        return 0.0
+    estimates = []
+    for order in range(2, 6):
+        times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
+        unit = times[:, 1:2] - times[:, :1]
+        others = (np.delete(times, k, axis=1) for k in range(order + 1))
+        apart = [(times[:, k : k + 1] - other) / unit for k, other in enumerate(others)]
+        weight = 1 / np.stack([between.prod(axis=1) for between in apart], axis=1)
+        weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+        square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
+        size = min(DIFFERENCES, square.size)
+        blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
+        # Neighbouring differences share samples, so that fewer of a block's are free.
+        free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
+        estimates.append(_quietest(blocks, free))
+    return float(np.sqrt(min(estimates)))
+
+
+def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tuple[Array, Array]:
+    """Positions (N, BLOCK) of a joint at rest and their variances (N,) about a line each."""
+    edges = _still_edges(command)
+    ends = [np.arange(b, a + BLOCK - 1, -BLOCK) for a, b in pairwise(edges)]  # latest, most settled
+    index = np.concatenate(ends)[:, None] + np.arange(-BLOCK, 0)
+    index = index[np.isfinite(command[index]).all(axis=1)]
+    time, angle = t[index], position[index]
+    time = time - time.mean(axis=1, keepdims=True)
+    deviation = angle - angle.mean(axis=1, keepdims=True)
+    slope = np.sum(time * deviation, axis=1) / np.sum(time**2, axis=1)
+    residual = deviation - slope[:, None] * time
+    variance = np.sum(residual**2, axis=1) / (BLOCK - 2)
+    drift = np.abs(slope) * np.ptp(time, axis=1)
+    still = drift <= np.maximum(step, 3 * np.sqrt(variance))
+    if not still.any():
+        return angle[still], variance[still]
+    still &= variance <= 2.5 * max(_quietest(variance[still], BLOCK - 2), step**2 / 12)
+    return angle[still], variance[still]
+
+
+def _quietest(variance: Array, freedom: float) -> float:
+    """Usual variance of blocks (N,) of noise, some of them raised by motion, from the lowest fifth.
+
+    ``freedom``: degrees of freedom of one block's variance, taken to be chi-square.
+    """
+    if variance.size < 5:
+        return float(variance.min())
+    return float(np.quantile(variance, 0.2)) * freedom / float(chdtri(freedom, 0.8))
+
+
+def _still_edges(command: Array) -> list[int]:
+    """Where stretches of constant command begin, and the end of the last."""
+    edges = [0]
+    for k in np.flatnonzero(np.diff(command)) + 1:
+        if abs(command[k] - command[edges[-1]]) > STILL_COMMAND_RAD:
+            edges.append(int(k))
+    return [*edges, command.size]
+
+
+def _noise_before_rounding(blocks: Array) -> float:
+    """Likeliest standard deviation of Gaussian noise before rounding, all in steps.
+
+    Each of ``blocks`` (N, BLOCK) rests at an unknown angle, anywhere between two levels.
+    """
+    sd = np.geomspace(0.03, 1, 36)[:, None, None]
+    rest = np.arange(-0.5, 0.5, 0.05)[:, None]
+    likelihood = np.zeros(sd.size)
+    for block in np.round(blocks - np.median(blocks, axis=1, keepdims=True)):
+        level, counts = np.unique(block, return_counts=True)
+        inside = ndtr((level + 0.5 - rest) / sd) - ndtr((level - 0.5 - rest) / sd)
+        likelihood += logsumexp(np.log(np.maximum(inside, 1e-300)) @ counts, axis=1)
+    return float(sd[np.argmax(likelihood), 0, 0])

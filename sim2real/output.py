@@ -1,0 +1,94 @@
+"""Result files: written whole or not at all, each saying where it came from."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from sim2real.errors import InputError
+
+_LIBRARIES = ("numpy", "scipy", "casadi", "warp-lang")
+
+
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """Make sure, before any work, that a result can be written to ``path``.
+
+    Raises:
+        InputError: If ``path`` is a folder, or the folder it would stand in is not one that
+            can be made and written.
+    """
+    target = Path(path)
+    folder = target.absolute().parent
+    try:
+        if target.is_dir():
+            raise InputError(target, "", "a folder", "the name of a file to write")
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+    except OSError as error:  # a name too long, a folder that may not be searched
+        raise InputError(target, "", str(error.strerror), "the name of a file to write") from None
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(target, "", f"{folder}, which can't be written", "a folder to write in")
+    return target
+
+
+def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
+    """Write ``content`` to ``path`` through a neighbouring file that is renamed at the end.
+
+    Raises:
+        InputError: If the folder can't be made or written.
+    """
+    target = check_writable(path)
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        raise InputError(target, "", str(error.strerror), "a folder to write in") from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+    return target
+
+
+def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
+    """Write ``content`` as indented JSON; infinite numbers must have been made ``None``."""
+    return write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> dict[str, Any]:
+    """Where a result came from: command line, versions, seed and SHA-256 of every input file."""
+    versions = {"python": platform.python_version(), "sim2real": _version("sim2real")}
+    versions |= {name: _version(name) for name in _LIBRARIES}
+    return {
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "seed": seed,
+        "versions": versions,
+        "inputs": {str(path): _sha256(Path(path)) for path in inputs},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,328 @@
+"""A recording: what was sent to each joint and what was measured, sample by sample."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.output import write_json, write_whole
+from sim2real.structured import Fields, check_size, read_json, shown
+
+SCHEMA = "sim2real.recording/1"
+LARGEST_FILE_BYTES = 256 * 2**20
+LARGEST_ANGLE_RAD = 4 * np.pi
+GRAVITY_M_S2 = 9.80665
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a bench servo turns: everything on the output shaft, and a pendulum if there is one.
+
+    Attributes:
+        inertia_kgm2: Moment of inertia about the shaft, pendulum included.
+        pendulum_mass_kg: Mass of a point hanging straight down at position 0.
+        pendulum_length_m: Its distance from the shaft.
+    """
+
+    inertia_kgm2: float
+    pendulum_mass_kg: float = 0.0
+    pendulum_length_m: float = 0.0
+
+    @property
+    def gravity_Nm(self) -> float:
+        """Torque of the pendulum's weight when it is held level, in N m."""
+        return self.pendulum_mass_kg * GRAVITY_M_S2 * self.pendulum_length_m
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording, as read.
+
+    Attributes:
+        name: File name without its ending.
+        kind: ``"servo"`` (a bench) or ``"pool"`` (the robot swims).
+        joints: Names of the J joints.
+        t: Times in s, shape (T,), increasing; jittered and with gaps as recorded.
+        command: Set-points in rad, shape (T, J). NaN only after the last command of a joint, where
+            its torque is off, or throughout where commands were not recorded (pool only).
+        position: Measured angles in rad, shape (T, J); NaN where a sample is missing.
+        loads: Known loads by joint name.
+        medium: ``"air"`` or ``"water"``.
+        source: Where the recording comes from.
+        columns: Every further column by its full name, each of shape (T,).
+        metadata: Every further field of the sidecar.
+        path: The CSV file, if it was read from one.
+    """
+
+    name: str
+    kind: str
+    joints: tuple[str, ...]
+    t: Array
+    command: Array
+    position: Array
+    loads: Mapping[str, Load] = field(default_factory=dict)
+    medium: str = "air"
+    source: str = ""
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    @property
+    def file(self) -> str:
+        """The name to use in messages."""
+        return str(self.path or f"{self.name}.csv")
+
+    @property
+    def duration_s(self) -> float:
+        """Time between the first and the last sample, in s."""
+        return float(self.t[-1] - self.t[0])
+
+    def powered(self, joint: int) -> int:
+        """Number of samples for which joint ``joint`` is under command (T unless torque-off)."""
+        given = np.flatnonzero(np.isfinite(self.command[:, joint]))
+        return int(given[-1]) + 1 if given.size else 0
+
+    def between(self, start: int, stop: int) -> Recording:
+        """The samples ``start`` to ``stop`` (exclusive) as a recording of its own."""
+        part = slice(start, stop)
+        return replace(
+            self,
+            t=self.t[part],
+            command=self.command[part],
+            position=self.position[part],
+            columns={name: values[part] for name, values in self.columns.items()},
+        )
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read ``NAME.csv`` and the ``NAME.json`` beside it, and check both.
+
+    Raises:
+        InputError: If a file can't be read or a row or field is not as the format says.
+    """
+    csv = Path(path)
+    table = _read_table(csv)
+    sidecar = csv.with_suffix(".json")
+    top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
+    kind = top.text("kind")
+    if kind not in ("servo", "pool"):
+        raise top.error("kind", "'servo' or 'pool'")
+    joints = _joint_names(top)
+    t = _column(csv, table, "t_s")
+    _check_times(csv, t)
+    recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
+    none = np.full((t.size, len(joints)), np.nan)
+    command = _angles(csv, table, joints, "command_rad") if recorded else none
+    position = _angles(csv, table, joints, "position_rad")
+    if recorded:
+        _check_commands(csv, joints, command)
+    used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
+    known = {"schema", "kind", "joints", "loads", "medium", "source"}
+    return Recording(
+        name=csv.stem,
+        kind=kind,
+        joints=joints,
+        t=t,
+        command=command,
+        position=position,
+        loads=_loads(top, joints),
+        medium=top.text("medium", "air"),
+        source=top.text("source", ""),
+        columns={str(c): _column(csv, table, str(c)) for c in table.columns if c not in used},
+        metadata={name: value for name, value in top.content.items() if name not in known},
+        path=csv,
+    )
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What to send: times in s, shape (T,), and set-points in rad by joint, each of shape (T,)."""
+
+    t: Array
+    by_joint: Mapping[str, Array]
+    loads: Mapping[str, Load]
+
+
+def read_commands(path: str | os.PathLike[str]) -> Commands:
+    """Read the commands of a CSV; measured columns are ignored, a sidecar is not needed.
+
+    Raises:
+        InputError: If times or commands are not as the format says.
+    """
+    csv = Path(path)
+    table = _read_table(csv)
+    t = _column(csv, table, "t_s")
+    _check_times(csv, t)
+    names = [str(column) for column in table.columns]
+    joints = tuple(n.removesuffix(".command_rad") for n in names if n.endswith(".command_rad"))
+    if not joints:
+        raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
+    command = _angles(csv, table, joints, "command_rad")
+    _check_commands(csv, joints, command)
+    sidecar = csv.with_suffix(".json")
+    loads: dict[str, Load] = {}
+    if sidecar.exists():
+        loads = _loads(Fields(sidecar, "", read_json(sidecar, SCHEMA)), joints)
+    return Commands(t, {joint: command[:, j] for j, joint in enumerate(joints)}, loads)
+
+
+def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Write ``NAME.csv`` and ``NAME.json``; reading them gives the recording back.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+    csv = Path(path)
+    table: dict[str, Array] = {"t_s": recording.t}
+    for j, joint in enumerate(recording.joints):
+        if np.isfinite(recording.command[:, j]).any():
+            table[f"{joint}.command_rad"] = recording.command[:, j]
+        table[f"{joint}.position_rad"] = recording.position[:, j]
+    table |= recording.columns
+    sidecar = {
+        "schema": SCHEMA,
+        "kind": recording.kind,
+        "joints": list(recording.joints),
+        "loads": {name: vars(load) for name, load in recording.loads.items()},
+        "medium": recording.medium,
+        "source": recording.source,
+        **recording.metadata,
+    }
+    write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
+    write_json(csv.with_suffix(".json"), sidecar)
+
+
+def _read_table(csv: Path) -> pd.DataFrame:
+    check_size(csv, LARGEST_FILE_BYTES, "; cut the recording into pieces")
+    try:
+        header = pd.read_csv(csv, skipinitialspace=True, compression=None, header=None, nrows=1)
+        table = pd.read_csv(csv, skipinitialspace=True, compression=None, low_memory=False)
+    except pd.errors.EmptyDataError:
+        raise InputError(csv, "", "an empty file", "a header and rows") from None
+    except UnicodeDecodeError:
+        raise InputError(csv, _undecodable_row(csv), "bytes that are not UTF-8", "text") from None
+    except (ValueError, OSError) as error:
+        long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        if long:
+            columns, row, cells = long.groups()
+            raise InputError(
+                csv, f"row {row}", f"{cells} cells", f"{columns}, as in the header"
+            ) from None
+        raise InputError(csv, "", f"no table ({error})", "comma-separated rows") from None
+    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
+        cells = table.index.nlevels + len(table.columns)
+        raise InputError(csv, "row 2", f"{cells} cells", f"{len(table.columns)}, as in the header")
+    names = header.iloc[0].dropna()
+    if names.duplicated().any():
+        found = f"{names[names.duplicated()].iloc[0]} twice"
+        raise InputError(csv, "header", found, "each column once")
+    if not len(table):
+        raise InputError(csv, "", "0 rows", "a header and at least two rows")
+    return table
+
+
+def _undecodable_row(csv: Path) -> str:
+    content = csv.read_bytes()
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        return f"row {row}"
+    return ""
+
+
+def _column(csv: Path, table: pd.DataFrame, name: str) -> Array:
+    if name not in table:
+        raise InputError(csv, "header", f"no column {name}", f"the column {name}")
+    cells = table[name]
+    if cells.dtype == object:  # integers beyond the range of a float, perhaps
+        cells = cells.map(lambda cell: np.inf if type(cell) is int and abs(cell) > 1e300 else cell)
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    wrong = np.flatnonzero((np.isnan(values) & table[name].notna().to_numpy()) | np.isinf(values))
+    if wrong.size:
+        found = shown(str(table[name].iloc[wrong[0]]))
+        raise InputError(csv, _cell(csv, int(wrong[0]), name), found, "a number or an empty cell")
+    return values
+
+
+def _cell(csv: Path, index: int, column: str) -> str:
+    """Row as an editor numbers it (the header is row 1, blank lines count), and column."""
+    with csv.open(encoding="utf-8", errors="replace") as lines:
+        filled = (number for number, line in enumerate(lines, 1) if line.strip())
+        row = next(islice(filled, index + 1, None), index + 2)
+    return f"row {row}, {column}"
+
+
+def _angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: str) -> Array:
+    angles = np.stack([_column(csv, table, f"{j}.{quantity}") for j in joints], axis=1)
+    wrong = np.argwhere(np.abs(angles) > LARGEST_ANGLE_RAD)
+    if wrong.size:
+        row, j = (int(x) for x in wrong[0])
+        place, found = _cell(csv, row, f"{joints[j]}.{quantity}"), f"{angles[row, j]:g}"
+        expected = f"radians within {LARGEST_ANGLE_RAD:.1f} (degrees, perhaps?)"
+        raise InputError(csv, place, found, expected)
+    return angles
+
+
+def _check_times(csv: Path, t: Array) -> None:
+    if t.size < 2:
+        raise InputError(csv, "", f"{t.size} row", "at least two rows")
+    missing = np.flatnonzero(np.isnan(t))
+    if missing.size:
+        raise InputError(csv, _cell(csv, int(missing[0]), "t_s"), "an empty cell", "a time in s")
+    back = np.flatnonzero(t[1:] <= t[:-1])
+    if back.size:
+        row = int(back[0]) + 1
+        found = f"{t[row]:g} after {t[row - 1]:g}"
+        raise InputError(csv, _cell(csv, row, "t_s"), found, "times that increase")
+
+
+def _check_commands(csv: Path, joints: tuple[str, ...], command: Array) -> None:
+    for j, joint in enumerate(joints):
+        given = np.isfinite(command[:, j])
+        last = int(np.flatnonzero(given)[-1]) if given.any() else 0
+        hole = np.flatnonzero(~given[: last + 1])
+        if hole.size:
+            place = _cell(csv, int(hole[0]), f"{joint}.command_rad")
+            expected = "a set-point in rad (empty only at the end, where the torque is off)"
+            raise InputError(csv, place, "an empty cell", expected)
+
+
+def _joint_names(top: Fields) -> tuple[str, ...]:
+    names = top.content.get("joints")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise top.error("joints", "a list of joint names")
+    if len(set(names)) != len(names):
+        raise top.error("joints", "each name once")
+    return tuple(names)
+
+
+def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
+    loads = {}
+    table = top.table("loads")
+    for name in table.content:
+        if name not in joints:
+            raise InputError(top.file, f"loads.{name}", "a joint not recorded", ", ".join(joints))
+        loads[name] = read_load(table.table(name))
+    return loads
+
+
+def read_load(fields: Fields) -> Load:
+    """A load from its table; the pendulum is optional."""
+    return Load(
+        inertia_kgm2=fields.number("inertia_kgm2", above=0),
+        pendulum_mass_kg=fields.number("pendulum_mass_kg", 0.0, low=0),
+        pendulum_length_m=fields.number("pendulum_length_m", 0.0, low=0),
+    )

@@ -1,0 +1,128 @@
+"""Measured and predicted position of a joint, what is left, and one move up close."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.recording import Array, Recording
+from sim2real.report.quantity import printable
+from sim2real.report.series import drawable, largest_move, lone, stretches
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def fit_figure(
+    recording: Recording,
+    joint: str,
+    predicted: Array,
+    *,
+    heldout: NDArray[np.bool_] | None = None,
+    noise_rad: float | None = None,
+) -> Figure:
+    """Draw how well a prediction follows one joint of a recording.
+
+    Args:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted position in rad, shape (T,).
+        heldout: Which samples the fit did not see, shape (T,).
+        noise_rad: Standard deviation of the measurement noise, to judge the residual by.
+
+    Returns:
+        Three panels: command, measured and predicted position over the whole recording; measured
+        minus predicted; and 1.5 s around the largest move. Gaps in the recording stay gaps.
+
+    Raises:
+        ValueError: If the joint was not recorded or a series has another shape.
+    """
+    if joint not in recording.joints:
+        raise ValueError(f"{recording.name}: no joint {joint!r}")
+    for name, series in (("predicted", predicted), ("heldout", heldout)):
+        if series is not None and series.shape != recording.t.shape:
+            raise ValueError(f"{name}: shape {series.shape}, expected {recording.t.shape}")
+    column = recording.joints.index(joint)
+    t, command = recording.t, recording.command[:, column]
+    measured = recording.position[:, column]
+    start, stop = largest_move(t, command, measured)
+    near = (t >= start) & (t <= stop)
+    with house_style():
+        figure = new_figure(540, printable(f"{joint} in {recording.name}: measured and predicted"))
+        grid = figure.add_gridspec(3, 1, height_ratios=(2.1, 1.1, 2.1), hspace=0.0)
+        whole = figure.add_subplot(grid[0])
+        residual = figure.add_subplot(grid[1], sharex=whole)
+        close = figure.add_subplot(grid[2])
+        _draw_position(whole, t, command, measured, predicted)
+        whole.legend(loc="lower right", bbox_to_anchor=(1, 1.02), ncols=3)
+        whole.set_title("rad")
+        whole.margins(y=0.14)
+        whole.tick_params(labelbottom=False)
+        _draw_residual(residual, t, measured - predicted, noise_rad)
+        _draw_position(close, t[near], command[near], measured[near], predicted[near], dots=True)
+        close.set_title(f"{start:.1f} s to {stop:.1f} s, rad")
+        close.set_xlabel("time, s")
+        whole.plot(
+            [start, stop],
+            [0, 0],
+            color=INK,
+            linewidth=3,
+            solid_capstyle="butt",
+            clip_on=False,
+            zorder=4,
+            transform=whole.get_xaxis_transform(),
+        )
+        if heldout is not None:
+            _shade(whole, residual, t, heldout)
+    return figure
+
+
+def _draw_position(
+    axes: Axes, t: Array, command: Array, measured: Array, predicted: Array, *, dots: bool = False
+) -> None:
+    axes.plot(
+        *drawable(t, command),
+        color=FAINT,
+        linewidth=1.0,
+        drawstyle="steps-post",
+        label="command",
+    )
+    times, values = drawable(t, measured)
+    look = {"marker": "o", "markersize": 3.6, "linestyle": "none"} if dots else {"linewidth": 2.1}
+    axes.plot(times, values, color=INK, markeredgewidth=0, label="measured", **look)
+    if not dots:
+        alone = lone(values)
+        axes.plot(times[alone], values[alone], "o", color=INK, markersize=1.6, markeredgewidth=0)
+    axes.plot(*drawable(t, predicted), color=ACCENT, linewidth=1.1, label="predicted")
+
+
+def _draw_residual(axes: Axes, t: Array, residual: Array, noise_rad: float | None) -> None:
+    title = "measured − predicted, mrad"
+    if noise_rad is not None:
+        axes.axhspan(-2e3 * noise_rad, 2e3 * noise_rad, color=ACCENT, alpha=0.16, linewidth=0)
+        title += "; band: ± 2 × noise"
+    times, values = drawable(t, 1e3 * residual)
+    axes.plot(times, values, color=INK, linewidth=0.8)
+    alone = lone(values)
+    axes.plot(times[alone], values[alone], "o", color=INK, markersize=1.4, markeredgewidth=0)
+    axes.set_title(title)
+
+
+def _shade(top: Axes, bottom: Axes, t: Array, heldout: NDArray[np.bool_]) -> None:
+    for number, (first, last) in enumerate(stretches(heldout)):
+        for axes in (top, bottom):
+            axes.axvspan(t[first], t[last], color=RULE, alpha=0.45, linewidth=0, zorder=0)
+        if number == 0:
+            top.annotate(
+                "held out",
+                (t[first], 1),
+                xycoords=top.get_xaxis_transform(),
+                xytext=(5, -4),
+                textcoords="offset points",
+                va="top",
+                color=MUTED,
+            )

@@ -1,0 +1,128 @@
+"""The identification part of a report: what each servo does, how well known, how well it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.model import JointModel, Model
+from sim2real.recording import Array, Recording
+from sim2real.report.drawing import svg
+from sim2real.report.fit_plot import fit_figure
+from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.report.parameter_plot import parameter_figure
+from sim2real.report.quantity import Quantity, effect_text, milliradians, quantities
+from sim2real.report.response import describe_response
+from sim2real.report.style import NARROW
+
+Fit = tuple[Recording, str, Array, NDArray[np.bool_] | None]
+
+_LEAD = (
+    "Each servo is a spring and a damper that pull towards the command, a moment late: torque = "
+    "kp\u00a0(command\u00a0−\u00a0position)\u00a0−\u00a0kd\u00a0velocity, where the command is the "
+    "one sent a latency ago."
+)
+_TABLE = (
+    "Estimates, and below each its 90 % interval. RMSE is the root mean square error on samples "
+    "held out."
+)
+_PARAMETERS = "Estimate and 90 % interval. An arrow: the interval goes on, or has no end."
+_FIT = (
+    "{joint} in {recording}. Above, the whole recording{shaded}; in the middle, what the model "
+    "leaves; below, the largest move, which the bar marks above."
+)
+
+
+def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
+    """What the fit found, in words, numbers and figures.
+
+    Args:
+        model: The fitted simulator.
+        fits: For each figure the recording, the joint, its predicted position in rad, shape (T,),
+            and which samples were held out, shape (T,).
+    """
+    blocks: list[Block] = [_parameter_table(model)]
+    drawing = parameter_figure(model)
+    blocks.append(Figure(svg(drawing), _PARAMETERS, svg(drawing, width=NARROW)))
+    for name, joint in model.joints.items():
+        blocks += _joint_blocks(model, name, joint)
+        blocks += [_fit_block(model, fit) for fit in fits if fit[1] == name]
+    return Section("Identification", _LEAD, blocks)
+
+
+def _parameter_table(model: Model) -> Table:
+    known = {name: quantities(joint) for name, joint in model.joints.items()}
+    columns = list(zip(*known.values(), strict=True))
+    # A unit that all joints share stands in the header: a phone is narrow.
+    shared = [len({quantity.unit for quantity in column}) == 1 for column in columns]
+    header = ["joint"]
+    for column, one_unit in zip(columns, shared, strict=True):
+        header.append(column[0].name + (f"\n{column[0].unit}" if one_unit else ""))
+    rows = [
+        (
+            name,
+            *(_cell(q, with_unit=not one) for q, one in zip(row, shared, strict=True)),
+            _error_cell(model.fit.get(f"{name}.position_rad", {})),
+        )
+        for name, row in known.items()
+    ]
+    return Table((*header, "RMSE\nmrad"), rows, _TABLE)
+
+
+def _cell(quantity: Quantity, *, with_unit: bool) -> str:
+    value, low, high = quantity.texts
+    if quantity.interval is None:
+        below = quantity.origin
+    elif quantity.unbounded == "unbounded":
+        below = "no bound"
+    elif quantity.unbounded:
+        below = f"above {low}" if quantity.unbounded == "unbounded above" else f"below {high}"
+    else:
+        below = f"{low} – {high}"
+    return f"{value} {quantity.unit}\n{below}" if with_unit else f"{value}\n{below}"
+
+
+def _error_cell(figures: Mapping[str, float | None]) -> str:
+    train, heldout = figures.get("train"), figures.get("heldout")
+    number = milliradians(train if heldout is None else heldout).removesuffix(" mrad")
+    return number + ("\ntrain" if heldout is None and train is not None else "")
+
+
+def _joint_blocks(model: Model, name: str, joint: JointModel) -> list[Block]:
+    figures = model.fit.get(f"{name}.position_rad", {})
+    sentences = [describe_response(name, joint)]
+    sentences += [
+        f"The recordings leave {quantity.name} {quantity.unbounded}."
+        for quantity in quantities(joint)
+        if quantity.unbounded
+    ]
+    if joint.effects:
+        effects = ", ".join(map(effect_text, joint.effects))
+        sentences.append(f"This leaves out what the model has beside it: {effects}.")
+    sentences.append(_error_sentence(figures))
+    notes = [Note("warn", note) for note in joint.notes]
+    return [Text(" ".join(filter(None, sentences)), heading=name), *notes]
+
+
+def _error_sentence(figures: Mapping[str, float | None]) -> str:
+    train, heldout, noise = (figures.get(name) for name in ("train", "heldout", "noise"))
+    error, seen = (train, "was fitted to") if heldout is None else (heldout, "has not seen")
+    if error is None:
+        return ""
+    sentence = f"On samples it {seen}, the model is off by {milliradians(error)} (root mean square)"
+    if noise:
+        sentence += f", {error / noise:.1f} times the noise of {milliradians(noise)}"
+    if heldout is not None and train and heldout > 1.5 * train:
+        sentence += f" and {heldout / train:.1f} times what it misses those it was fitted to by"
+    return sentence + "."
+
+
+def _fit_block(model: Model, fit: Fit) -> Figure:
+    recording, joint, predicted, heldout = fit
+    noise = model.fit.get(f"{joint}.position_rad", {}).get("noise")
+    figure = fit_figure(recording, joint, predicted, heldout=heldout, noise_rad=noise)
+    shaded = ", shaded where the fit did not look" if heldout is not None and heldout.any() else ""
+    caption = _FIT.format(joint=joint, recording=recording.name, shaded=shaded)
+    return Figure(svg(figure), caption, svg(figure, width=NARROW))

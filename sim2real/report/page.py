@@ -1,0 +1,159 @@
+"""A report as one HTML file that needs nothing else: no network, no fonts, no scripts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from sim2real.output import write_whole
+from sim2real.report.extra import report_libraries
+
+_FOLDER = Path(__file__).parent
+_HASH_LETTERS = 12
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph, under a small heading if one is given."""
+
+    paragraph: str
+    heading: str = ""
+
+
+@dataclass(frozen=True)
+class Note:
+    """One thing to know: that something is good, to beware of, or merely so."""
+
+    kind: Literal["good", "warn", "info"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header.
+
+    What follows a line break in a cell is set small below it: an interval, a unit.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows):
+            if len(row) != len(self.header):
+                raise ValueError(f"row {number}: {len(row)} cells, header has {len(self.header)}")
+
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """For each column whether it holds numbers, which stand right-aligned."""
+        columns = [[row[k] for row in self.rows] for k in range(len(self.header))]
+        return tuple(any(column) and all(map(_is_number, column)) for column in columns)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: ``<svg>`` elements made by ``sim2real.report.svg``, put in the page as they are.
+
+    Attributes:
+        svg: The figure.
+        caption: What it shows.
+        narrow: The same figure laid out for a phone, if there is one.
+    """
+
+    svg: str
+    caption: str = ""
+    narrow: str = ""
+
+
+Block = Text | Note | Table | Figure
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of a report: a title, what it says in a sentence or two, and what shows it."""
+
+    title: str
+    lead: str
+    blocks: Sequence[Block] = ()
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    title: str,
+    subtitle: str,
+    sections: Sequence[Section],
+    provenance: Mapping[str, Any],
+    *,
+    stages: Sequence[tuple[str, bool]] = (),
+) -> Path:
+    """Write a report, whole or not at all.
+
+    Args:
+        path: The HTML file to write.
+        title: What the report is about: a robot, a recording.
+        subtitle: One line below it.
+        sections: What it says.
+        provenance: What ``sim2real.output.provenance`` gives, for the footer.
+        stages: The stages of the work in order, each with whether it is done.
+
+    Raises:
+        InputError: If the file can't be written.
+        ModuleNotFoundError: If Jinja is not installed.
+    """
+    return write_whole(path, render_page(title, subtitle, sections, provenance, stages=stages))
+
+
+def render_page(
+    title: str,
+    subtitle: str,
+    sections: Sequence[Section],
+    provenance: Mapping[str, Any],
+    *,
+    stages: Sequence[tuple[str, bool]] = (),
+) -> str:
+    """The report as text; arguments as for ``write_page``."""
+    with report_libraries():
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    environment = Environment(
+        loader=FileSystemLoader(_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html").render(
+        title=title,
+        subtitle=subtitle,
+        sections=sections,
+        stages=stages,
+        origin=_origin(provenance),
+        css=(_FOLDER / "page.css").read_text(encoding="utf-8"),
+        kind=lambda block: type(block).__name__,
+    )
+
+
+def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
+    """Label and lines of every part of the footer that there is something to say about."""
+    seed = provenance.get("seed")
+    parts = [
+        ("command", [str(provenance.get("command", ""))]),
+        ("seed", ["" if seed is None else str(seed)]),
+        ("versions", [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())]),
+        (
+            "inputs (SHA-256)",
+            [
+                f"{Path(path).name}  {str(digest)[:_HASH_LETTERS]}"
+                for path, digest in provenance.get("inputs", {}).items()
+            ],
+        ),
+    ]
+    return [(label, lines) for label, lines in parts if any(lines)]
+
+
+def _is_number(cell: str) -> bool:
+    first = cell.partition("\n")[0].strip()
+    return not first or first[0].isdigit() or first[0] in "+-−±∞<>≥≤.–—"

@@ -1,0 +1,125 @@
+"""The fitted numbers of a joint as a person reads them: scaled, rounded, with unit and interval."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim2real.model import FittedEffect, JointModel
+
+_SHORT = {
+    "kp_Nm_per_rad": "kp",
+    "kd_Nms_per_rad": "kd",
+    "latency_s": "latency",
+    "inertia_kgm2": "inertia",
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One parameter of a joint, in the unit it is shown in.
+
+    Attributes:
+        name: ``"kp"``, ``"kd"``, ``"latency"`` or ``"inertia"``.
+        unit: Its unit, such as ``"N m/rad"``.
+        value: The estimate.
+        interval: 90 % interval, an end infinite where the data set no bound; None if not estimated.
+        origin: Where a number without an interval comes from.
+    """
+
+    name: str
+    unit: str
+    value: float
+    interval: tuple[float, float] | None = None
+    origin: str = ""
+
+    @property
+    def unbounded(self) -> str:
+        """``"unbounded"``, ``"unbounded above"``, ``"unbounded below"`` or nothing."""
+        below, above = (math.isinf(end) for end in self.interval or (0.0, 0.0))
+        if below and above:
+            return "unbounded"
+        return "unbounded above" if above else "unbounded below" if below else ""
+
+    @property
+    def percent(self) -> float | None:
+        """Half the width of the interval in percent of the value; None where that says nothing."""
+        if self.interval is None or self.unbounded or not self.value:
+            return None
+        return 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
+
+    @property
+    def texts(self) -> tuple[str, str, str]:
+        """Value, lower and upper end, rounded alike; the ends empty where there is no interval."""
+        if self.interval is None:
+            return f"{self.value:.4g}", "", ""
+        places = _decimal_places(self.value, self.interval)
+        value, low, high = (
+            f"{x:.3g}" if abs(x) >= 1e6 else f"{x:.{places}f}" for x in (self.value, *self.interval)
+        )
+        return value, low, high
+
+
+def quantities(joint: JointModel) -> tuple[Quantity, ...]:
+    """kp, kd, latency and inertia of ``joint``, in the order they are read."""
+    per = joint.per_inertia
+
+    def fitted(key: str, unit: str, scale: float = 1.0) -> Quantity:
+        ends = joint.interval.get(key)
+        interval = None if ends is None else (scale * ends[0], scale * ends[1])
+        value = scale * getattr(joint, key)
+        return Quantity(_SHORT[key], unit, value, interval, "" if interval else "no interval")
+
+    inertia = fitted("inertia_kgm2", "kg m²")
+    if inertia.interval is None:
+        origin = "per unit of inertia" if per else "stated" if joint.load else "given"
+        inertia = Quantity("inertia", "kg m²", joint.inertia_kgm2, None, origin)
+    return (
+        fitted("kp_Nm_per_rad", "1/s²" if per else "N m/rad"),
+        fitted("kd_Nms_per_rad", "1/s" if per else "N m s/rad"),
+        fitted("latency_s", "ms", 1e3),
+        inertia,
+    )
+
+
+def correlations(joint: JointModel, above: float = 0.3) -> list[tuple[str, str, float]]:
+    """Pairs of estimates whose correlation is stronger than ``above``, the strongest first."""
+    pairs = []
+    for pair, r in joint.correlation.items():
+        first, _, second = pair.partition(",")
+        if abs(r) > above:
+            pairs.append((short_name(first), short_name(second), float(r)))
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def effect_text(effect: FittedEffect) -> str:
+    """An effect on one line: ``backlash (gap_rad 0.03)``."""
+    parameters = ", ".join(f"{name} {value:.4g}" for name, value in effect.parameters.items())
+    return printable(f"{effect.effect} ({parameters})" if parameters else effect.effect)
+
+
+def milliradians(angle_rad: float | None) -> str:
+    """An angle as ``"4.1 mrad"``; a dash where there is none."""
+    if angle_rad is None or not math.isfinite(angle_rad):
+        return "-"
+    angle = 1e3 * angle_rad
+    return f"{angle:.1f} mrad" if abs(angle) >= 1 else f"{angle:.2g} mrad"
+
+
+def short_name(parameter: str) -> str:
+    """``"kp"`` for ``"kp_Nm_per_rad"``; other names as they are."""
+    return printable(_SHORT.get(parameter.strip(), parameter.strip()))
+
+
+def printable(text: str) -> str:
+    """``text`` without control characters: names come from files, and go to a terminal."""
+    return "".join(
+        letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
+    )
+
+
+def _decimal_places(value: float, ends: tuple[float, float]) -> int:
+    """Two digits of the interval's narrower side, and never fewer than two of the value."""
+    sizes = [abs(value) / 10, *(abs(end - value) for end in ends)]
+    sizes = [size for size in sizes if math.isfinite(size) and size > 0]
+    return max(0, min(9, 1 - math.floor(math.log10(min(sizes))))) if sizes else 3

@@ -1,0 +1,91 @@
+"""The recordings part of a report: what was recorded, how well, and what it can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sim2real.check import Check
+from sim2real.recording import Recording
+from sim2real.report.drawing import svg
+from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.report.style import NARROW
+from sim2real.report.timing_plot import timing_figure
+
+_LEAD = (
+    "Before anything is fitted: is the clock sound, how large is the noise, does every joint move, "
+    "and how well could these recordings pin a servo down at best?"
+)
+_CLOCKS = "Each recording and its clock."
+_JOINTS = (
+    "Each joint of {recording}: how far it was sent and went, noise and step of its sensor, and "
+    "what a fit can be expected to identify (half-widths of 90 % intervals)."
+)
+_TIMING = "Clock of {recording}: the time from each sample to the next, and its histogram."
+
+
+def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:
+    """What ``check`` found, in a table, notes and a picture of the first recording's clock.
+
+    Args:
+        recordings: The recordings.
+        checks: The check of each, in the same order.
+    """
+    blocks: list[Block] = [_clock_table(checks)]
+    figure = timing_figure(recordings[0])
+    caption = _TIMING.format(recording=recordings[0].name)
+    blocks.append(Figure(svg(figure), caption, svg(figure, width=NARROW)))
+    blocks += [_joint_table(check) for check in checks[:1]]
+    blocks += _notes(checks)
+    return Section("Recordings", _LEAD, blocks)
+
+
+def _clock_table(checks: Sequence[Check]) -> Table:
+    rows = [
+        (
+            check.recording,
+            f"{check.duration_s:.1f}",
+            f"{check.timing.rate_hz:.1f}",
+            f"{1e3 * check.timing.jitter_s:.2f}",
+            f"{sum(length for _, length in check.timing.gaps):.2f}",
+            str(check.timing.missing_cells),
+        )
+        for check in checks
+    ]
+    header = ("recording", "length\ns", "rate\nHz", "jitter\nms", "gaps\ns", "cells\nmissing")
+    return Table(header, rows, _CLOCKS)
+
+
+def _joint_table(check: Check) -> Table:
+    rows = [
+        (
+            joint.joint,
+            f"{joint.command_range_rad:.2f}",
+            f"{joint.range_rad:.2f}",
+            f"{1e3 * joint.noise_rad:.2f}",
+            f"{1e3 * joint.step_rad:.2f}" if joint.step_rad else "none",
+            "; ".join(joint.identifiable),
+        )
+        for joint in check.joints
+    ]
+    header = ("joint", "sent\nrad", "went\nrad", "noise\nmrad", "step\nmrad", "a fit")
+    return Table(header, rows, _JOINTS.format(recording=check.recording))
+
+
+def _notes(checks: Sequence[Check]) -> list[Block]:
+    """Findings, each said once, with the recordings that share it."""
+    where: dict[str, list[str]] = {}
+    for check in checks:
+        findings = [*check.findings, *(f for joint in check.joints for f in joint.findings)]
+        for finding in findings:
+            where.setdefault(finding, []).append(check.recording)
+    if not where:
+        return [Note("good", "Nothing odd was found.")]
+    heading = Text("What the check remarks on.", heading="Remarks")
+    everywhere = len(checks)
+    return [
+        heading,
+        *(
+            Note("info", finding if len(names) == everywhere else f"{', '.join(names)}: {finding}")
+            for finding, names in where.items()
+        ),
+    ]

@@ -1,0 +1,111 @@
+"""The fit as a table of plain text, for a terminal, a pipe or a log."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+from sim2real.model import JointModel, Model
+from sim2real.report.quantity import (
+    Quantity,
+    correlations,
+    effect_text,
+    milliradians,
+    printable,
+    quantities,
+)
+
+WIDTH = 100
+_HEADER = ("", "value", "unit", "90 % interval", "")
+_WHITE = 0.1  # lag-1 autocorrelation below which a residual counts as white
+_LABEL = 14
+
+
+def fit_report(model: Model) -> str:
+    """The fitted parameters of every joint, how well they are known and how well they fit.
+
+    Args:
+        model: The fitted simulator.
+
+    Returns:
+        Lines of at most 100 columns, the last without a line break.
+    """
+    rows = {name: [_cells(q) for q in quantities(joint)] for name, joint in model.joints.items()}
+    every = [_HEADER, *(row for block in rows.values() for row in block)]
+    widths = [max(len(row[column]) for row in every) for column in range(len(_HEADER))]
+    lines = [_line(_HEADER, widths)]
+    for name, joint in model.joints.items():
+        lines += ["", textwrap.shorten(printable(name), WIDTH, placeholder="...") or "(no name)"]
+        lines += [_line(row, widths) for row in rows[name]]
+        lines += _quality(model.fit.get(f"{name}.position_rad", {}))
+        lines += _remarks(joint)
+    if model.effects:
+        lines += ["", "supply and link", *_listed("effects", map(effect_text, model.effects))]
+    return "\n".join(lines)
+
+
+def _cells(quantity: Quantity) -> tuple[str, ...]:
+    value, low, high = quantity.texts
+    between = f"{low} to {high}" if quantity.interval else ""
+    percent = quantity.percent
+    remark = quantity.origin or quantity.unbounded
+    if percent is not None:
+        remark = f"± {percent:.2g} %" if percent < 100 else f"± {percent:.0f} %"
+        remark = remark if percent < 1000 else "over ± 1000 %"
+    return quantity.name, _pointed(value), quantity.unit, between, remark
+
+
+def _pointed(number: str, before: int = 6, after: int = 6) -> str:
+    """``number`` padded so that the decimal points of a column stand under each other."""
+    whole, point, fraction = number.partition(".")
+    return f"{whole:>{before}}{point}{fraction}".ljust(before + 1 + after)
+
+
+def _line(cells: Iterable[str], widths: list[int]) -> str:
+    padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
+    return ("  " + "  ".join(padded)).rstrip()
+
+
+def _quality(figures: Mapping[str, float | None]) -> list[str]:
+    if not figures:
+        return []
+    errors = f"{milliradians(figures.get('train'))} train, "
+    errors += f"{milliradians(figures.get('heldout'))} held out"
+    noise = figures.get("noise")
+    errors += f"; noise {milliradians(noise)}" if noise is not None else ""
+    lines = _listed("RMSE", [errors])
+    time, lag, outliers = (
+        figures.get(name) for name in ("correlation_time_s", "whiteness", "robust_outliers")
+    )
+    residual = []
+    if lag is not None and abs(lag) < _WHITE:
+        residual.append(f"white (lag-1 autocorrelation {lag:.2f})")
+    elif time is not None:
+        residual.append(f"correlated over {1e3 * time:.0f} ms")
+        residual += [] if lag is None else [f"lag-1 autocorrelation {lag:.2f}"]
+    if outliers is not None:
+        residual.append(f"{100 * outliers:.2g} % outliers")
+    return lines + (_listed("residual", residual) if residual else [])
+
+
+def _remarks(joint: JointModel) -> list[str]:
+    lines = []
+    pairs = [f"{first} and {second} {r:+.2f}" for first, second, r in correlations(joint)]
+    if pairs:
+        lines += _listed("correlated", pairs)
+    if joint.effects:
+        lines += _listed("effects", map(effect_text, joint.effects))
+    for note in joint.notes:
+        lines += textwrap.wrap(
+            printable(note), WIDTH, initial_indent="  ! ", subsequent_indent="    "
+        )
+    return lines
+
+
+def _listed(label: str, items: Iterable[str]) -> list[str]:
+    return textwrap.wrap(
+        ", ".join(items),
+        WIDTH,
+        initial_indent=f"  {label:<{_LABEL - 2}}",
+        subsequent_indent=" " * _LABEL,
+    )

@@ -1,0 +1,88 @@
+"""What a user must know about a fit, each in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sim2real.recording import Load
+from sim2real.servo.fit import Fit, bounds, residuals, rms
+from sim2real.servo.symbolic import PARAMETERS
+from sim2real.servo.trace import Trace
+from sim2real.servo.uncertainty import Uncertainty, uncertainty
+
+_SHORT = ("kp", "kd", "latency", "inertia left out")
+_STRUCTURED = 2.0
+"""Residuals above so many times the noise have something in them."""
+_MATERIAL = 0.05
+"""Share of the stated inertia below which a difference is left to scales and rulers."""
+
+
+def on_fit(
+    best: Fit,
+    spread: Uncertainty,
+    ends: Mapping[str, tuple[float, float]],
+    unseen: tuple[int, ...],
+    figures: Mapping[str, float | None],
+) -> list[str]:
+    """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
+    notes = [
+        f"{_SHORT[k]} has no influence on these recordings; its value is only a start"
+        for k in unseen
+    ]
+    for direction in dict.fromkeys(spread.open_directions):
+        notes.append(_open([_SHORT[best.free[k]] for k in direction]))
+    named = {best.free[k] for direction in spread.open_directions for k in direction}
+    for k in set(best.free) - named:
+        if not np.isfinite(ends[PARAMETERS[k]][1]):
+            notes.append(f"{_SHORT[k]} cannot be told from above: these recordings set no bound")
+    low, high = bounds(best.inertia)
+    for k in best.at_bound:
+        end = low[k] if best.parameters[k] - low[k] < high[k] - best.parameters[k] else high[k]
+        notes.append(f"{_SHORT[k]} ended on its bound of {end:g}")
+    if not best.converged:
+        notes.append("the search did not converge; do not use these values")
+    return notes + _on_misfit(figures)
+
+
+def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
+    """A note where the data contradict the stated inertia, as a rotor behind gears makes them.
+
+    It takes an inertia that is clearly not the stated one, and a better fit of held-out data too.
+    """
+    unit = np.array([*freed.parameters[:2], 0.05, freed.inertia])
+    spread = uncertainty(freed, np.maximum(unit, 1e-9))
+    extra, sd = float(freed.parameters[3]), float(spread.sd[3])
+    before, after = (rms(f.residuals) for f in (held, freed))
+    unseen = [rms(residuals(f.parameters, scored)[0]) for f in (held, freed)]
+    clear = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
+    if not clear or after > 0.95 * before or (scored and unseen[1] > unseen[0]):
+        return []
+    moved = 1e3 * (freed.parameters[2] - held.parameters[2])
+    return [
+        f"the data contradict the stated inertia of {stated.inertia_kgm2:.4g} kg m2: "
+        f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
+        f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; is a rotor or arm "
+        "left out? --free-inertia fits it"
+    ]
+
+
+def _open(names: list[str]) -> str:
+    if len(names) == 1:
+        return f"{names[0]} cannot be told from these recordings"
+    return f"{' and '.join(names)} cannot be told apart by these recordings"
+
+
+def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
+    train, noise = figures.get("train"), figures.get("noise")
+    white, time = figures.get("whiteness"), figures.get("correlation_time_s")
+    if not train or noise is None or white is None or time is None:
+        return []
+    if train < _STRUCTURED * noise or white < 0.5:
+        return []
+    times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise shows"
+    return [
+        f"a plain PD servo leaves {1e3 * train:.1f} mrad, {times}, and "
+        f"what it leaves is correlated over {1e3 * time:.0f} ms: physics is missing from this model"
+    ]

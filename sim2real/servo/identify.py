@@ -1,0 +1,223 @@
+"""From recordings to a fitted servo model: the first main job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.noise import noise_floor
+from sim2real.output import provenance
+from sim2real.recording import Load, Recording
+from sim2real.robot import Robot, match_joints
+from sim2real.servo import advice
+from sim2real.servo.fit import Fit, fit, residuals, rms
+from sim2real.servo.intervals import intervals
+from sim2real.servo.start import first_guess, natural_units
+from sim2real.servo.symbolic import PARAMETERS
+from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
+from sim2real.servo.uncertainty import (
+    Uncertainty,
+    correlation_samples,
+    uncertainty,
+    whiteness,
+)
+
+Array = NDArray[np.float64]
+
+_PLAIN = (0, 1, 2)
+_WITH_INERTIA = (0, 1, 2, 3)
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """What is known of one joint after its fit."""
+
+    model: JointModel
+    figures: dict[str, float | None]
+    held_out: str
+
+
+def identify(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    *,
+    held_out: str | None = None,
+    free_inertia: bool = False,
+    seed: int = 0,
+    progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
+) -> Model:
+    """Identify the gains and the latency of every servo that moves.
+
+    Args:
+        recordings: Recordings of the servos; all of one joint are fitted together.
+        robot: The robot that was recorded.
+        held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
+            recording the last quarter is held out.
+        free_inertia: Fit inertia that the stated load leaves out, too (it needs a pendulum).
+        seed: Seed of the scan for a start.
+        progress: Wraps the joints while they are worked through, to show progress.
+
+    Returns:
+        The model, with 90 % intervals, errors on fitted and held-out data, and notes.
+
+    Raises:
+        InputError: If no joint moves, or a recording and the robot do not agree.
+    """
+    _check_inputs(recordings, robot, held_out)
+    recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
+    moving = [joint for joint in recorded if traces(recordings, joint)]
+    if not moving:
+        place = f"{recorded[0]}.position_rad"
+        found, expected = "no motion", "commands and angles that change"
+        raise InputError(recordings[0].file, place, found, expected)
+    rng = np.random.default_rng(seed)
+    results = {
+        joint: _identify_joint(traces(recordings, joint), held_out, free_inertia, rng)
+        for joint in progress(moving)
+    }
+    inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
+    origin = provenance(inputs, seed)
+    return Model(
+        joints={joint: result.model for joint, result in results.items()},
+        fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
+        notes=tuple(
+            f"{joint} does not move in these recordings and is not identified"
+            for joint in recorded
+            if joint not in moving
+        ),
+        provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
+    )
+
+
+def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
+    """Make sure that recordings, robot and the wish for what to hold out agree."""
+    files: set[str] = set()
+    for recording in recordings:
+        match_joints(recording, robot)
+        if recording.file in files:
+            raise InputError(recording.file, "", "the recording twice", "each recording once")
+        files.add(recording.file)
+        if np.isnan(recording.command).all():
+            found, expected = "no J.command_rad column", "the set-points that were sent"
+            raise InputError(recording.file, "header", found, expected)
+        for other in recordings[:1]:
+            for joint in set(recording.joints) & set(other.joints):
+                if (joint in recording.loads) != (joint in other.loads):
+                    found = f"a load for {joint} here or in {other.file}, not in both"
+                    raise InputError(recording.file, "loads", found, "one in all or in none")
+    names = [recording.name for recording in recordings]
+    if held_out is not None and held_out not in names:
+        raise InputError("--held-out", "", repr(held_out), f"one of {', '.join(names)}")
+
+
+def _identify_joint(
+    given: list[Trace], held_out: str | None, free_inertia: bool, rng: np.random.Generator
+) -> JointResult:
+    fitted, scored, held = split(given, held_out)
+    noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+    start, others = first_guess(fitted, rng)
+    free, unseen = _influential(fitted, start, noise)
+    best, rivals = _best(fitted, start, others, free)
+    stated = given[0].load
+    notes: list[str] = []
+    if stated is not PER_INERTIA and stated.gravity_Nm > 0:
+        freed = _with_inertia(fitted, best)
+        if free_inertia:
+            best = freed
+        else:
+            notes += advice.on_inertia(best, freed, scored, stated)
+    units = natural_units(best.parameters, best.inertia)[list(best.free)]
+    spread = uncertainty(best, units)
+    figures = _figures(best, scored, fitted, noise)
+    ends = intervals(best, rivals, spread, units, fitted)
+    notes += advice.on_fit(best, spread, ends, unseen, figures)
+    model = _joint_model(best, ends, spread, stated, tuple(notes))
+    return JointResult(model, figures, held)
+
+
+def _best(
+    fitted: list[Trace], start: Array, others: Array, free: tuple[int, ...]
+) -> tuple[Fit, list[Fit]]:
+    """The best fit of all starts, and those of the others that settled elsewhere."""
+    fits = [fit(fitted, start, free=free)]
+    fits += [fit(fitted, other, free=free, rounds=1, evaluations=20) for other in others]
+    scale = min(one.scale_rad for one in fits)
+    fits.sort(key=lambda one: one.loss(scale))
+    return fits[0], fits[1:]
+
+
+def _influential(
+    fitted: list[Trace], start: Array, noise: float
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Split parameters into those that move the simulated angles above the noise and the others."""
+    _, slopes = residuals(start, fitted)
+    slope = np.concatenate(slopes)
+    unit = natural_units(start, fitted[0].load.inertia_kgm2)
+    effect = np.linalg.norm(slope * unit, axis=0)
+    seen = tuple(k for k in _PLAIN if effect[k] > noise)
+    return seen or _PLAIN, tuple(k for k in _PLAIN if k not in seen) if seen else ()
+
+
+def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
+    """Fit again with inertia free, from the fit that held it and from one with more of it."""
+    more = best.parameters * np.array([1.3, 1.3, 0.3, 0.0])
+    more[3] = 0.3 * best.inertia
+    starts = [best.parameters, more]
+    return min(
+        (fit(fitted, s, free=_WITH_INERTIA) for s in starts),
+        key=lambda one: one.loss(best.scale_rad),
+    )
+
+
+def _figures(
+    best: Fit, scored: list[Trace], fitted: list[Trace], noise: float
+) -> dict[str, float | None]:
+    errors = [e for e in best.residuals if e.size]
+    period = float(np.median(np.diff(fitted[0].t)))
+    time = float(np.mean([correlation_samples(e) for e in errors])) * period
+    unseen, _ = residuals(best.parameters, scored) if scored else ((), ())
+    everything = np.concatenate(errors)
+    return {
+        "train": rms(errors),
+        "heldout": rms(unseen) if scored else None,
+        "noise": noise,
+        "whiteness": whiteness(errors),
+        "correlation_time_s": time,
+        "robust_outliers": float(np.mean(np.abs(everything) > 4 * best.scale_rad)),
+    }
+
+
+def _joint_model(
+    best: Fit,
+    ends: dict[str, tuple[float, float]],
+    spread: Uncertainty,
+    load: Load,
+    notes: tuple[str, ...],
+) -> JointModel:
+    names = [PARAMETERS[k] for k in best.free]
+    kp, kd, latency, extra = (float(x) for x in best.parameters)
+    known = load is not PER_INERTIA
+    effects: tuple[FittedEffect, ...] = ()
+    if 3 in best.free:
+        effects = (FittedEffect("unmodelled_inertia", {"inertia_kgm2": extra}),)
+    return JointModel(
+        kp_Nm_per_rad=kp,
+        kd_Nms_per_rad=kd,
+        latency_s=latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=not known,
+        load=load if known else None,
+        interval=ends,
+        correlation={
+            f"{names[i]}, {names[j]}": float(spread.correlation[i, j])
+            for i in range(len(names))
+            for j in range(i + 1, len(names))
+        },
+        effects=effects,
+        notes=notes,
+    )

@@ -1,0 +1,70 @@
+"""The row of numbers that a rollout takes for each joint: where each parameter stands in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.effects import CATALOGUE, effect_named
+from sim2real.errors import InputError
+from sim2real.model import FittedEffect, JointModel
+from sim2real.recording import Load
+
+BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
+"""Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
+
+FIRST_COLUMN: Mapping[str, int] = {
+    effect.name: len(BASE) + sum(len(e.parameters) for e in CATALOGUE[:k])
+    for k, effect in enumerate(CATALOGUE)
+}
+"""Column of each effect's first parameter."""
+
+COLUMNS = BASE + tuple(
+    f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
+)
+"""Names of all columns of one joint."""
+
+Array = NDArray[np.float64]
+
+
+def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Array:
+    """The parameter row of a fitted joint, shape (len(COLUMNS),).
+
+    Args:
+        joint: The fitted joint.
+        load: The load it turns; the model's own where None. Ignored where the model is per unit of
+            inertia.
+        where: The joint's name, for messages.
+
+    Raises:
+        InputError: If the model has an effect or a parameter that the catalogue lacks.
+    """
+    row = np.zeros(len(COLUMNS))
+    row[: len(BASE)] = (
+        joint.kp_Nm_per_rad,
+        joint.kd_Nms_per_rad,
+        joint.latency_s,
+        joint.inertia_kgm2,
+        0.0,
+    )
+    load = load or joint.load
+    if load is not None and not joint.per_inertia:
+        row[BASE.index("inertia_kgm2")] = load.inertia_kgm2
+        row[BASE.index("gravity_Nm")] = load.gravity_Nm
+    for fitted in joint.effects:
+        _fill(row, fitted, where)
+    return row
+
+
+def _fill(row: Array, fitted: FittedEffect, where: str) -> None:
+    effect = effect_named(fitted.effect)
+    if effect is None:
+        known = ", ".join(e.name for e in CATALOGUE)
+        raise InputError(where, "effects", repr(fitted.effect), f"one of {known}")
+    names = [parameter.name for parameter in effect.parameters]
+    for name, value in fitted.parameters.items():
+        if name not in names:
+            raise InputError(where, fitted.effect, repr(name), f"one of {', '.join(names)}")
+        row[FIRST_COLUMN[effect.name] + names.index(name)] = value

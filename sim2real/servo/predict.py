@@ -1,0 +1,50 @@
+"""Simulate a fitted model on commands, from rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.recording import Load
+from sim2real.servo.parameters import joint_row
+
+Array = NDArray[np.float64]
+
+
+def predict(
+    model: Model,
+    t: Array,
+    command: Mapping[str, Array],
+    loads: Mapping[str, Load] | None = None,
+    *,
+    where: str = "commands",
+) -> dict[str, Array]:
+    """Measured angles that the model expects.
+
+    Args:
+        model: The fitted model.
+        t: Times in s, shape (T,).
+        command: Set-points in rad by joint, each of shape (T,).
+        loads: Loads that the joints turn; the model's own where a joint has none here.
+        where: What the commands come from, for messages.
+
+    Returns:
+        Angles in rad by joint, each of shape (T,).
+
+    Raises:
+        InputError: If a joint is not in the model.
+    """
+    from sim2real.servo.rollout import rollout
+
+    angles = {}
+    for joint, sent in command.items():
+        if joint not in model.joints:
+            known = ", ".join(model.joints)
+            raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {known}")
+        row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
+        angles[joint] = rollout(row[None], t, sent[:, None])[0, :, 0]
+    return angles

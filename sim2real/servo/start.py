@@ -1,0 +1,89 @@
+"""Where a fit starts: a search over frequency, damping and latency, with no guess by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+CANDIDATES = 1024
+ELITE = 16
+NARROWER = (0.1, 0.04, 0.015)
+"""Spread of the candidates around the best ones, round by round, as a share of the ranges."""
+NEARLY, FAR, MOST_RIVALS = 1.03, 0.08, 4
+"""A rival's error, relative to the least; how far its gain must be, as a share of the range."""
+WINDOW_S = 8.0
+FREQUENCY_RAD_S = (2.0, 300.0)
+DAMPING_RATIO = (0.05, 4.0)
+LATENCY_S = (0.0, 0.3)
+
+
+def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
+    """All parameters of a servo that roughly does what was recorded, and of very different rivals.
+
+    Simulates a low-discrepancy set of servos over the liveliest stretch in one batch, then, in a
+    few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
+    Methodology and Computing in Applied Probability 1 (1999) 127-190).
+
+    Args:
+        traces: The recorded joint, one trace a recording.
+        rng: For the candidates.
+
+    Returns:
+        The best candidate, shape (4,), and rivals that did nearly as well though their gain is far
+        from its and from each other's, shape (R, 4): none where the recordings are telling.
+    """
+    trace = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+    points = qmc.Sobol(3, rng=rng).random(CANDIDATES)
+    error = _errors(points, trace)
+    for spread in NARROWER:
+        best = np.argsort(error)[:ELITE]
+        points, error = points[best], error[best]
+        around = np.repeat(points, CANDIDATES // (4 * ELITE), axis=0)
+        near = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
+        points, error = np.vstack([points, near]), np.append(error, _errors(near, trace))
+    order = np.argsort(error)
+    equal = order[error[order] < NEARLY * error[order[0]]]
+    chosen = [equal[0]]
+    for candidate in equal[1:]:
+        apart = np.abs(points[chosen, 0] - points[candidate, 0]).min()
+        if apart > FAR and len(chosen) <= MOST_RIVALS:
+            chosen.append(candidate)
+    parameters = np.pad(_parameters(points[chosen], trace), ((0, 0), (0, 1)))
+    return parameters[0], parameters[1:]
+
+
+def _errors(points: Array, trace: Trace) -> Array:
+    """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
+    from sim2real.servo.rollout import rollout
+
+    theta = np.zeros((points.shape[0], len(COLUMNS)))
+    theta[:, :3] = _parameters(points, trace)
+    theta[:, 3 : len(BASE)] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    angle = rollout(theta, trace.t, trace.command[:, None], steps_per_radian=6.0)[:, :, 0]
+    return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
+
+
+def _parameters(points: Array, trace: Trace) -> Array:
+    """kp, kd and latency of ``points`` (N, 3) in the unit cube, shape (N, 3)."""
+    ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
+    scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
+    frequency, damping = np.exp(scaled[:, :2]).T
+    inertia = trace.load.inertia_kgm2
+    return np.stack(
+        [frequency**2 * inertia, 2 * damping * frequency * inertia, scaled[:, 2]], axis=1
+    )
+
+
+def natural_units(parameters: Array, inertia: float) -> Array:
+    """A size of each parameter at which a change of one such unit would matter, shape (4,)."""
+    kp = max(float(parameters[0]), 1e-9)
+    total = inertia + float(parameters[3])
+    return np.array([kp, max(float(parameters[1]), 0.4 * np.sqrt(kp * total)), 0.05, total])

@@ -1,0 +1,109 @@
+"""One joint of one recording, ready to be fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.recording import Load, Recording
+
+Array = NDArray[np.float64]
+
+PER_INERTIA = Load(inertia_kgm2=1.0)
+"""Stands in for a load that is not known: gains then come per unit of inertia."""
+
+
+HELD_OUT_SHARE = 0.25
+"""Share of a lone recording, at its end, that is held out."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What was sent to one joint and measured on it, while its torque was on.
+
+    Attributes:
+        name: The recording's name.
+        file: The recording's file, which is unique.
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,).
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        load: The stated load, or ``PER_INERTIA``.
+        used: Samples that the fit may see, shape (T,).
+    """
+
+    name: str
+    file: str
+    t: Array
+    command: Array
+    position: Array
+    load: Load
+    used: NDArray[np.bool_]
+
+    def window(self, length_s: float) -> Trace:
+        """The first stretch of at most ``length_s`` from just before the command first changes."""
+        moves = np.flatnonzero(np.diff(self.command))
+        first = int(moves[0]) if moves.size else 0
+        last = int(np.searchsorted(self.t, self.t[first] + length_s))
+        part = slice(first, max(last, first + 2))
+        return replace(
+            self,
+            t=self.t[part],
+            command=self.command[part],
+            position=self.position[part],
+            used=self.used[part],
+        )
+
+    def activity(self) -> float:
+        """How much the command moves: its total variation in rad."""
+        return float(np.abs(np.diff(self.command)).sum())
+
+    def moves(self) -> bool:
+        """Whether both the command and the measured angle change."""
+        seen = self.position[np.isfinite(self.position)]
+        return self.activity() > 0 and seen.size > 1 and float(np.ptp(seen)) > 0
+
+
+def trace(recording: Recording, joint: str) -> Trace:
+    """The trace of ``joint`` in ``recording``; samples with the torque off are left out."""
+    j = recording.joints.index(joint)
+    powered = slice(0, recording.powered(j))
+    position = recording.position[powered, j]
+    return Trace(
+        name=recording.name,
+        file=recording.file,
+        t=recording.t[powered],
+        command=recording.command[powered, j],
+        position=position,
+        load=recording.loads.get(joint, PER_INERTIA),
+        used=np.isfinite(position),
+    )
+
+
+def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
+    """The traces of ``joint`` in all recordings in which it is sent and seen to move."""
+    every = [trace(recording, joint) for recording in recordings if joint in recording.joints]
+    return [one for one in every if one.t.size > 1 and one.moves()]
+
+
+def split(given: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
+    """Traces to fit, traces to score, and what is held out in words.
+
+    The traces to score carry in ``used`` only samples that the fit does not see.
+    """
+    if len(given) > 1:
+        last = next((trace for trace in given if trace.name == held_out), given[-1])
+        return [trace for trace in given if trace is not last], [last], last.name
+    whole = given[0]
+    until = whole.t[0] + (1 - HELD_OUT_SHARE) * (whole.t[-1] - whole.t[0])
+    early = whole.t < until
+    if not replace(whole, position=np.where(early, whole.position, np.nan)).moves():
+        return [whole], [], "nothing"
+    fitted_part = replace(whole, used=whole.used & early)
+    return (
+        [fitted_part],
+        [replace(whole, used=whole.used & ~early)],
+        f"{whole.name} after {until - whole.t[0]:.1f} s",
+    )

@@ -1,0 +1,150 @@
+"""How sure a fit is, where residuals are correlated in time and some directions are not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sim2real.servo.fit import OUTLIER_SD, Fit
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.90
+"""Probability of the intervals."""
+_OPEN_SD = 1.0
+"""A direction whose standard deviation exceeds its unit is not seen by the data."""
+_PART = 0.25
+"""Share of an open direction from which a parameter counts as part of it."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Spread of the free parameters, in their order (F of them).
+
+    Attributes:
+        sd: Standard deviations, shape (F,).
+        correlation: Correlations, shape (F, F).
+        half_width: Half-width of the interval before any end is opened, shape (F,).
+        open_directions: For each direction that is not seen, the positions of its parameters.
+        inflation: How many times the variance exceeds that of independent residuals, at most.
+    """
+
+    sd: Array
+    correlation: Array
+    half_width: Array
+    open_directions: tuple[tuple[int, ...], ...]
+    inflation: float
+
+
+def uncertainty(fit: Fit, units: Array) -> Uncertainty:
+    """Sandwich covariance of a robust fit whose residuals are correlated in time.
+
+    The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
+    gradient (Bartlett weights: Newey and West, Econometrica 55 (1987) 703-708). It is never taken
+    smaller than the covariance for independent residuals. Intervals use Student's t with the
+    effective number of samples.
+
+    Args:
+        fit: The fit.
+        units: A natural size of each free parameter, shape (F,).
+    """
+    size = OUTLIER_SD * fit.scale_rad
+    curvature = np.zeros((units.size, units.size))
+    plain = np.zeros_like(curvature)
+    spread = np.zeros_like(curvature)
+    squares, effective = 0.0, 0.0
+    for error, slopes in zip(fit.residuals, fit.jacobians, strict=True):
+        slope = slopes * units
+        z2 = (error / size) ** 2
+        score = (error / np.sqrt(1 + z2))[:, None] * slope
+        curvature += (slope / (1 + z2[:, None]) ** 1.5).T @ slope
+        plain += slope.T @ slope
+        time = correlation_samples(error)
+        spread += long_run(score, bandwidth(error.size, time))
+        squares += float(np.sum(error**2 / (1 + z2)))
+        effective += error.size / time
+    samples = sum(error.size for error in fit.residuals)
+    level, directions = np.linalg.eigh(curvature)
+    level = np.maximum(level, 1e-12 * max(level[-1], 1e-300))
+    independent = (squares / samples) * plain
+    along = np.maximum(
+        np.einsum("ik,ij,jk->k", directions, spread, directions),
+        np.einsum("ik,ij,jk->k", directions, independent, directions),
+    )
+    along_sd = np.sqrt(along) / level
+    seen = along_sd < _OPEN_SD
+    inverse = directions[:, seen] / level[seen] @ directions[:, seen].T
+    covariance = inverse @ spread @ inverse
+    at_least = inverse @ independent @ inverse
+    ratio = np.sqrt(_ratio(np.diag(covariance), np.diag(at_least)))
+    covariance = covariance if ratio.min() >= 1 else _raised(covariance, at_least)
+    sd = np.sqrt(np.diag(covariance))
+    freedom = max(effective - units.size, 1.0)
+    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+    correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)
+    return Uncertainty(
+        sd=sd * units,
+        correlation=correlation,
+        half_width=quantile * sd * units,
+        open_directions=tuple(
+            tuple(int(i) for i in np.flatnonzero(np.abs(directions[:, k]) > _PART))
+            for k in np.flatnonzero(~seen)
+        ),
+        inflation=float(np.max(_ratio(sd**2, np.diag(at_least)))),
+    )
+
+
+def _ratio(variance: Array, least: Array) -> Array:
+    return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
+
+
+def _raised(covariance: Array, least: Array) -> Array:
+    """Scale a covariance up where its variances fall below those of independent residuals."""
+    factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
+    return np.asarray(covariance * np.outer(factor, factor))
+
+
+def correlation_samples(error: Array) -> float:
+    """Integrated autocorrelation time in samples: 1 for white residuals.
+
+    1 + 2 sum of autocorrelations up to the first window of at least five times the sum itself
+    (Sokal, in: Functional Integration, Plenum (1997), sec. 3).
+    """
+    x = error - error.mean()
+    n = x.size
+    if n < 8 or not np.any(x):
+        return 1.0
+    spectrum = np.fft.rfft(x, 2 * n)
+    autocorrelation = np.fft.irfft(spectrum * spectrum.conj())[:n]
+    times = 2 * np.cumsum(autocorrelation / autocorrelation[0]) - 1
+    enough = np.flatnonzero(np.arange(n) >= 5 * times)
+    return float(np.clip(times[enough[0] if enough.size else n // 4], 1.0, n / 4))
+
+
+def bandwidth(samples: int, time: float) -> int:
+    """Lags that the long-run covariance spans: three correlation times, at most a quarter."""
+    least = 4 * (samples / 100) ** (2 / 9)
+    return int(np.clip(np.ceil(max(3 * time, least)), 1, max(samples // 4, 1)))
+
+
+def long_run(score: Array, lags: int) -> Array:
+    """Sum of lagged products of ``score`` (n, F) with Bartlett weights 1 - k / lags, shape (F, F).
+
+    Computed as the mean square of sums over all windows of ``lags`` samples, which is the same.
+    """
+    padded = np.zeros((score.shape[0] + 2 * lags, score.shape[1]))
+    padded[lags:-lags] = score
+    sums = np.cumsum(padded, axis=0)
+    windows = sums[lags:] - sums[:-lags]
+    return np.asarray(windows.T @ windows / lags)
+
+
+def whiteness(errors: Sequence[Array]) -> float:
+    """Lag-1 autocorrelation of the residuals: 0 for white ones."""
+    pairs = [(e[1:], e[:-1]) for e in errors if e.size > 2]
+    power = sum(float(np.sum(e**2)) for e in errors)
+    return sum(float(np.sum(a * b)) for a, b in pairs) / power if power > 0 else 0.0

@@ -1,0 +1,174 @@
+"""Read JSON and TOML files and their fields, each mistake told in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sim2real.errors import InputError
+
+LARGEST_FILE_BYTES = 16 * 2**20
+LONGEST_SHOWN = 80  # characters of a value in a message
+
+
+def shown(value: object) -> str:
+    """``repr(value)`` short enough for a message of one line."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a bottomless nest
+        return f"a huge {type(value).__name__}"
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 1]}…"
+
+
+def check_size(path: Path, largest: int, advice: str = "") -> None:
+    """Make sure, without reading it, that ``path`` is a file of at most ``largest`` bytes.
+
+    Raises:
+        InputError: If it is missing, a folder, out of reach or too large.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(path, "", "a folder", "a file")
+        size = path.stat().st_size
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(path, "", "no such file", "a file") from None
+    except OSError as error:
+        raise InputError(path, "", str(error.strerror), "a readable file") from None
+    if size > largest:
+        expected = f"at most {largest // 2**20} MiB{advice}"
+        raise InputError(path, "", f"{size // 2**20} MiB", expected)
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Text of a small file.
+
+    Raises:
+        InputError: If it is missing, a folder, unreadable, too large or not UTF-8.
+    """
+    file = Path(path)
+    check_size(file, LARGEST_FILE_BYTES)
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(file, f"byte {error.start}", "bytes that are not UTF-8", "text") from None
+    except OSError as error:
+        raise InputError(file, "", str(error.strerror), "a readable file") from None
+
+
+def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[str, Any]:
+    """A JSON object, its ``schema`` field checked if ``schema`` is given.
+
+    Raises:
+        InputError: If it does not parse, is no object or has another schema.
+    """
+    try:
+        content = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        raise InputError(path, place, f"no JSON ({error.msg})", "JSON") from None
+    except (ValueError, RecursionError) as error:  # too many digits, too deep a nest
+        raise InputError(path, "", f"no JSON ({_reason(error)})", "JSON") from None
+    if not isinstance(content, dict):
+        raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
+    if schema is not None and content.get("schema") != schema:
+        raise InputError(path, "schema", shown(content.get("schema")), repr(schema))
+    return content
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """A TOML document.
+
+    Raises:
+        InputError: If it does not parse.
+    """
+    try:
+        return tomllib.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        reason, _, place = _reason(error).partition(" (at ")
+        raise InputError(path, place.rstrip(")"), f"no TOML ({reason})", "TOML") from None
+
+
+def _reason(error: ValueError | RecursionError) -> str:
+    return "nested too deeply" if isinstance(error, RecursionError) else str(error)
+
+
+def finite_number(value: object) -> float | None:
+    """``value`` as a float; None unless it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond the range of a float
+        return None
+    return number if math.isfinite(number) else None
+
+
+class Fields:
+    """The fields of one table of a structured file, read by name and type, errors located.
+
+    Args:
+        file: The file, for messages.
+        where: The table inside it, for messages; empty at the top level.
+        content: The table.
+    """
+
+    def __init__(self, file: str | os.PathLike[str], where: str, content: object) -> None:
+        if not isinstance(content, Mapping):
+            raise InputError(file, where, shown(content), "a table of named fields")
+        self.file, self.where, self.content = file, where, content
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.content
+
+    def path(self, name: str) -> str:
+        """Where field ``name`` stands, for messages."""
+        return f"{self.where}.{name}" if self.where else name
+
+    def error(self, name: str, expected: str) -> InputError:
+        """The error that says field ``name`` is not as ``expected``."""
+        found = shown(self.content[name]) if name in self.content else "nothing"
+        return InputError(self.file, self.path(name), found, expected)
+
+    def number(
+        self,
+        name: str,
+        default: float | None = None,
+        *,
+        low: float = -math.inf,
+        above: float = -math.inf,
+    ) -> float:
+        """A finite number, ``>= low`` and ``> above``; ``default`` where it is absent."""
+        if name not in self.content and default is not None:
+            return default
+        expected = "a number"
+        if math.isfinite(above):
+            expected += f" above {above:g}"
+        elif math.isfinite(low):
+            expected += f" of at least {low:g}"
+        value = finite_number(self.content.get(name))
+        if value is None or value < low or value <= above:
+            raise self.error(name, expected)
+        return value
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """A string; ``default`` where it is absent."""
+        value = self.content.get(name, default)
+        if not isinstance(value, str):
+            raise self.error(name, "text")
+        return value
+
+    def table(self, name: str) -> Fields:
+        """The table ``name``; an empty one where it is absent."""
+        return Fields(self.file, self.path(name), self.content.get(name, {}))
+
+    def tables(self, name: str) -> list[Fields]:
+        """The list of tables ``name``, at least one."""
+        value = self.content.get(name)
+        if not isinstance(value, list) or not value:
+            raise self.error(name, f"at least one [[{name}]]")
+        return [Fields(self.file, f"{self.path(name)}[{k}]", v) for k, v in enumerate(value)]

@@ -1,0 +1,200 @@
+"""The command line: what it writes, what it says, and how it leaves."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sim2real.cli import main
+from sim2real.model import read_model
+from sim2real.recording import read_recording
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "datasets" / "servo_steps"
+COMMANDS = ("check", "identify", "predict", "import", "demo")
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """Ten seconds of one shipped recording, with its robot."""
+    table = pd.read_csv(DATA / "steps.csv").iloc[:500]
+    table.to_csv(tmp_path / "steps.csv", index=False)
+    shutil.copy(DATA / "steps.json", tmp_path)
+    shutil.copy(DATA / "robot.toml", tmp_path)
+    return tmp_path
+
+
+def identify(folder, *more, out="model.json"):
+    robot = ("--robot", str(folder / "robot.toml"))
+    return main(["identify", str(folder / "steps.csv"), *robot, "--out", str(folder / out), *more])
+
+
+def refused(capsys, status, *parts):
+    output = capsys.readouterr()
+    assert status == 2
+    assert output.out == ""
+    assert output.err.count("\n") == 1, output.err
+    for part in parts:
+        assert part in output.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert f"sim2real {command} " in text.split("example:")[1]
+    assert "--seed" in text
+
+
+def test_no_command_is_bad_input():
+    with pytest.raises(SystemExit) as stop:
+        main([])
+    assert stop.value.code == 2
+
+
+def test_identify_then_predict(bench, capsys):
+    assert identify(bench) == 0
+    output = capsys.readouterr()
+    assert output.err == "", "silent in a pipe but for the table"
+    assert "kp" in output.out
+    assert "RMSE" in output.out
+    model = read_model(bench / "model.json")
+    assert model.joints["j1"].kp_Nm_per_rad == pytest.approx(1.38, rel=0.03)
+    assert len(model.provenance["inputs"]) == 2
+    for joint in model.joints:
+        assert (bench / f"model.{joint}.png").read_bytes().startswith(b"\x89PNG")
+
+    commands = pd.read_csv(bench / "steps.csv")
+    columns = [c for c in commands if not c.endswith("position_rad")]
+    commands[columns].to_csv(bench / "commands.csv", index=False)
+    out = bench / "predicted.csv"
+    assert main(["predict", str(bench / "model.json"), str(bench / "commands.csv"),
+                 "--out", str(out)]) == 0  # fmt: skip
+    predicted, measured = read_recording(out), read_recording(bench / "steps.csv")
+    np.testing.assert_array_equal(predicted.t, measured.t)
+    np.testing.assert_allclose(predicted.command, measured.command)
+    assert np.nanstd(predicted.position - measured.position) < 0.0025
+
+
+def test_check_prints_and_writes_nothing(bench, capsys):
+    before = sorted(bench.iterdir())
+    assert main(["check", str(bench / "steps.csv"), "--robot", str(bench / "robot.toml")]) == 0
+    text = capsys.readouterr().out
+    assert "Hz, jitter" in text
+    assert "can identify: kp" in text
+    assert sorted(bench.iterdir()) == before
+
+
+def spoil(change):
+    def apply(folder):
+        table = pd.read_csv(folder / "steps.csv")
+        change(table)
+        table.to_csv(folder / "steps.csv", index=False)
+
+    return apply
+
+
+def nan_command(table):
+    table.loc[100, "j2.command_rad"] = np.nan
+
+
+def still(table):
+    for column in table.columns[1:]:
+        table[column] = 0.0
+
+
+def degrees(table):
+    table.loc[7, "j1.position_rad"] = 57.0
+
+
+def backwards(table):
+    table.loc[50, "t_s"] = 0.1
+
+
+def another_joint(folder):
+    text = (folder / "robot.toml").read_text().replace('name = "j3"', 'name = "tail"')
+    (folder / "robot.toml").write_text(text)
+
+
+def broken_robot(folder):
+    (folder / "robot.toml").write_text("name = [")
+
+
+def broken_sidecar(folder):
+    (folder / "steps.json").write_text("{")
+
+
+@pytest.mark.parametrize(
+    ("damage", "parts"),
+    [
+        (spoil(lambda t: t.pop("j2.position_rad")), ["j2.position_rad"]),
+        (spoil(nan_command), ["row 102, j2.command_rad", "empty cell"]),
+        (spoil(still), ["no motion"]),
+        (spoil(degrees), ["row 9, j1.position_rad", "57", "degrees"]),
+        (spoil(backwards), ["row 52, t_s", "increase"]),
+        (another_joint, ["'j3'", "one of j1, j2, tail"]),
+        (broken_robot, ["robot.toml", "TOML"]),
+        (broken_sidecar, ["steps.json", "JSON"]),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(bench, capsys, damage, parts):
+    damage(bench)
+    before = sorted(bench.iterdir())
+    refused(capsys, identify(bench), *parts)
+    assert sorted(bench.iterdir()) == before
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_any_work(bench, capsys, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("worked first")
+
+    monkeypatch.setattr("sim2real.commands.identify.identify", never)
+    refused(capsys, identify(bench, out="steps.csv/model.json"), "can't be written")
+    refused(capsys, identify(bench, out="."), "a folder")
+
+
+def test_predict_refuses_what_it_cannot_run(bench, capsys):
+    assert identify(bench, "--no-plots") == 0
+    capsys.readouterr()
+    model, commands = bench / "model.json", bench / "steps.csv"
+    run = ["predict", str(model), str(commands), "--out"]
+    refused(capsys, main([*run, str(commands)]), "another file")
+    content = json.loads(model.read_text())
+    content["joints"]["j1"]["effects"] = [{"effect": "magic", "parameters": {"x": 1}}]
+    model.write_text(json.dumps(content))
+    refused(capsys, main([*run, str(bench / "p.csv")]), "magic", "coulomb_friction")
+    del content["joints"]["j1"]
+    model.write_text(json.dumps(content))
+    refused(capsys, main([*run, str(bench / "p.csv")]), "joint j1")
+    assert not (bench / "p.csv").exists()
+
+
+def test_demo_ends_in_a_page(tmp_path, capsys):
+    assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
+    page = (tmp_path / "demo" / "index.html").read_text()
+    assert "Identification" in page
+    assert "<script" not in page
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == f"report: {tmp_path / 'demo' / 'index.html'}"
+    assert [line.split()[0] for line in lines[:5]] == [
+        "read", "check", "identify", "replay", "report",
+    ]  # fmt: skip
+
+
+def test_every_real_log_runs(realdata, tmp_path, capsys):
+    for path in sorted(realdata.glob("bam_xl330/*sin_time_square.csv")):
+        robot = str(path.parent / "robot.toml")
+        out = tmp_path / f"{path.stem}.json"
+        assert main(["identify", str(path), "--robot", robot, "--out", str(out)]) == 0
+        notes = read_model(out).joints["j1"].notes
+        assert any("physics is missing" in note for note in notes)
+    swim = realdata / "fishsim" / "f0_75.csv"
+    capsys.readouterr()
+    status = main(["identify", str(swim), "--robot", str(swim.parent / "robot.toml"),
+                   "--out", str(tmp_path / "fish.json")])  # fmt: skip
+    refused(capsys, status, "no J.command_rad column")

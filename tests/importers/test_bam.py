@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from sim2real.errors import InputError
+from sim2real.importers.bam import read_bam
+from sim2real.recording import read_recording, write_recording
+
+XL330 = [
+    f"xl330_kp{kp}_{trajectory}"
+    for kp in (200, 800)
+    for trajectory in ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")
+]
+
+
+def raw_log(rows=40, off_from=None, **changes):
+    """A log as the XL330's recorder writes it; field order, types and wrapped load included."""
+    entries = [
+        {
+            "position": -0.0123 + 0.01 * k,
+            "speed": 0.024 * (k - 3),
+            "load": (5 - k) % 2**16,
+            "input_volts": 7.3,
+            "temp": 29,
+            "timestamp": 0.0036 + 0.0053 * k + 1e-4 * math.sin(k),
+            "goal_position": 0.02 * k,
+            "torque_enable": off_from is None or k < off_from,
+        }
+        for k in range(rows)
+    ]
+    log = {"mass": 0.49, "length": 0.1, "kp": 200, "vin": 7.4, "motor": "xl330"}
+    return log | {"trajectory": "lift_and_drop", "entries": entries} | changes
+
+
+@pytest.fixture
+def read(tmp_path):
+    def write_and_read(log):
+        (tmp_path / "2026-01-15_10h28m49.json").write_text(json.dumps(log))
+        return read_bam(tmp_path / "2026-01-15_10h28m49.json")
+
+    return write_and_read
+
+
+def logged(log, field):
+    return np.array([entry[field] for entry in log["entries"]])
+
+
+def test_every_field_arrives_in_its_column(read):
+    log = raw_log()
+    recording = read(log)
+    assert (recording.kind, recording.joints, recording.medium) == ("servo", ("j1",), "air")
+    np.testing.assert_array_equal(recording.t, logged(log, "timestamp"))
+    np.testing.assert_array_equal(recording.command[:, 0], logged(log, "goal_position"))
+    np.testing.assert_array_equal(recording.position[:, 0], logged(log, "position"))
+    np.testing.assert_array_equal(recording.columns["j1.velocity_rad_s"], logged(log, "speed"))
+    np.testing.assert_array_equal(recording.columns["j1.temperature_C"], logged(log, "temp"))
+    np.testing.assert_array_equal(recording.columns["supply_V"], logged(log, "input_volts"))
+    assert recording.metadata == {
+        "servo": "xl330",
+        "trajectory": "lift_and_drop",
+        "firmware_p_gain": 200,
+        "supply_nominal_V": 7.4,
+        "original_file": "2026-01-15_10h28m49.json",
+        "not_imported": [],
+    }
+
+
+def test_unsigned_load_gets_its_sign_back(read):
+    np.testing.assert_array_equal(read(raw_log()).columns["j1.load"], 5.0 - np.arange(40))
+
+
+def test_load_that_was_interpolated_across_the_wrap_stays_behind(read):
+    log = raw_log(dt=0.005)
+    log["entries"][6]["load"] = 32767.4
+    recording = read(log)
+    assert "j1.load" not in recording.columns
+    assert recording.metadata["not_imported"] == ["load"]
+    assert recording.metadata["resampled_every_s"] == 0.005
+
+
+def test_what_the_servo_does_not_tell_is_no_column(read):
+    log = raw_log()
+    for k, entry in enumerate(log["entries"]):
+        entry["load"] = 0
+        entry["control"] = 1.5
+        del entry["temp"]
+        if k == 7:
+            entry["input_volts"] = None
+    recording = read(log)
+    assert set(recording.columns) == {"j1.velocity_rad_s", "supply_V"}
+    assert np.flatnonzero(np.isnan(recording.columns["supply_V"])).tolist() == [7]
+    assert recording.metadata["not_imported"] == ["control", "load"]
+
+
+def test_written_and_read_back_it_is_the_same(read, tmp_path):
+    recording = read(raw_log(off_from=30))
+    write_recording(recording, tmp_path / "out.csv")
+    again = read_recording(tmp_path / "out.csv")
+    np.testing.assert_allclose(again.t, recording.t, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again.command, recording.command, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again.position, recording.position, rtol=0, atol=1e-9)
+    assert again.loads == recording.loads
+    assert again.metadata == recording.metadata
+    assert again.source == recording.source
+    assert set(again.columns) == set(recording.columns)
+
+
+def test_point_mass_without_arm(read):
+    load = read(raw_log()).loads["j1"]
+    assert load.inertia_kgm2 == pytest.approx(0.49 * 0.1**2)
+    assert (load.pendulum_mass_kg, load.pendulum_length_m) == (0.49, 0.1)
+
+
+def test_arm_adds_the_inertia_and_the_gravity_torque_of_a_rod(read):
+    recording = read(raw_log(mass=2.0, arm_mass=1.0, length=0.15))
+    load = recording.loads["j1"]
+    along = (np.arange(100_000) + 0.5) / 100_000 * 0.15
+    assert load.inertia_kgm2 == pytest.approx(2.0 * 0.15**2 + np.mean(along**2))
+    assert load.gravity_Nm == pytest.approx(9.80665 * (2.0 * 0.15 + np.mean(along)))
+    assert "arm_mass" in recording.source
+
+
+def test_commands_are_empty_once_the_torque_is_off(read):
+    log = raw_log(off_from=30)
+    for entry in log["entries"][30:]:
+        entry["goal_position"] = None
+    recording = read(log)
+    assert recording.powered(0) == 30
+    assert np.isnan(recording.command[30:]).all()
+    assert np.isfinite(recording.position).all()
+    assert recording.metadata["torque_off_from_s"] == log["entries"][30]["timestamp"]
+
+
+def test_recording_is_cut_where_the_torque_comes_on_again(read):
+    log = raw_log()
+    for entry in log["entries"][10:25]:
+        entry["torque_enable"] = False
+    recording = read(log)
+    assert (recording.t.size, recording.powered(0)) == (25, 10)
+    assert all(values.size == 25 for values in recording.columns.values())
+    assert recording.metadata["left_out"] == {
+        "from_s": log["entries"][25]["timestamp"],
+        "rows": 15,
+        "why": "the torque comes on again",
+    }
+
+
+def entry_with(k, **changes):
+    log = raw_log()
+    log["entries"][k] |= changes
+    return log
+
+
+def entry_without(k, field):
+    log = raw_log()
+    del log["entries"][k][field]
+    return log
+
+
+@pytest.mark.parametrize(
+    ("log", "where"),
+    [
+        (raw_log(mass="heavy"), "mass: found 'heavy'"),
+        (raw_log(mass=0), "mass: found 0"),
+        (raw_log(length=[0.18, 0.18]), "length: found [0.18, 0.18]"),
+        (raw_log(length=0), "length: found 0"),
+        (raw_log(arm_mass=-1), "arm_mass: found -1"),
+        (raw_log(kp=None), "kp: found None"),
+        (raw_log(motor=330), "motor: found 330"),
+        (raw_log(entries={}), "entries: found no list"),
+        (raw_log(rows=1), "entries: found 1 samples"),
+        (raw_log(entries=[1, 2]), "entries[0]: found 1"),
+        (entry_with(3, position="x"), "entries[3].position: found 'x'"),
+        (entry_with(3, position=90.0), "entries[3].position: found 90.0"),
+        (entry_with(3, position=math.nan), "entries[3].position: found nan"),
+        (entry_with(3, goal_position=-180), "entries[3].goal_position: found -180"),
+        (entry_with(3, goal_position=None), "entries[3].goal_position: found None"),
+        (entry_with(3, speed=True), "entries[3].speed: found True"),
+        (entry_with(3, timestamp=0.0), "entries[3].timestamp: found 0.0"),
+        (entry_with(3, torque_enable=1), "entries[3].torque_enable: found 1"),
+        (entry_without(3, "timestamp"), "entries[3].timestamp: found nothing"),
+        (entry_without(3, "position"), "entries[3].position: found nothing"),
+        (entry_without(3, "torque_enable"), "entries[3].torque_enable: found nothing"),
+        (raw_log(off_from=0), "entries[0].torque_enable: found False"),
+    ],
+)
+def test_errors_say_where_in_one_line(read, log, where):
+    with pytest.raises(InputError) as error:
+        read(log)
+    assert f"10h28m49.json: {where}" in str(error.value)
+    assert "expected" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def as_raw_log(recording):
+    """The log that a real recording was converted from, with the load in register counts."""
+    read = {name: recording.columns[f"j1.{name}"] for name in ("velocity_rad_s", "load")}
+    counts = np.round(read["load"] * 885).astype(int) % 2**16
+    powered = recording.powered(0)
+    pendulum = recording.loads["j1"]
+    entries = [
+        {
+            "position": float(recording.position[k, 0]),
+            "speed": float(read["velocity_rad_s"][k]),
+            "load": int(counts[k]),
+            "input_volts": float(recording.columns["supply_V"][k]),
+            "temp": int(recording.columns["j1.temperature_C"][k]),
+            "timestamp": float(recording.t[k]),
+            "goal_position": float(recording.command[k, 0]) if k < powered else -math.pi / 2,
+            "torque_enable": k < powered,
+        }
+        for k in range(recording.t.size)
+    ]
+    top = {"mass": pendulum.pendulum_mass_kg, "length": pendulum.pendulum_length_m}
+    top |= {"kp": recording.metadata["firmware_p_gain"], "motor": recording.metadata["servo"]}
+    top |= {"vin": recording.metadata["supply_nominal_V"]}
+    return top | {"trajectory": recording.metadata["trajectory"], "entries": entries}
+
+
+@pytest.mark.parametrize("name", XL330)
+def test_real_log_comes_out_as_it_was_converted(realdata, read, name):
+    real = read_recording(realdata / "bam_xl330" / f"{name}.csv")
+    ours = read(as_raw_log(real))
+    np.testing.assert_array_equal(ours.t, real.t)
+    np.testing.assert_array_equal(ours.command, real.command)
+    np.testing.assert_array_equal(ours.position, real.position)
+    assert set(ours.columns) == set(real.columns)
+    for column in set(real.columns) - {"j1.load"}:
+        np.testing.assert_array_equal(ours.columns[column], real.columns[column])
+    np.testing.assert_allclose(ours.columns["j1.load"] / 885, real.columns["j1.load"], atol=1e-6)
+    assert ours.loads["j1"].inertia_kgm2 == pytest.approx(real.loads["j1"].inertia_kgm2)
+    assert ours.loads["j1"].gravity_Nm == pytest.approx(real.loads["j1"].gravity_Nm)
+    for field in ("servo", "trajectory", "firmware_p_gain", "supply_nominal_V"):
+        assert ours.metadata[field] == real.metadata[field]
+    assert ours.metadata.get("torque_off_from_s") == real.metadata.get("torque_off_from_s")

@@ -1,0 +1,211 @@
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy.signal import lti, step
+
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.recording import Load
+from sim2real.report import Figure, Note, Section, Table, Text, identification_section, write_page
+from sim2real.report.page import render_page
+from sim2real.report.response import describe_response, step_response
+
+EVIL = "<script>alert(1)</script>"
+PROVENANCE = {
+    "command": f"sim2real identify {EVIL}",
+    "seed": 0,
+    "versions": {"python": "3.11"},
+    "inputs": {"/somewhere/steps.csv": "0123456789abcdef" * 4},
+}
+VOID = {"meta", "link", "br"}
+
+
+class Page(HTMLParser):
+    """Checks that tags close in order; collects attributes and text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.tags, self.text = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def section(bench):
+    return identification_section(bench.model, bench.fits)
+
+
+@pytest.fixture(scope="module")
+def html(section):
+    stages = [("recordings", True), ("check", True), ("identify", True), ("diagnose", False)]
+    other = Section("Recordings", "What came in.", [Note("good", "Nothing is missing.")])
+    return render_page("Fish", "On the bench", [other, section], PROVENANCE, stages=stages)
+
+
+def test_page_is_well_formed_and_has_every_part(html):
+    page = Page(html)
+    text = " ".join(page.text)
+    for part in ("Fish", "On the bench", "Identification", "Nothing is missing.", "0123456789ab"):
+        assert part in text
+    assert "0123456789abc" not in text and "/somewhere" not in text
+    links = [value for name, value in page.attributes if name == "href"]
+    assert {"#section-1", "#section-2"} <= set(links)
+
+
+def test_nothing_is_loaded_from_elsewhere(html):
+    page = Page(html)
+    assert "script" not in page.tags and "img" not in page.tags
+    for name, value in page.attributes:
+        if name in ("src", "href", "xlink:href", "action", "data"):
+            assert value.startswith(("#", "data:")), (name, value)
+    assert not re.search(r"url\((?!#)|@import", html)
+
+
+def test_ids_are_unique(html):
+    ids = [value for name, value in Page(html).attributes if name == "id"]
+    assert len(ids) == len(set(ids))
+
+
+def test_stages_say_which_are_done(html):
+    done = re.findall(r'<li class="(done|ahead)">(\w+)', html)
+    assert done == [
+        ("done", "recordings"),
+        ("done", "check"),
+        ("done", "identify"),
+        ("ahead", "diagnose"),
+    ]
+
+
+def test_everything_is_escaped():
+    blocks = [
+        Text(EVIL, heading=EVIL),
+        Note("warn", EVIL),
+        Table((EVIL, f"a\n{EVIL}"), [(EVIL, f"1\n{EVIL}")], EVIL),
+        Figure("<svg></svg>", EVIL),
+    ]
+    html = render_page(EVIL, EVIL, [Section(EVIL, EVIL, blocks)], PROVENANCE, stages=[(EVIL, True)])
+    assert "<script" not in html and html.count("&lt;script&gt;") >= 13
+    Page(html)
+
+
+def test_hostile_joint_names_are_escaped(bench):
+    joint = bench.model.joints["j1"]
+    model = Model({EVIL: replace(joint, notes=(EVIL,))})
+    recording = replace(bench.recording, joints=(EVIL, "j2", "j3"), name=EVIL)
+    fits = [(recording, EVIL, bench.predicted[:, 0], bench.heldout)]
+    html = render_page("a", "", [identification_section(model, fits)], {})
+    assert "<script" not in html
+    Page(html)
+
+
+def test_same_input_same_page(bench, html, section):
+    again = identification_section(bench.model, bench.fits)
+    assert again == section
+
+
+def test_page_is_written_whole(tmp_path):
+    path = write_page(tmp_path / "out" / "report.html", "t", "", [], {})
+    assert Page(path.read_text(encoding="utf-8")).tags[0] == "html"
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+def test_number_columns_are_right_aligned():
+    table = Table(("name", "value", "none"), [("a", "1.5\nsmall", ""), ("b", "−2", "")])
+    assert table.numeric == (False, True, False)
+    assert Table(("a",), []).numeric == (False,)
+
+
+def test_a_ragged_table_is_refused():
+    with pytest.raises(ValueError, match="row 1: 1 cells, header has 2"):
+        Table(("a", "b"), [("1", "2"), ("1",)])
+
+
+def test_section_has_table_figures_sentences_and_notes(bench, section):
+    table = section.blocks[0]
+    assert table.header[1] == "kp\nN m/rad"
+    assert table.rows[0][:2] == ("j1", "2.204\n2.110 – 2.298")
+    assert table.rows[1][1] == "1.81\nabove 1.62"
+    kinds = [type(block).__name__ for block in section.blocks]
+    assert kinds == [
+        "Table",
+        "Figure",
+        "Text",
+        "Figure",
+        "Text",
+        "Note",
+        "Figure",
+        "Text",
+        "Figure",
+    ]
+    assert [b.kind for b in section.blocks if isinstance(b, Note)] == ["warn"]
+    words = [b.paragraph for b in section.blocks if isinstance(b, Text)]
+    assert "66 ms of it is latency" in words[0] and "2.3 times the noise" in words[0]
+    assert "leave kp unbounded above" in words[1]
+
+
+def test_units_stand_in_the_cells_where_joints_differ():
+    known = JointModel(2.0, 0.06, 0.07, 0.002, load=Load(0.002))
+    unknown = JointModel(1100.0, 30.0, 0.07, 1.0, per_inertia=True)
+    table = identification_section(Model({"a": known, "b": unknown}), []).blocks[0]
+    assert table.header[1] == "kp" and table.rows[1][1].startswith("1100 1/s²")
+
+
+def test_section_of_an_empty_model():
+    Page(render_page("a", "", [identification_section(Model({}), [])], {}))
+
+
+def test_error_is_said_for_what_is_known():
+    joint = JointModel(2.0, 0.06, 0.07, 0.002, effects=(FittedEffect("backlash", {}),))
+    fit = {"j1.position_rad": {"train": 0.004, "heldout": None}}
+    blocks = identification_section(Model({"j1": joint}, fit=fit), []).blocks
+    assert "was fitted to, the model is off by 4.0 mrad" in blocks[2].paragraph
+    assert "backlash" in blocks[2].paragraph
+    assert blocks[0].rows[0][-1] == "4.0\ntrain"
+
+
+@pytest.mark.parametrize("kd", [0.01, 0.06, 0.119, 2 * math.sqrt(2.0 * 0.002), 0.2, 5.0])
+def test_step_response_agrees_with_simulation(kd):
+    joint = JointModel(2.0, kd, 0.05, 0.002)
+    response = step_response(joint)
+    t, y = step(lti([2.0], [0.002, kd, 2.0]), T=np.linspace(0, max(2.0, 4 * kd), 400_001))
+    assert response.half_time_s == pytest.approx(0.05 + t[np.argmax(y >= 0.5)], abs=1e-4)
+    assert response.overshoot == pytest.approx(max(0.0, y.max() - 1), abs=1e-3)
+
+
+def test_a_pendulum_stiffens_the_servo():
+    free = JointModel(2.0, 0.06, 0.05, 0.02, load=Load(0.02))
+    hung = replace(free, load=Load(0.02, 0.5, 0.2))
+    ratio = (
+        step_response(hung).natural_frequency_rad_s / step_response(free).natural_frequency_rad_s
+    )
+    assert ratio**2 == pytest.approx(1 + 0.5 * 9.80665 * 0.2 / 2.0)
+
+
+def test_words_for_how_it_settles():
+    def words(kp, kd):
+        return describe_response("j1", JointModel(kp, kd, 0.05, 0.002))
+
+    assert "does not settle" in words(2.0, 0.0)
+    assert "overshoots a step by" in words(2.0, 0.06)
+    assert "does not overshoot" in words(2.0, 1.0)
+    assert "does not follow" in words(0.0, 0.06)

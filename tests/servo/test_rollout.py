@@ -1,0 +1,140 @@
+"""The servo's dynamics: accuracy, latency, batches, limits that are known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.rollout import rollout
+
+KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.0683, 0.002
+
+
+def theta(**values):
+    row = dict(zip(BASE, (KP, KD, LATENCY, INERTIA, 0.0), strict=True)) | values
+    unknown = set(row) - set(COLUMNS)
+    assert not unknown, unknown
+    return np.array([[row.get(name, 0.0) for name in COLUMNS]])
+
+
+@pytest.fixture
+def clock():
+    t = 0.02 * np.arange(250) + np.random.default_rng(3).normal(0, 3e-4, 250)
+    return t - t[0]
+
+
+def square(t):
+    return np.where((t > 0.3) & (t % 2 < 1), 0.5, -0.5) * (t > 0.3)
+
+
+def reference(t, command, row):
+    """An independent solution: scipy's DOP853 from one arrival of a set-point to the next."""
+    p = dict(zip(COLUMNS, row[0], strict=True))
+    arrivals = np.append(t + p["latency_s"], np.inf)
+    state, now, u = np.array([command[0], 0.0]), t[0], command[0]
+    angle = np.empty(t.size)
+    sent = 0
+    for k, until in enumerate(t):
+        while now < until or arrivals[sent] <= until:
+            stop = min(until, arrivals[sent])
+            if stop > now:
+
+                def slope(_, x, u=u):
+                    torque = p["kp_Nm_per_rad"] * (u - x[0]) - p["kd_Nms_per_rad"] * x[1]
+                    torque -= p["gravity_Nm"] * np.sin(x[0])
+                    return [x[1], torque / p["inertia_kgm2"]]
+
+                state = solve_ivp(slope, (now, stop), state, "DOP853", rtol=1e-10, atol=1e-12).y[
+                    :, -1
+                ]
+                now = stop
+            if arrivals[sent] <= until:
+                u, sent = command[sent], sent + 1
+        angle[k] = state[0]
+    return angle
+
+
+@pytest.mark.parametrize("gravity", [0.0, 0.48])
+def test_agrees_with_an_independent_integrator(clock, gravity):
+    t = clock[:120]
+    row, command = theta(gravity_Nm=gravity), square(t)
+    angle = rollout(row, t, command[:, None])[0, :, 0]
+    # command[0] is 0, where the pendulum hangs still: both start from the same rest
+    assert np.abs(angle - reference(t, command, row)).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"gravity_Nm": 0.48},
+        {"kp_Nm_per_rad": 8.0, "kd_Nms_per_rad": 0.08},
+        {"kd_Nms_per_rad": 0.4},
+        {"coulomb_friction.torque_Nm": 0.05},
+    ],
+)
+def test_halving_the_step_changes_nothing_above_1e_4(clock, values):
+    from sim2real.servo.rollout import STEPS_PER_RADIAN
+
+    row, command = theta(**values), square(clock)[:, None]
+    coarse = rollout(row, clock, command)
+    fine = rollout(row, clock, command, steps_per_radian=2 * STEPS_PER_RADIAN)
+    assert np.abs(coarse - fine).max() < 1e-4
+
+
+def test_latency_is_any_real_number(clock):
+    command = square(clock)[:, None]
+    rows = np.vstack([theta(latency_s=0.068 + 1e-5 * k) for k in range(200)])
+    angle = rollout(rows, clock, command)[:, :, 0]
+    steps = np.abs(np.diff(angle, axis=0)).max(axis=1)
+    assert steps.max() < 20 * 1e-5, "no jump: speed never exceeds 20 rad/s here"
+    assert steps.min() > 0
+
+
+def test_latency_shifts_the_motion():
+    t = 0.001 * np.arange(2000)
+    command = square(t)[:, None]
+    early = rollout(theta(latency_s=0.02), t, command)[0, :, 0]
+    late = rollout(theta(latency_s=0.07), t, command)[0, :, 0]
+    assert np.abs(late[50:] - early[:-50]).max() < 1e-5
+
+
+def test_rows_and_joints_do_not_mix(clock):
+    rng = np.random.default_rng(0)
+    joints = [np.vstack([theta(kp_Nm_per_rad=k) for k in rng.uniform(1, 4, 5)]) for _ in range(3)]
+    command = np.stack([square(clock), -square(clock), 0.2 * square(clock)], axis=1)
+    together = rollout(np.hstack(joints), clock, command)
+    assert together.shape == (5, clock.size, 3)
+    for j in range(3):
+        alone = rollout(joints[j], clock, command[:, [j]])
+        np.testing.assert_array_equal(together[:, :, j], alone[:, :, 0])
+
+
+def test_threads_change_nothing(clock):
+    rows = np.vstack([theta(kp_Nm_per_rad=k) for k in np.linspace(1, 4, 7)])
+    command = square(clock)[:, None]
+    one = rollout(rows, clock, command)
+    np.testing.assert_array_equal(one, rollout(rows, clock, command, threads=2))
+
+
+def test_settles_on_the_command():
+    t = 0.02 * np.arange(200)
+    command = np.where(t > 0.1, 0.4, 0.0)[:, None]
+    assert rollout(theta(), t, command)[0, -1, 0] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_starts_in_balance_with_a_pendulum():
+    t = 0.02 * np.arange(100)
+    angle = rollout(theta(gravity_Nm=0.48), t, np.full((100, 1), 0.8))[0, :, 0]
+    assert np.ptp(angle) < 1e-9
+    assert KP * (0.8 - angle[0]) == pytest.approx(0.48 * np.sin(angle[0]), abs=1e-9)
+
+
+def test_swings_freely_once_the_torque_is_off():
+    t = 0.005 * np.arange(2000)
+    command = np.where(t < 1.0, 0.1, np.nan)[:, None]
+    angle = rollout(theta(gravity_Nm=0.48), t, command)[0, 400:, 0]
+    crossings = np.flatnonzero(np.diff(np.sign(angle)) > 0)
+    period = np.mean(np.diff(t[400:][crossings]))
+    assert period == pytest.approx(2 * np.pi * np.sqrt(INERTIA / 0.48), rel=2e-2)
+    assert np.abs(angle).max() > 0.05, "nothing damps it"

@@ -1,0 +1,208 @@
+"""Whatever is wrong with a file, one line says where, what was found and what was expected."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
+
+from sim2real.model import read_model
+from sim2real.output import check_writable, write_json, write_whole
+from sim2real.recording import read_commands, read_recording, write_recording
+from sim2real.robot import read_robot
+
+
+def with_row(number: int, row: str) -> tuple[str, ...]:
+    """The good rows with the one that an editor numbers ``number`` replaced."""
+    return tuple(row if k + 2 == number else good for k, good in enumerate(ROWS))
+
+
+def test_the_good_files_are_read(tmp_path: Path) -> None:
+    assert read_recording(csv_file(tmp_path)).t.size == 5
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    assert read_robot(tmp_path / "robot.toml").joint("j1") is not None
+    (tmp_path / "model.json").write_text(json.dumps(MODEL))
+    assert read_model(tmp_path / "model.json").joints["j1"].kp_Nm_per_rad == 2.2
+
+
+@pytest.mark.parametrize(
+    ("rows", "parts"),
+    [
+        (with_row(4, "0.04,57,0.1"), ("row 4, j1.command_rad", "found 57", "radians", "degrees")),
+        (with_row(4, "0.04,0.1,-57.3"), ("row 4, j1.position_rad", "found -57.3", "radians")),
+        (with_row(4, "0.01,0.1,0.1"), ("row 4, t_s", "found 0.01 after 0.02", "that increase")),
+        (with_row(4, "0.02,0.1,0.1"), ("row 4, t_s", "found 0.02 after 0.02", "that increase")),
+        (with_row(4, ",0.1,0.1"), ("row 4, t_s", "an empty cell", "a time in s")),
+        (with_row(4, "0.04,,0.1"), ("row 4, j1.command_rad", "an empty cell", "a set-point")),
+        (with_row(2, "0.00,nan,0.1"), ("row 2, j1.command_rad", "an empty cell", "a set-point")),
+        (with_row(4, "0.04,fast,0.1"), ("row 4, j1.command_rad", "'fast'", "a number")),
+        (with_row(4, "0.04,0.1,True"), ("row 4, j1.position_rad", "'True'", "a number")),
+        (with_row(4, "0.04,0.1,inf"), ("row 4, j1.position_rad", "inf", "a number")),
+        (with_row(4, "-1e999,0.1,0"), ("row 4, t_s", "inf", "a number")),
+        (with_row(4, "\n\n0.04,fast,0.1"), ("row 6, j1.command_rad", "'fast'", "a number")),
+        (with_row(4, f"{'9' * 400},0.1,0"), ("row 4, t_s", "inf", "a number")),
+        (with_row(4, "0.04,0.1,0.1,7"), ("row 4", "4 cells", "3, as in the header")),
+        (with_row(2, "0.00,0.1,0.1,7"), ("row 2", "4 cells", "3")),
+        (tuple(f"{row},7" for row in ROWS), ("row 2", "4 cells", "3")),
+        (with_row(4, '0.04,"0.1,0.1'), ("bench.csv",)),
+        (ROWS[:1], ("bench.csv", "found 1 row", "at least two rows")),
+        ((), ("bench.csv", "found 0 rows", "at least two rows")),
+    ],
+)
+def test_rows(tmp_path: Path, rows: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    path = csv_file(tmp_path, rows)
+    message(lambda: read_recording(path), str(path), *parts)
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("t_s,j1.command_rad,j1.position", ("header", "no column j1.position_rad")),
+        ("t_s,j1.command_deg,j1.position_rad", ("header", "no column j1.command_rad")),
+        ("time,j1.command_rad,j1.position_rad", ("header", "no column t_s")),
+        ("t_s,j1.command_rad,j1.command_rad", ("header", "j1.command_rad twice", "each column")),
+    ],
+)
+def test_header(tmp_path: Path, header: str, parts: tuple[str, ...]) -> None:
+    path = csv_file(tmp_path, header=header)
+    message(lambda: read_recording(path), str(path), *parts)
+
+
+def test_row_of_bytes_that_are_not_text(tmp_path: Path) -> None:
+    path = csv_file(tmp_path)
+    path.write_bytes(path.read_bytes().replace(b"0.04,0.2", b"0.04,\xb0"))
+    message(lambda: read_recording(path), str(path), "row 4", "not UTF-8")
+
+
+def test_text_in_a_further_column(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, tuple(f"{row},high" for row in ROWS), HEADER + ",supply_V")
+    message(lambda: read_recording(path), "row 2, supply_V", "'high'", "a number")
+
+
+def test_commands_alone(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, header="t_s,a,b")
+    message(lambda: read_commands(path), str(path), "header", "no J.command_rad column")
+    path = csv_file(tmp_path, with_row(3, "0.02,57,0"))
+    message(lambda: read_commands(path), "row 3, j1.command_rad", "found 57")
+
+
+READERS = [read_recording, read_commands, read_robot, read_model]
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_files_that_are_none(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    message(lambda: read(tmp_path), str(tmp_path), "found a folder", "file")
+    message(lambda: read(tmp_path / "none.csv"), "none.csv", "found no such file")
+    message(lambda: read(tmp_path / ("n" * 300)), "nnn", "file")
+    regular = tmp_path / "regular"
+    regular.write_text("")
+    message(lambda: read(regular / "below.csv"), "below.csv", "file")
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_empty_and_binary_files(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    path = tmp_path / "input.csv"
+    path.with_suffix(".json").write_text(json.dumps(SIDECAR))
+    for content in (b"", b"\n", b"\xff\xfe\x00j", b"t_s,\xe9\n1,2\n"):
+        path.write_bytes(content)
+        message(lambda: read(path), str(path))
+    path.write_bytes(b"t_s,j1.command_rad\n0,1\n1,\xe9\n")
+    message(lambda: read(path), str(path), "bytes that are not UTF-8", "text")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".json"])
+@pytest.mark.parametrize("read", READERS)
+def test_huge_files_are_refused_unread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path], object], ending: str
+) -> None:
+    path = csv_file(tmp_path)
+    huge = path.with_suffix(ending)
+    os.truncate(huge, 10 * 2**30)  # sparse: takes no room
+    opened = io.open
+
+    def guarded(file: Any, *args: Any, **kwargs: Any) -> Any:
+        assert str(file) != str(huge), "opened"
+        return opened(file, *args, **kwargs)
+
+    monkeypatch.setattr("builtins.open", guarded)
+    monkeypatch.setattr("io.open", guarded)
+    given_path = path if read is read_recording else huge  # which looks for its sidecar by itself
+    message(lambda: read(given_path), str(huge), "10240 MiB", "at most", "MiB")
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ({"schema": "sim2real.recording/2"}, ("schema", "recording/2'", "recording/1'")),
+        ({"schema": None}, ("schema", "None", "recording/1'")),
+        ({"kind": "boat"}, ("kind", "'boat'", "'servo' or 'pool'")),
+        ({"kind": ["servo"]}, ("kind", "['servo']", "text")),
+        ({"joints": []}, ("joints", "[]", "a list of joint names")),
+        ({"joints": "j1"}, ("joints", "'j1'", "a list of joint names")),
+        ({"joints": ["j1", "j1"]}, ("joints", "['j1', 'j1']", "each name once")),
+        ({"joints": ["j2"], "loads": {}}, ("header", "no column j2.command_rad")),
+        ({"loads": {"j7": {"inertia_kgm2": 1}}}, ("loads.j7", "a joint not recorded", "j1")),
+        ({"loads": {"j1": 0.002}}, ("loads.j1", "0.002", "a table")),
+        ({"loads": {"j1": {}}}, ("loads.j1.inertia_kgm2", "nothing", "a number above 0")),
+        ({"loads": {"j1": {"inertia_kgm2": -1}}}, ("loads.j1.inertia_kgm2", "-1", "above 0")),
+        ({"loads": {"j1": {"inertia_kgm2": 10**400}}}, ("loads.j1.inertia_kgm2", "above 0")),
+        ({"loads": {"j1": {"inertia_kgm2": float("nan")}}}, ("inertia_kgm2", "nan", "above 0")),
+        (
+            {"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass_kg": -1}}},
+            ("loads.j1.pendulum_mass_kg", "-1", "at least 0"),
+        ),
+        ({"loads": ["j" * 5000]}, ("loads", "jjj", "a table")),
+        ({"medium": 3}, ("medium", "3", "text")),
+    ],
+)
+def test_sidecar_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:
+    path = csv_file(tmp_path)
+    path.with_suffix(".json").write_text(json.dumps(SIDECAR | change))
+    message(lambda: read_recording(path), str(tmp_path), *parts)
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        ('{"schema": ', ("line 1, column", "no JSON")),
+        ("[1, 2]", ("a JSON list", "a JSON object")),
+        ("[" * 100_000, ("no JSON", "nested")),
+        ('{"schema": ' + "9" * 5000 + "}", ("no JSON", "digits")),
+    ],
+)
+def test_sidecar_that_does_not_parse(tmp_path: Path, content: str, parts: tuple[str, ...]) -> None:
+    path = csv_file(tmp_path)
+    path.with_suffix(".json").write_text(content)
+    message(lambda: read_recording(path), str(path.with_suffix(".json")), *parts)
+    message(lambda: read_model(path.with_suffix(".json")), *parts)
+
+
+def test_sidecar_missing_or_no_text(tmp_path: Path) -> None:
+    path = csv_file(tmp_path)
+    path.with_suffix(".json").write_bytes(b'{"schema": "\xe9"}')
+    message(lambda: read_recording(path), "bench.json", "byte 12", "not UTF-8")
+    path.with_suffix(".json").unlink()
+    message(lambda: read_recording(path), "bench.json", "no such file")
+
+
+def test_outputs_that_can_not_be_written(tmp_path: Path) -> None:
+    recording = read_recording(csv_file(tmp_path))
+    regular = tmp_path / "regular"
+    regular.write_text("here first")
+    target = regular / "deeper" / "out.json"
+    for write in (
+        lambda: check_writable(target),
+        lambda: write_whole(target, "text"),
+        lambda: write_json(target, {}),
+        lambda: write_recording(recording, target.with_suffix(".csv")),
+    ):
+        message(write, str(regular), "a folder to write in")
+    message(lambda: check_writable(tmp_path), "found a folder", "the name of a file")
+    message(lambda: write_whole(tmp_path / ("n" * 300), ""), "nnn")
+    assert regular.read_text() == "here first"

@@ -1,0 +1,170 @@
+"""Imports go down only (rl, then sim, then sim2real), and the heavy ones happen late."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FLOORS = ("sim2real", "sim", "rl")  # from the ground up
+REACHES_UP = "sim2real/cli.py"
+LIGHT = ("sim2real/cli.py", "sim2real/__init__.py")
+HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "casadi", "scipy", "pandas", "numpy"}
+ONLY_IN = {
+    "warp": ("sim2real/servo/", "sim2real/effects/", "sim2real/warp_start.py", "sim/"),
+    "casadi": ("sim2real/",),
+    "emcee": ("sim2real/",),
+    "serial": ("sim2real/hardware/",),
+    "cv2": ("sim2real/hardware/",),
+    "torch": ("rl/",),
+    "stable_baselines3": ("rl/",),
+    "gymnasium": ("rl/",),
+    "datasets": (),
+    "benchmarks": (),
+    "tests": (),
+}
+
+
+@dataclass(frozen=True)
+class Import:
+    """A module imported at ``line`` of ``file``; late where a function does it."""
+
+    file: str
+    line: int
+    module: str
+    late: bool
+
+    @property
+    def package(self) -> str:
+        return self.module.split(".")[0]
+
+
+def walk_imports(root: Path) -> Iterator[Import]:
+    """Every import in the packages under ``root``; those for type checkers alone don't count."""
+    for floor in FLOORS:
+        for path in sorted((root / floor).rglob("*.py")):
+            file = path.relative_to(root)
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            for node, late in statements(tree, late=False):
+                for module in imported(node, file):
+                    yield Import(file.as_posix(), node.lineno, module, late)
+
+
+def statements(node: ast.AST, *, late: bool) -> Iterator[tuple[ast.stmt, bool]]:
+    """Statements below ``node``, and whether they stand in a function."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            continue
+        if isinstance(child, ast.stmt):
+            yield child, late
+        function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        yield from statements(child, late=late or function)
+
+
+def imported(node: ast.stmt, file: Path) -> list[str]:
+    """Full names of the modules that ``node`` imports."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        above = file.parts[: len(file.parts) - node.level] if node.level else ()
+        return [".".join([*above, *([node.module] if node.module else [])])]
+    called = node.value if isinstance(node, ast.Expr | ast.Assign | ast.Return) else None
+    if isinstance(called, ast.Call) and ast.unparse(called.func).endswith("import_module"):
+        return [str(a.value) for a in called.args[:1] if isinstance(a, ast.Constant)]
+    return []
+
+
+def offences(root: Path) -> list[str]:
+    """Every import under ``root`` that the architecture forbids, one line each."""
+    return [f"{i.file}:{i.line} {why}" for i in walk_imports(root) if (why := offence(i))]
+
+
+def offence(found: Import) -> str | None:
+    """Why ``found`` is forbidden, or None."""
+    floor = FLOORS.index(found.file.split("/")[0])
+    if found.package in FLOORS[floor + 1 :] and not (found.file == REACHES_UP and found.late):
+        return f"imports {found.module} from the floor above"
+    if found.package in HEAVY and found.file in LIGHT and not found.late:
+        return f"imports {found.package} before it is needed"
+    allowed = ONLY_IN.get(found.package)
+    if allowed is not None and not found.file.startswith(allowed):
+        return f"imports {found.package}, allowed in {', '.join(allowed) or 'no package'} only"
+    return None
+
+
+def test_imports_of_the_packages() -> None:
+    assert offences(ROOT) == []
+
+
+def test_the_walk_sees_the_packages() -> None:
+    edges = {(found.file, found.module) for found in walk_imports(ROOT)}
+    assert ("sim2real/recording.py", "sim2real.errors") in edges
+    assert ("sim2real/recording.py", "pandas") in edges
+
+
+def test_light_modules_import_nothing_heavy() -> None:
+    """Not even through another module, so that ``sim2real --help`` answers at once."""
+    names = [file.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for file in LIGHT]
+    program = f"import sys, {', '.join(names)}; print(*sys.modules)"
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert HEAVY.isdisjoint(run.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "why"),
+    [
+        ("sim2real/fit.py", "import sim", "sim2real/fit.py:1 imports sim from the floor above"),
+        ("sim2real/fit.py", "from rl.env import Env", "imports rl.env from the floor above"),
+        ("sim2real/fit.py", "def f():\n    import rl", "sim2real/fit.py:2 imports rl from"),
+        ("sim2real/a/b.py", "if True:\n    import rl", "sim2real/a/b.py:2 imports rl from"),
+        ("sim2real/a/b.py", "from ...rl import env", "imports rl from the floor above"),
+        ("sim/fluid.py", "from rl import task", "imports rl from the floor above"),
+        ("sim/fluid.py", "import importlib\nimportlib.import_module('rl.env')", "imports rl.env"),
+        ("sim2real/cli.py", "import sim.fluid", "imports sim.fluid from the floor above"),
+        ("sim2real/cli.py", "class A:\n    import rl", "imports rl from the floor above"),
+        ("sim2real/cli.py", "try:\n    import numpy as np\nfinally:\n    pass", "before it is"),
+        ("sim2real/__init__.py", "from scipy.stats import chi2", "imports scipy before it is"),
+        ("sim/fluid.py", "import casadi", "imports casadi, allowed in sim2real/ only"),
+        (
+            "rl/env.py",
+            "def f():\n    import warp as wp",
+            "imports warp, allowed in sim2real/servo/",
+        ),
+        ("sim2real/fit.py", "import torch", "imports torch, allowed in rl/ only"),
+        ("sim2real/fit.py", "import serial", "allowed in sim2real/hardware/ only"),
+        ("sim2real/fit.py", "import datasets.make", "imports datasets, allowed in no package"),
+    ],
+)
+def test_an_offence_is_found(tmp_path: Path, file: str, source: str, why: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(source)
+    found = offences(tmp_path)
+    assert len(found) == 1
+    assert why in found[0]
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("rl/env.py", "import sim.fluid, sim2real\nimport torch, gymnasium, numpy"),
+        ("sim/fluid.py", "import warp\nfrom sim2real.robot import Robot\nfrom . import units"),
+        ("sim2real/servo/fit.py", "import casadi, warp, numpy, scipy, pandas, simulate_me"),
+        ("sim2real/cli.py", "def train():\n    from rl import train\n    import numpy.linalg"),
+        ("sim2real/hardware/bus.py", "import serial, cv2"),
+        ("sim2real/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rl"),
+    ],
+)
+def test_what_is_allowed(tmp_path: Path, file: str, source: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(source)
+    assert offences(tmp_path) == []

@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sim2real.recording import (
+    LARGEST_ANGLE_RAD,
+    Load,
+    Recording,
+    read_commands,
+    read_recording,
+    write_recording,
+)
+
+ROUNDING = 1e-9  # nine decimals are written
+
+ANGLES = st.floats(-LARGEST_ANGLE_RAD + 1e-6, LARGEST_ANGLE_RAD - 1e-6)
+POSITIVE = st.floats(1e-6, 1e3)
+NAMES = st.text("abcXYZ019_-é关 ", min_size=1, max_size=6).map(str.strip).filter(bool)
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+).filter(lambda value: "Infinity" not in json.dumps(value))
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Recording:
+    """Any recording that the format allows."""
+    joints = tuple(draw(st.lists(NAMES, min_size=1, max_size=3, unique=True)))
+    samples = draw(st.integers(2, 12))
+    steps = st.lists(st.floats(1e-6, 1e3), min_size=samples, max_size=samples)
+
+    def column(values: st.SearchStrategy[float]) -> np.ndarray:
+        return np.array(draw(st.lists(values, min_size=samples, max_size=samples)))
+
+    kind = draw(st.sampled_from(["servo", "pool"]))
+    command = np.stack([column(ANGLES) for _ in joints], axis=1)
+    if kind == "pool" and draw(st.booleans()):
+        command[:] = np.nan  # none recorded
+    else:
+        for j in range(len(joints)):
+            command[draw(st.integers(1, samples)) :, j] = np.nan  # torque off
+    extra = draw(st.sets(st.sampled_from(["supply_V", "body.x_m", f"{joints[0]}.current_A"])))
+    load = st.builds(Load, POSITIVE, st.floats(0, 9), st.floats(0, 9))
+    return Recording(
+        name="r",
+        kind=kind,
+        joints=joints,
+        t=np.cumsum(draw(steps)),
+        command=command,
+        position=np.stack([column(ANGLES | st.just(np.nan)) for _ in joints], axis=1),
+        loads=draw(st.dictionaries(st.sampled_from(joints), load)),
+        medium=draw(st.sampled_from(["air", "water"])),
+        source=draw(st.text(max_size=20)),
+        columns={name: column(st.floats(-1e6, 1e6) | st.just(np.nan)) for name in sorted(extra)},
+        metadata=draw(st.dictionaries(st.sampled_from(["servo", "notes", "gain"]), JSON)),
+    )
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(recording=recordings())
+def test_reading_gives_back_what_was_written(tmp_path: Path, recording: Recording) -> None:
+    path = tmp_path / "r.csv"
+    write_recording(recording, path)
+    back = read_recording(path)
+    for name in ("name", "kind", "joints", "loads", "medium", "source", "metadata"):
+        assert getattr(back, name) == getattr(recording, name)
+    for name in ("t", "command", "position"):
+        written, read = getattr(recording, name), getattr(back, name)
+        np.testing.assert_allclose(read, written, rtol=1e-14, atol=ROUNDING, equal_nan=True)
+    assert back.columns.keys() == recording.columns.keys()
+    for name, values in recording.columns.items():
+        np.testing.assert_allclose(back.columns[name], values, rtol=1e-14, atol=ROUNDING)
+    assert back.path == path
+
+
+def example(tmp_path: Path, **change: Any) -> Recording:
+    path = tmp_path / "bench.csv"
+    path.write_text(
+        "t_s, j1.command_rad, j1.position_rad, j2.command_rad, j2.position_rad, supply_V\n"
+        "0.00, 0.1, 0.09, 0, 0, 7.4\n"
+        "0.02, 0.1, , 0, 0.01, 7.3\n"
+        "0.05, , 0.11, 0.3, 0.02,\n"
+        "0.06, , 0.12, 0.3, 0.2, 7.2\n"
+    )
+    sidecar = {
+        "schema": "sim2real.recording/1",
+        "kind": "servo",
+        "joints": ["j1", "j2"],
+        "loads": {"j1": {"inertia_kgm2": 0.002}, "j2": {"inertia_kgm2": 1, "pendulum_mass_kg": 2}},
+        "source": "a bench",
+        "firmware": 3,
+    }
+    path.with_suffix(".json").write_text(json.dumps(sidecar | change))
+    return read_recording(path)
+
+
+def test_fields_of_a_recording(tmp_path: Path) -> None:
+    recording = example(tmp_path)
+    assert (recording.name, recording.kind, recording.medium) == ("bench", "servo", "air")
+    assert recording.joints == ("j1", "j2")
+    assert recording.loads == {"j1": Load(0.002), "j2": Load(1.0, 2.0, 0.0)}
+    assert (recording.source, recording.metadata) == ("a bench", {"firmware": 3})
+    assert recording.duration_s == pytest.approx(0.06)
+    assert recording.file == str(tmp_path / "bench.csv")
+    np.testing.assert_array_equal(recording.t, [0, 0.02, 0.05, 0.06])
+    np.testing.assert_array_equal(recording.command[:, 0], [0.1, 0.1, np.nan, np.nan])
+    np.testing.assert_array_equal(recording.position[:, 0], [0.09, np.nan, 0.11, 0.12])
+    np.testing.assert_array_equal(recording.position[:, 1], [0, 0.01, 0.02, 0.2])
+    np.testing.assert_array_equal(recording.columns["supply_V"], [7.4, 7.3, np.nan, 7.2])
+    assert list(recording.columns) == ["supply_V"]
+    assert [recording.powered(j) for j in (0, 1)] == [2, 4]
+
+
+def test_part_of_a_recording(tmp_path: Path) -> None:
+    recording = example(tmp_path)
+    part = recording.between(1, 3)
+    np.testing.assert_array_equal(part.t, [0.02, 0.05])
+    np.testing.assert_array_equal(part.command, recording.command[1:3])
+    np.testing.assert_array_equal(part.position, recording.position[1:3])
+    np.testing.assert_array_equal(part.columns["supply_V"], [7.3, np.nan])
+    assert (part.loads, part.joints) == (recording.loads, recording.joints)
+    whole = recording.between(0, 4)
+    np.testing.assert_array_equal(whole.position, recording.position)
+
+
+def test_pool_without_commands(tmp_path: Path) -> None:
+    path = tmp_path / "swim.csv"
+    path.write_text("t_s,j1.position_rad,body.x_m\n0,0.1,0\n0.02,0.2,0.01\n")
+    sidecar = {"schema": "sim2real.recording/1", "kind": "pool", "joints": ["j1"]}
+    path.with_suffix(".json").write_text(json.dumps(sidecar | {"medium": "water"}))
+    recording = read_recording(path)
+    assert np.isnan(recording.command).all()
+    assert recording.command.shape == (2, 1)
+    assert recording.powered(0) == 0
+    assert (recording.medium, recording.loads) == ("water", {})
+
+
+def test_commands_alone(tmp_path: Path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text("t_s,j1.command_rad,remark,j1.position_rad\n0,0.1,slow,\n0.02,0.2,fast,\n")
+    commands = read_commands(path)
+    np.testing.assert_array_equal(commands.t, [0, 0.02])
+    np.testing.assert_array_equal(commands.by_joint["j1"], [0.1, 0.2])
+    assert (list(commands.by_joint), commands.loads) == (["j1"], {})
+
+
+def test_commands_with_a_sidecar(tmp_path: Path) -> None:
+    recording = example(tmp_path)
+    commands = read_commands(tmp_path / "bench.csv")
+    assert commands.loads == recording.loads
+    for j, joint in enumerate(recording.joints):
+        np.testing.assert_array_equal(commands.by_joint[joint], recording.command[:, j])
+
+
+def test_line_endings_and_byte_order_mark(tmp_path: Path) -> None:
+    expected = example(tmp_path)
+    path = tmp_path / "bench.csv"
+    text = path.read_text()
+    for written in ("\ufeff" + text, text.replace("\n", "\r\n"), text + "\n\n"):
+        path.write_bytes(written.encode())
+        np.testing.assert_array_equal(read_recording(path).position, expected.position)
+
+
+def test_gravity_of_a_pendulum() -> None:
+    assert Load(0.0049, 0.49, 0.1).gravity_Nm == pytest.approx(0.49 * 9.80665 * 0.1)
+    assert Load(0.0049).gravity_Nm == 0
+
+
+def test_real_recordings_survive_a_round_trip(realdata: Path, tmp_path: Path) -> None:
+    for csv in sorted(realdata.glob("*_*/*.csv")):
+        recording = read_recording(csv)
+        write_recording(recording, tmp_path / csv.name)
+        back = read_recording(tmp_path / csv.name)
+        np.testing.assert_array_equal(back.position, recording.position)
+        np.testing.assert_array_equal(back.command, recording.command)
+        assert back.metadata == recording.metadata

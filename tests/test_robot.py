@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sim2real.robot import Link, Servo, read_robot
+
+FISH = """
+name = "two-joint fish"
+
+[[links]]
+name = "head"
+mass_kg = 0.52
+length_m = 0.20
+width_m = 0.13
+height_m = 0.12
+material = "abs"
+com_m = 0.10
+inertia_kgm2 = 0.002
+
+[[links]]
+name = "body"
+mass_kg = 1
+length_m = 0.1
+width_m = 0.1
+height_m = 0.1
+
+[[links]]
+name = "tail"
+mass_kg = 0.1
+length_m = 0.1
+width_m = 0.1
+height_m = 0.1
+com_m = 0
+
+[[joints]]
+name = "j1"
+servo = "lx824"
+limits_rad = [-0.80, 0.80]
+
+[[joints]]
+name = "j2"
+servo = "small"
+limits_rad = [0, 1]
+
+[servos.lx824]
+max_torque_Nm = 1.67
+no_load_speed_rad_s = 5.24
+position_step_rad = 0.00419
+
+[servos.small]
+max_torque_Nm = 0.5
+no_load_speed_rad_s = 9
+position_step_rad = 0
+"""
+
+
+def test_fields_of_a_robot(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(FISH)
+    robot = read_robot(path)
+    assert (robot.name, robot.path) == ("two-joint fish", path)
+    assert [link.name for link in robot.links] == ["head", "body", "tail"]
+    assert robot.links[0] == Link("head", 0.52, 0.2, 0.13, 0.12, "abs", 0.1, 0.002)
+    assert robot.links[1] == Link("body", 1, 0.1, 0.1, 0.1)
+    assert robot.links[2].com_m == 0
+    assert [joint.name for joint in robot.joints] == ["j1", "j2"]
+    assert robot.joints[0].servo == Servo("lx824", 1.67, 5.24, 0.00419)
+    assert robot.joints[1].servo == Servo("small", 0.5, 9, 0)
+    assert robot.joints[1].limits_rad == (0, 1)
+
+
+def test_joint_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(FISH)
+    robot = read_robot(path)
+    assert robot.joint("j2") is robot.joints[1]
+    assert robot.joint("j3") is None
+
+
+@pytest.mark.parametrize("line", ['name = "two-joint fish"\n', ""])
+def test_the_name_may_be_left_out(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(line + FISH.split("\n", 2)[2])
+    assert read_robot(path).name == ("two-joint fish" if line else "robot")
+
+
+def test_real_robots(realdata: Path) -> None:
+    files = sorted(realdata.glob("*/robot*.toml"))
+    assert files
+    for path in files:
+        robot = read_robot(path)
+        assert len(robot.links) == len(robot.joints) + 1
