@@ -11,6 +11,10 @@ the library.
 from __future__ import annotations
 
 import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers share the cores
+
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np

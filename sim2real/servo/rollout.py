@@ -53,7 +53,7 @@ def rollout(
 
     def simulate(part: slice) -> None:
         arrays = [_to_warp(x, device) for x in (rows[part], active[part], t, sent)]
-        out = wp.empty((arrays[0].shape[0], T), dtype=wp.float64, device=device)
+        out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
         offset = part.start % J
         wp.launch(
             simulate_servos,
@@ -62,7 +62,8 @@ def rollout(
             outputs=[out],
             device=device,
         )
-        position[part] = out.numpy()  # type: ignore[no-untyped-call]
+        if out.device.is_cuda:  # on a CPU it is the same memory
+            position[part] = out.numpy()
 
     edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
