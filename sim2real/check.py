@@ -59,8 +59,10 @@ class Check:
     findings: tuple[str, ...]
 
 
-def check(recording: Recording, robot: Robot | None = None) -> Check:
+def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:
     """Look a recording over; with ``robot``, against its limits and data sheets too.
+
+    ``seed`` is that of the search for a servo that roughly fits, which says what can be told.
 
     Raises:
         InputError: If the robot lacks a joint of the recording.
@@ -73,7 +75,7 @@ def check(recording: Recording, robot: Robot | None = None) -> Check:
         findings.append("No command was recorded: no servo can be identified from it.")
     if recording.kind == "pool" and "body.x_m" not in recording.columns:
         findings.append("The body was not tracked: nothing about the water can be calibrated.")
-    joints = tuple(_check_joint(recording, j, robot) for j in range(len(recording.joints)))
+    joints = tuple(_check_joint(recording, j, robot, seed) for j in range(len(recording.joints)))
     return Check(
         recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
     )
@@ -110,7 +112,7 @@ def format_check(check: Check) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _check_joint(recording: Recording, j: int, robot: Robot | None) -> JointCheck:
+def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -> JointCheck:
     name, position = recording.joints[j], recording.position[:, j]
     powered = recording.powered(j)
     command = recording.command[:powered, j]
@@ -142,7 +144,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None) -> JointChec
         missing=int(np.isnan(position).sum()),
         load=_load_text(load) if recording.kind == "servo" else recording.medium,
         findings=findings,
-        identifiable=expected_precision(recording, name) if powered > 1 else (),
+        identifiable=expected_precision(recording, name, seed=seed) if powered > 1 else (),
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from tqdm import tqdm
+
 from sim2real.check import check, format_check
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
@@ -12,6 +14,7 @@ from sim2real.robot import read_robot
 def run(options: argparse.Namespace) -> int:
     """Print the check of each recording."""
     robot = read_robot(options.robot) if options.robot else None
-    checks = [check(read_recording(path), robot) for path in options.recordings]
+    paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
+    checks = [check(read_recording(path), robot, seed=options.seed) for path in paths]
     print("\n\n".join(format_check(one) for one in checks))
     return 0

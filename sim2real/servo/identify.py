@@ -160,7 +160,10 @@ def _influential(
     unit = natural_units(start, fitted[0].load.inertia_kgm2)
     effect = np.linalg.norm(slope * unit, axis=0)
     seen = tuple(k for k in _PLAIN if effect[k] > noise)
-    return seen or _PLAIN, tuple(k for k in _PLAIN if k not in seen) if seen else ()
+    if not seen:
+        found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
+        raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
+    return seen, tuple(k for k in _PLAIN if k not in seen)
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:

@@ -207,6 +207,28 @@ def test_no_motion_is_refused():
         identify([still], bench("j1"))
 
 
+def test_motion_lost_in_the_noise_is_refused():
+    t = np.arange(0, 10, 0.02)
+    with pytest.raises(InputError, match="no motion above the noise of 1.5 mrad"):
+        identify([record(SERVO, np.where(t > 5, 2e-5, 0.0), t=t)], bench("j1"))
+
+
+def test_a_value_at_its_bound_is_flagged():
+    early = plant.Servo(2.2, 0.06, -0.003, 0.002)  # acts before it is told: clocks that disagree
+    model = identify([record(early)], bench("j1")).joints["j1"]
+    assert model.latency_s == 0.0
+    assert any("latency ended on its bound of 0" in note for note in model.notes)
+
+
+def test_a_parameter_without_influence_is_found_before_the_fit():
+    t = np.arange(0, 10, 0.02)
+    lone = np.where(t > t[-2], 0.3, 0.0)  # set-point that takes effect after the recording ends
+    early = np.where(t > 2, 0.002, 0.0)
+    model = identify([record(SERVO, early, t=t, noise=0.0004), record(SERVO, lone, t=t, name="b",
+                      noise=0.0004)], bench("j1")).joints["j1"]  # fmt: skip
+    assert any("influence" in note or "cannot be told" in note for note in model.notes)
+
+
 def test_a_joint_that_does_not_move_is_named():
     one = record(SERVO)
     two = np.hstack([one.command, 0 * one.command]), np.hstack([one.position, 0 * one.position])
