@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import zlib
+from pathlib import Path
 
 from sim2real.effects.effect import Effect, Parameter
 from sim2real.warp_start import start_warp
@@ -21,7 +23,12 @@ CATALOGUE: tuple[Effect, ...] = tuple(
     if module.name != "effect"
 )
 
-__all__ = ["CATALOGUE", "Effect", "Parameter", "effect_named"]
+SIGNATURE: int = zlib.crc32(
+    b"".join(p.read_bytes() for p in sorted(Path(__path__[0]).glob("*.py")))
+)
+"""Changes with any effect's source; a kernel that names it is compiled anew then."""
+
+__all__ = ["CATALOGUE", "SIGNATURE", "Effect", "Parameter", "effect_named"]
 
 
 def effect_named(name: str) -> Effect | None:

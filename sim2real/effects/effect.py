@@ -1,24 +1,33 @@
-"""What an effect is: named parameters, the place in the servo where it acts, and its term."""
+"""What an effect is: named parameters, the place in the chain where it acts, and its term."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Site = Literal["inertia", "motor", "load", "friction", "sensor"]
-"""Where a term acts, and so what it is given and gives back (all float64, SI).
+Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
+"""Where a term acts, from the computer that sends to the sensor that answers.
 
-========  ===============================================  =====================================
-site      term                                             gives
-========  ===============================================  =====================================
-inertia   ``term(p, c)``                                   inertia on the shaft, added
-motor     ``term(torque, q, v, p, c)``                     the torque that the motor really makes
-load      ``term(q, v, p, c)``                             torque on the shaft, added
-friction  ``term(q, v, torque, p, c)``                     largest torque of dry friction, added
-sensor    ``term(q, v, p, c)``                             the angle that is measured
-========  ===============================================  =====================================
+Every term is a Warp function of the same form, ``x = term(x, q, v, torque, time, h, p, c, z, s)``:
+it takes what reaches its place in the chain and gives what leaves it. All numbers are float64, SI.
 
-``p`` is the row of all parameters of the joint and ``c`` the column of the effect's first one.
+========  =====================================================  ==================
+site      x                                                      called
+========  =====================================================  ==================
+arrival   time at which a set-point takes effect                 for each set-point
+command   set-point in force, rad                                each sub-step
+error     set-point minus angle, as the controller sees it, rad  each sub-step
+motor     torque of the motor, N m                               each sub-step
+load      other torque on the shaft, N m                         each sub-step
+friction  largest torque of dry friction, N m                    each sub-step
+inertia   inertia on the shaft, kg m2                            once
+sensor    measured angle, rad                                    each sub-step
+========  =====================================================  ==================
+
+``q`` and ``v`` are the shaft's angle and speed, ``torque`` the motor's, ``time`` the seconds since
+the start, ``h`` the length of the sub-step. ``p`` is the joint's row of parameters and ``c`` the
+column of the effect's first one; ``z`` is the joint's memory and ``s`` the effect's first cell of
+it, 0 at the start. At ``arrival``, ``time`` is when the set-point was sent and ``q`` its number.
 """
 
 
@@ -50,9 +59,15 @@ class Effect:
         site: Where its term acts.
         term: The term, a Warp function (see ``Site``).
         parameters: Its parameters, in the order of their columns.
+        component: What it belongs to.
+        memory: Number of cells of memory that it needs.
+        order: Effects at one site act in ascending order, those of equal order by name.
     """
 
     name: str
     site: Site
     term: Any
     parameters: tuple[Parameter, ...]
+    component: Literal["joint", "supply", "link"] = "joint"
+    memory: int = 0
+    order: int = 0

@@ -2,6 +2,9 @@
 
 The shaft feels ``-torque_Nm sin(q)``, position 0 hanging straight down (a pendulum; any text on
 mechanics).
+
+Leaves a static error that grows with the sine of the angle. Taken for: a larger kp with a sensor
+gain; another gain or supply tells.
 """
 
 import warp as wp
@@ -11,13 +14,19 @@ from sim2real.effects.effect import Effect, Parameter
 
 @wp.func
 def pendulum(
+    x: wp.float64,
     q: wp.float64,
     v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
     p: wp.array(dtype=wp.float64),
     c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
 ) -> wp.float64:
-    """Torque of the weight on the shaft in N m."""
-    return -p[c] * wp.sin(q)
+    """Torque on the shaft in N m."""
+    return x - p[c] * wp.sin(q)
 
 
 EFFECT = Effect(

@@ -1,4 +1,7 @@
-"""Sensor offset: the measured angle is wrong by a constant, as when a horn sits one tooth off."""
+"""Sensor offset: the measured angle is wrong by a constant, as when a horn sits one tooth off.
+
+Leaves a constant. Taken for: a gravity load about a level position.
+"""
 
 import warp as wp
 
@@ -6,19 +9,26 @@ from sim2real.effects.effect import Effect, Parameter
 
 
 @wp.func
-def offset(
+def shift(
+    x: wp.float64,
     q: wp.float64,
     v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
     p: wp.array(dtype=wp.float64),
     c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
 ) -> wp.float64:
     """Measured angle in rad."""
-    return q + p[c]
+    return x + p[c]
 
 
 EFFECT = Effect(
     name="sensor_offset",
     site="sensor",
-    term=offset,
+    term=shift,
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.02),),
+    order=3,
 )

@@ -2,6 +2,9 @@
 
 A rotor behind gears of ratio n adds n squared times its own inertia to the shaft, often as much as
 the load itself (any text on drives).
+
+Leaves error in proportion to acceleration. Taken for: latency, tens of milliseconds of it; a
+pendulum tells, as its weight is known.
 """
 
 import warp as wp
@@ -11,11 +14,19 @@ from sim2real.effects.effect import Effect, Parameter
 
 @wp.func
 def rotor(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
     p: wp.array(dtype=wp.float64),
     c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
 ) -> wp.float64:
-    """Inertia added to the shaft in kg m2."""
-    return p[c]
+    """Inertia on the shaft in kg m2."""
+    return x + p[c]
 
 
 EFFECT = Effect(

@@ -2,13 +2,23 @@
 
 import warp as wp
 
-from sim2real.servo.law import Row, measured_angle, resting_angle, shaft_inertia, substep
+from sim2real.effects import SIGNATURE
+from sim2real.servo.law import (
+    SENSOR_BITS,
+    Row,
+    arrival_time,
+    measured_angle,
+    resting_angle,
+    shaft_inertia,
+    substep,
+)
 
 
 @wp.kernel(enable_backward=False)
 def simulate_servos(
     theta: wp.array2d(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
+    memory: wp.array2d(dtype=wp.float64),
     t: Row,
     command: wp.array2d(dtype=wp.float64),
     offset: int,
@@ -17,43 +27,68 @@ def simulate_servos(
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
     """Simulate one servo from rest on its first set-point; see ``rollout.rollout``."""
+    _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     row = wp.tid()
     p = theta[row]
+    z = memory[row]
     effects = active[row]
     sent = command[(row + offset) % command.shape[0]]
     samples = t.shape[0]
+    zero = wp.float64(0.0)
     kp = wp.float64(p[0])
     kd = wp.float64(p[1])
     latency = p[2]
-    inertia = shaft_inertia(p, effects)
-    fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
+    inertia = wp.float64(p[3])
     steps = steps_per_radian
     if effects != 0:
+        inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
         steps *= wp.float64(2.0)
+    fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
     longest_step = wp.min(longest, wp.float64(1.0) / (steps * fastest))
     u = wp.float64(sent[0])
-    state = wp.vec2d(resting_angle(u, kp, p[4]), wp.float64(0.0))
-    now = wp.float64(t[0])
+    state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
+    state[2] = kp * (u - state[0])
+    angle = wp.float64(state[0])
+    start = t[0]
+    now = wp.float64(start)
     sample = int(0)
     arrival = int(0)
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
             arrives = t[arrival] + latency
+            if effects != 0:
+                number = wp.float64(arrival)
+                since = t[arrival] - start
+                arrives = arrival_time(arrives, number, zero, zero, since, zero, p, z, effects)
+                if wp.isinf(arrives):
+                    arrival += 1
+                    continue
         until = wp.min(t[sample], arrives)
         if until > now:
             count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
-            for _ in range(count):
-                state = substep(state, u, h, kp, kd, inertia, p, effects)
+            for k in range(count):
+                time = now - start + wp.float64(k) * h
+                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects)
+                if (effects & wp.static(SENSOR_BITS)) != 0:
+                    angle = measured_angle(
+                        state[0], state[0], state[1], state[2], time, h, p, z, effects
+                    )
             now = until
         if arrives <= until:
             u = sent[arrival]
             arrival += 1
             if wp.isnan(u):
-                kp = wp.float64(0.0)
-                kd = wp.float64(0.0)
-                u = wp.float64(0.0)
+                kp = zero
+                kd = zero
+                u = zero
         else:
-            position[row, sample] = measured_angle(state[0], state[1], p, effects)
+            if (effects & wp.static(SENSOR_BITS)) == 0:
+                angle = state[0]
+            elif sample == 0:
+                angle = measured_angle(
+                    state[0], state[0], state[1], state[2], zero, zero, p, z, effects
+                )
+            position[row, sample] = angle
             sample += 1

@@ -21,6 +21,14 @@ FIRST_COLUMN: Mapping[str, int] = {
 }
 """Column of each effect's first parameter."""
 
+FIRST_CELL: Mapping[str, int] = {
+    effect.name: sum(e.memory for e in CATALOGUE[:k]) for k, effect in enumerate(CATALOGUE)
+}
+"""Cell of memory where each effect's begins."""
+
+CELLS = sum(effect.memory for effect in CATALOGUE)
+"""Cells of memory of one joint."""
+
 COLUMNS = BASE + tuple(
     f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
 )

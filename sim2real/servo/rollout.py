@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import simulate_servos
-from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN
+from sim2real.servo.parameters import CELLS, COLUMNS, FIRST_COLUMN
 
 Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps while the fastest mode turns by one radian: halving them moves nothing by 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
+_MOST_EFFECTS = 31
 
 
 def rollout(
@@ -52,7 +53,9 @@ def rollout(
     sent = np.ascontiguousarray(command.T)
 
     def simulate(part: slice) -> None:
-        arrays = [_to_warp(x, device) for x in (rows[part], active[part], t, sent)]
+        memory = np.zeros((part.stop - part.start, CELLS))
+        given = (rows[part], active[part], memory, t, sent)
+        arrays = [_to_warp(x, device) for x in given]
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
         offset = part.start % J
         wp.launch(
@@ -76,7 +79,13 @@ def rollout(
 
 
 def active_effects(rows: Array) -> NDArray[np.int32]:
-    """Bit mask of the effects that are on in each parameter row, shape (N,)."""
+    """Bit mask of the effects that are on in each parameter row, shape (N,).
+
+    Raises:
+        OverflowError: If the catalogue has more effects than the mask has bits.
+    """
+    if len(CATALOGUE) > _MOST_EFFECTS:
+        raise OverflowError(f"{len(CATALOGUE)} effects; the mask has {_MOST_EFFECTS} bits")
     active = np.zeros(rows.shape[0], dtype=np.int32)
     for k, effect in enumerate(CATALOGUE):
         first = FIRST_COLUMN[effect.name]

@@ -1,102 +1,348 @@
 """The catalogue: every effect is well formed, absent at 0, and does what its equation says."""
 
+import inspect
+import os
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim2real.effects import CATALOGUE, effect_named
+from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
-from sim2real.servo.parameters import COLUMNS, joint_row
-from sim2real.servo.rollout import active_effects, rollout
+from sim2real.servo.parameters import CELLS, joint_row
+from sim2real.servo.rollout import STEPS_PER_RADIAN, active_effects, rollout
 
-T = 0.02 * np.arange(200)
-STEP = np.where(T > 0.2, 0.4, 0.0)[:, None]
+KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
+T = 0.01 * np.arange(600)
+STEP = np.where(T > 0.2, 0.4, 0.0)
+SQUARE = np.where(T > 0.3, 0.5 * np.sign(np.sin(np.pi * T)), 0.0)
+
+SPECIFIED = {  # the joint, supply and link rows of the file format
+    "coulomb_friction", "stribeck_friction", "asymmetric_friction", "load_friction",
+    "quadratic_drag", "backlash", "compliance", "deadband", "torque_saturation",
+    "torque_asymmetry", "rate_limit", "integral_action", "command_filter", "acceleration_limit",
+    "presliding_friction", "gravity_load", "unmodelled_inertia", "cogging", "thermal_derating",
+    "encoder_quantization", "sensor_offset", "sensor_gain", "sensor_filter", "voltage_sag",
+    "supply_droop", "latency_jitter", "packet_loss", "clock_drift",
+}  # fmt: skip
 
 
-def row(**effects):
+def row(kp=KP, kd=KD, latency=LATENCY, inertia=INERTIA, **effects):
     fitted = tuple(FittedEffect(name, parameters) for name, parameters in effects.items())
-    return joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=fitted), None)[None]
+    return joint_row(JointModel(kp, kd, latency, inertia, effects=fitted), None)[None]
 
 
-def simulate(command=STEP, **effects):
-    return rollout(row(**effects), T, command)[0, :, 0]
+def simulate(command=STEP, t=T, accuracy=STEPS_PER_RADIAN, **values):
+    return rollout(row(**values), t, command[:, None], steps_per_radian=accuracy)[0, :, 0]
 
 
-def test_names_are_unique_and_found():
+def typical(effect):
+    return {parameter.name: parameter.typical for parameter in effect.parameters}
+
+
+def each(*names):
+    effects = [effect_named(name) for name in names] if names else CATALOGUE
+    return pytest.mark.parametrize("effect", effects, ids=lambda effect: effect.name)
+
+
+def test_the_catalogue_is_complete_and_each_name_stands_once():
     names = [effect.name for effect in CATALOGUE]
     assert len(set(names)) == len(names)
-    assert all(effect_named(name).name == name for name in names)
+    assert set(names) >= SPECIFIED
     assert effect_named("magic") is None
 
 
-@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
-def test_effect_is_documented_bounded_and_matters(effect):
+@each()
+def test_effect_is_documented_and_bounded(effect):
     module = sys.modules[f"sim2real.effects.{effect.name}"]
-    assert module.__doc__
+    assert "Taken for" in module.__doc__ or "Nothing else" in module.__doc__
     assert effect.parameters
-    values = {}
     for parameter in effect.parameters:
-        assert parameter.low < parameter.high
         assert parameter.low <= parameter.typical <= parameter.high
-        values[parameter.name] = parameter.typical
-    small = {"torque_saturation": {"limit_Nm": 0.5}}.get(effect.name, values)
-    assert np.abs(simulate(**{effect.name: small}) - simulate()).max() > 1e-3
+        assert parameter.low < parameter.high
 
 
-def test_effects_are_off_at_zero():
-    zeros = {e.name: {p.name: 0.0 for p in e.parameters} for e in CATALOGUE}
-    assert active_effects(row(**zeros))[0] == 0
-    np.testing.assert_array_equal(simulate(**zeros), simulate())
+@each()
+def test_effect_matters_and_is_off_at_zero(effect):
+    plain = simulate(SQUARE)
+    assert np.abs(simulate(SQUARE, **{effect.name: typical(effect)}) - plain).max() > 1e-3
+    zero = {effect.name: dict.fromkeys(typical(effect), 0.0)}
+    assert active_effects(row(**zero))[0] == 0
+    np.testing.assert_array_equal(simulate(SQUARE, **zero), plain)
 
 
-def test_coulomb_friction_holds_what_is_below_it():
-    crawl = np.where(T > 0.2, 0.02, 0.0)[:, None]
-    assert np.ptp(simulate(crawl, coulomb_friction={"torque_Nm": 0.05})) == 0.0
-    assert simulate(crawl, coulomb_friction={"torque_Nm": 0.03})[-1] > 0.004
+@each()
+def test_effect_does_not_depend_on_the_step(effect):
+    values = {effect.name: typical(effect)}
+    coarse = simulate(SQUARE, **values)
+    fine = simulate(SQUARE, accuracy=2 * STEPS_PER_RADIAN, **values)
+    assert np.abs(coarse - fine).max() < 3e-4
+    assert np.isfinite(coarse).all()
 
 
-def test_coulomb_friction_decelerates_evenly():
-    t = 0.001 * np.arange(400)
-    parameters = {"coulomb_friction": {"torque_Nm": 0.02}}
-    command = np.where(t < 0.05, 0.5, np.nan)
-    command[0] = 0.0
-    model = row(**parameters)
-    model[0, COLUMNS.index("latency_s")] = 0.0
-    angle = rollout(model, t, command[:, None])[0, :, 0]
-    coasting = np.diff(angle[60:120], 2) / 1e-6
-    np.testing.assert_allclose(coasting, -0.02 / 0.002, rtol=1e-3)
-
-
-def test_torque_saturation_limits_the_acceleration():
-    t = 0.001 * np.arange(200)
-    model = row(torque_saturation={"limit_Nm": 0.3})
-    model[0, COLUMNS.index("latency_s")] = 0.0
-    command = np.where(t > 0.01, 0.5, 0.0)[:, None]
-    acceleration = np.diff(rollout(model, t, command)[0, :, 0], 2) / 1e-6
-    assert np.abs(acceleration).max() == pytest.approx(0.3 / 0.002, rel=1e-3)
-
-
-def test_sensor_offset_moves_the_reading_only():
-    shifted = simulate(sensor_offset={"offset_rad": 0.03})
-    np.testing.assert_allclose(shifted - simulate(), 0.03, atol=3e-5)  # finer sub-steps
-
-
-def test_unmodelled_inertia_is_inertia():
-    heavier = joint_row(JointModel(2.2, 0.06, 0.05, 0.003), None)[None]
-    added = simulate(unmodelled_inertia={"inertia_kgm2": 0.001})
-    np.testing.assert_allclose(added, rollout(heavier, T, STEP)[0, :, 0], atol=3e-5)
-
-
-def test_gravity_load_pulls_down():
-    angle = simulate(gravity_load={"torque_Nm": 0.2})[-1]
-    assert 2.2 * (0.4 - angle) == pytest.approx(0.2 * np.sin(angle), rel=1e-3)
+def test_all_effects_run_together():
+    everything = {effect.name: typical(effect) for effect in CATALOGUE}
+    assert np.isfinite(simulate(SQUARE, **everything)).all()
+    assert sum(effect.memory for effect in CATALOGUE) == CELLS
 
 
 def test_an_effect_the_catalogue_lacks_is_refused():
-    from sim2real.errors import InputError
-
     with pytest.raises(InputError, match=r"magic.*expected one of .*coulomb_friction"):
         row(magic={"x": 1.0})
     with pytest.raises(InputError, match="torque_Nm"):
         row(coulomb_friction={"limit": 1.0})
+
+
+def test_each_effect_has_its_own_memory():
+    """Two servos with memory in one batch do not share it, nor does a second run remember."""
+    rows = np.vstack(
+        [row(backlash={"gap_rad": g}, command_filter={"time_constant_s": 0.03}) for g in (0.1, 0.2)]
+    )
+    together = rollout(rows, T, SQUARE[:, None])
+    alone = [rollout(rows[[k]], T, SQUARE[:, None])[0] for k in range(2)]
+    np.testing.assert_array_equal(together, np.stack(alone))
+
+
+# Friction
+
+
+@each("coulomb_friction", "presliding_friction")
+def test_friction_holds_what_is_below_it(effect):
+    values = {"torque_Nm": 0.05} | ({"stiffness_Nm_per_rad": 100.0} if effect.memory else {})
+    crawl = np.where(T > 0.2, 0.02, 0.0)
+    assert np.ptp(simulate(crawl, **{effect.name: values})) < 4e-3
+    assert simulate(np.where(T > 0.2, 0.1, 0.0), **{effect.name: values})[-1] > 0.06
+
+
+def coast(**effects):
+    """Accelerations while the shaft coasts with its torque off, per second squared."""
+    t = 0.001 * np.arange(400)
+    command = np.where(t < 0.05, 0.5, np.nan)
+    command[0] = 0.0
+    angle = simulate(command, t, latency=0.0, **effects)
+    return np.gradient(angle, 0.001)[60:115], np.diff(angle[59:116], 2) / 1e-6
+
+
+def test_coulomb_friction_decelerates_evenly():
+    _, acceleration = coast(coulomb_friction={"torque_Nm": 0.02})
+    np.testing.assert_allclose(acceleration, -0.02 / INERTIA, rtol=1e-3)
+
+
+def test_quadratic_drag_decelerates_with_the_square():
+    speed, acceleration = coast(quadratic_drag={"coefficient_Nms2": 0.0005})
+    np.testing.assert_allclose(acceleration, -0.0005 / INERTIA * speed**2, rtol=1e-3)
+
+
+def test_asymmetric_friction_prefers_a_direction():
+    _, forth = coast(asymmetric_friction={"torque_Nm": 0.02, "asymmetry": 0.5})
+    np.testing.assert_allclose(forth, -0.03 / INERTIA, rtol=1e-3)
+
+
+def test_stribeck_friction_breaks_away_at_its_larger_torque():
+    values = {"torque_Nm": 0.02, "breakaway_Nm": 0.06, "velocity_rad_s": 0.2}
+    slow = np.clip(0.05 * (T - 0.2), 0.0, None)  # kp times the angle reached is the torque
+    angle = simulate(slow, stribeck_friction=values)
+    stuck = slow[np.flatnonzero(np.abs(angle) > 1e-6)[0] - 6]  # latency and one sample
+    assert KP * stuck == pytest.approx(0.06, rel=0.1)
+
+
+def test_load_friction_is_a_share_of_the_torque():
+    """Climbing a weight takes (1 + r) times what holding it back from falling does."""
+    weight = {"gravity_load": {"torque_Nm": 0.5}}
+    up = np.clip(0.5 * (T - 0.2), 0, 1.2)
+    angle = simulate(up, load_friction={"ratio": 0.2}, **weight)
+    k = np.searchsorted(T, 2.0)
+    torque = KP * (up[k - 5] - angle[k]) - KD * 0.5  # latency is five samples
+    assert 0.8 * torque == pytest.approx(0.5 * np.sin(angle[k]), rel=0.05)
+
+
+# Motor and controller
+
+
+def test_torque_saturation_limits_the_acceleration():
+    t = 0.001 * np.arange(200)
+    command = np.where(t > 0.01, 0.5, 0.0)
+    angle = simulate(command, t, latency=0.0, torque_saturation={"limit_Nm": 0.3})
+    assert np.abs(np.diff(angle, 2)).max() / 1e-6 == pytest.approx(0.3 / INERTIA, rel=1e-3)
+
+
+def test_torque_asymmetry_and_sag_scale_the_torque():
+    t = 0.001 * np.arange(60)
+    command = np.where(t > 0.0, 0.5, 0.0)
+
+    def first_push(direction, **effects):
+        return simulate(direction * command, t, latency=0.01, **effects)[14]
+
+    plain = first_push(1)
+    uneven = {"torque_asymmetry": {"asymmetry": 0.2}}
+    assert first_push(1, **uneven) / plain == pytest.approx(1.1, rel=0.01)
+    assert first_push(-1, **uneven) / plain == pytest.approx(-0.9, rel=0.01)
+    sagging = first_push(1, voltage_sag={"loss_at_full_load": 0.2})
+    assert sagging / plain == pytest.approx(0.8, rel=0.02)
+
+
+def test_supply_droop_weakens_with_time():
+    t = 0.02 * np.arange(3000)
+    angle = simulate(
+        np.full(t.size, 0.4), t, supply_droop={"loss_per_min": 0.5},
+        gravity_load={"torque_Nm": 0.3},
+    )  # fmt: skip
+    torque = 0.3 * np.sin(angle[-1])
+    assert torque / (KP * (0.4 - angle[-1])) == pytest.approx(0.5, rel=0.01)
+
+
+def test_thermal_derating_comes_with_work():
+    t = 0.02 * np.arange(2500)
+    command = 0.5 * np.sin(20 * t)
+    warm = simulate(command, t, thermal_derating={"loss": 0.5})
+    plain = simulate(command, t)
+    early, late = slice(0, 200), slice(-200, None)
+    assert np.abs(warm - plain)[late].max() > 3 * np.abs(warm - plain)[early].max()
+
+
+def test_deadband_rests_at_its_edge():
+    assert simulate(kd=0.3, deadband={"halfwidth_rad": 0.05})[-1] == pytest.approx(0.35, abs=1e-4)
+
+
+def test_integral_action_removes_the_static_error():
+    weight = {"gravity_load": {"torque_Nm": 0.3}}
+    t = 0.02 * np.arange(2000)
+    command = np.where(t > 0.2, 0.4, 0.0)
+    assert simulate(command, t, **weight)[-1] < 0.37
+    settled = simulate(command, t, integral_action={"ki_Nm_per_rad_s": 2.0}, **weight)[-1]
+    assert settled == pytest.approx(0.4, abs=1e-4)
+
+
+# Set-point
+
+
+def quick(**effects):
+    """What a servo that is fast as lightning makes of the step: the set-point inside it."""
+    return simulate(kp=500.0, kd=2.0, latency=0.0, **effects)
+
+
+def test_command_filter_is_a_first_order_lag():
+    since = np.clip(T - T[np.argmax(STEP > 0)], 0, None)
+    expected = 0.4 * (1 - np.exp(-since / 0.3))
+    angle = quick(command_filter={"time_constant_s": 0.3})
+    assert np.abs(angle - expected).max() < 0.01
+
+
+def test_rate_limit_is_a_ramp():
+    speed = np.gradient(quick(rate_limit={"limit_rad_s": 0.5}), T)
+    assert speed[40:90] == pytest.approx(0.5, rel=0.01)
+    assert speed[120:] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_acceleration_limit_takes_the_time_of_two_parabolas():
+    angle = quick(acceleration_limit={"limit_rad_s2": 1.0})
+    arrived = T[np.argmax(angle > 0.399)] - T[np.argmax(STEP > 0)]
+    assert arrived == pytest.approx(2 * np.sqrt(0.4 / 1.0), rel=0.05)
+    assert angle.max() < 0.403
+
+
+# Load and sensor
+
+
+def test_gravity_load_and_cogging_are_in_balance_with_the_servo():
+    angle = simulate(gravity_load={"torque_Nm": 0.2})[-1]
+    assert KP * (0.4 - angle) == pytest.approx(0.2 * np.sin(angle), rel=1e-3)
+    values = {"torque_Nm": 0.05, "period_rad": 0.5, "phase_rad": 0.3}
+    angle = simulate(cogging=values)[-1]
+    expected = -0.05 * np.sin(2 * np.pi * angle / 0.5 + 0.3)
+    assert KP * (0.4 - angle) == pytest.approx(expected, rel=1e-2)
+
+
+def test_unmodelled_inertia_is_inertia():
+    added = simulate(unmodelled_inertia={"inertia_kgm2": 0.001})
+    np.testing.assert_allclose(added, simulate(inertia=0.003), atol=3e-5)
+
+
+def test_sensor_offset_gain_and_steps_change_the_reading_only():
+    plain = simulate()
+    near = {"atol": 3e-5}  # finer sub-steps
+    np.testing.assert_allclose(simulate(sensor_offset={"offset_rad": 0.03}), plain + 0.03, **near)
+    np.testing.assert_allclose(simulate(sensor_gain={"gain": 0.1}), 1.1 * plain, **near)
+    stepped = simulate(encoder_quantization={"step_rad": 0.01})
+    np.testing.assert_allclose(stepped, 0.01 * np.round(stepped / 0.01), atol=1e-12)
+    assert np.abs(stepped - plain).max() < 0.0051
+
+
+def test_backlash_loses_its_gap_at_every_reversal():
+    slow = 0.3 * np.sin(2 * np.pi * 0.5 * T)
+    plain, loose = simulate(slow), simulate(slow, backlash={"gap_rad": 0.1})
+    assert np.abs(plain - loose).max() == pytest.approx(0.05, abs=1e-3)
+    assert loose[200:].max() == pytest.approx(plain[200:].max() - 0.05, abs=1e-3)
+
+
+def test_compliance_gives_way_to_torque():
+    weight = {"gravity_load": {"torque_Nm": 0.3}}
+    stiff = simulate(**weight)[-1]
+    soft = simulate(compliance={"compliance_rad_per_Nm": 0.1}, **weight)[-1]
+    assert stiff - soft == pytest.approx(0.1 * 0.3 * np.sin(stiff), rel=1e-3)
+
+
+def test_sensor_filter_lags_by_its_time_constant():
+    ramp = np.clip(0.2 * (T - 0.2), 0, None)
+    plain, late = simulate(ramp), simulate(ramp, sensor_filter={"time_constant_s": 0.1})
+    assert plain[-1] - late[-1] == pytest.approx(0.2 * 0.1, rel=1e-3)
+
+
+# Link
+
+
+def test_clock_drift_delays_more_and_more():
+    sine = 0.3 * np.sin(4 * T)
+    drifting = simulate(sine, clock_drift={"s_per_s": 0.01})
+    speed = np.gradient(simulate(sine), T)
+    lag = -(drifting - simulate(sine))[100:] @ speed[100:] / (speed[100:] @ (speed * T)[100:])
+    assert lag == pytest.approx(0.01, rel=0.05)
+
+
+def test_jitter_stays_within_its_width():
+    ramp = np.clip(0.5 * (T - 0.2), 0, None)
+    jittered = simulate(ramp, latency_jitter={"halfwidth_s": 0.005})
+    assert 1e-5 < np.abs(jittered - simulate(ramp)).max() < 0.5 * 0.005 * 1.5
+
+
+def test_lost_packets_are_never_heard():
+    assert np.ptp(simulate(packet_loss={"probability": 1.0})) == 0.0
+    sine = 0.3 * np.sin(4 * T)
+    few, many = (simulate(sine, packet_loss={"probability": p}) for p in (0.02, 0.5))
+    plain = simulate(sine)
+    assert 0 < np.std(few - plain) < np.std(many - plain)
+
+
+@each()
+def test_the_readme_lists_it(effect):
+    text = (Path(inspect.getfile(effect_named)).parent / "README.md").read_text()
+    assert f"| `{effect.name}` | {effect.site} | {effect.component} |" in text
+
+
+def test_a_new_effect_is_one_file(tmp_path):
+    """A copy of the package with one file more knows, simulates and refuses what that file says."""
+    package = Path(inspect.getfile(effect_named)).parents[1]
+    shutil.copytree(package, tmp_path / "sim2real")
+    source = (package / "effects" / "sensor_offset.py").read_text()
+    (tmp_path / "sim2real" / "effects" / "squared_sensor.py").write_text(
+        source.replace('"sensor_offset"', '"squared_sensor"').replace(
+            "x + p[c]", "x + p[c] * x * x"
+        )
+    )
+    program = """
+import numpy as np
+from sim2real.model import FittedEffect, JointModel
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.rollout import rollout
+effect = FittedEffect("squared_sensor", {"offset_rad": 0.5})
+rows = [joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=e), None) for e in ((), (effect,))]
+t = 0.02 * np.arange(100)
+plain, squared = rollout(np.stack(rows), t, np.where(t > 0.2, 0.4, 0.0)[:, None])[:, -1, 0]
+assert abs(squared - plain - 0.5 * plain**2) < 1e-6, (plain, squared)
+"""
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, cwd=tmp_path)

@@ -1,0 +1,41 @@
+"""Cogging: a torque that repeats with the angle, from magnets, teeth or an eccentric gear.
+
+``torque = torque_Nm sin(2 pi q / period + phase)``.
+
+Leaves a ripple with position, the same in both directions. Taken for: gear ripple of the sensor.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def ripple(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque on the shaft in N m."""
+    if p[c + 1] == wp.float64(0.0):
+        return x
+    return x + p[c] * wp.sin(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
+
+
+EFFECT = Effect(
+    name="cogging",
+    site="load",
+    term=ripple,
+    parameters=(
+        Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05),
+        Parameter("period_rad", low=0.0, high=6.3, typical=0.2),
+        Parameter("phase_rad", low=-3.15, high=3.15, typical=0.0),
+    ),
+)

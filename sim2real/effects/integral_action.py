@@ -1,0 +1,40 @@
+"""Integral action: the controller also integrates the error.
+
+``torque += ki * integral of error``, while the torque is on.
+
+Leaves errors that creep away over seconds, and overshoot after long holds. Taken for: relaxing skin
+or rubber; a long hold under load tells.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def integral(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque of the motor in N m."""
+    error = (torque + p[1] * v) / p[0]  # what PD control made the torque of
+    z[s] += h * error
+    return x + p[c] * (z[s] - wp.float64(0.5) * h * error)  # its mean over the sub-step
+
+
+EFFECT = Effect(
+    name="integral_action",
+    site="motor",
+    term=integral,
+    parameters=(Parameter("ki_Nm_per_rad_s", low=0.0, high=50.0, typical=2.0),),
+    memory=1,
+    order=-1,
+)

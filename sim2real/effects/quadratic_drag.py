@@ -1,0 +1,36 @@
+"""Quadratic drag: resistance that grows with the square of the speed, as of an arm in water.
+
+``torque = -coefficient v |v|`` (Morison's drag term for a turning plate).
+
+Leaves a third harmonic at high speed. Taken for: a smaller kp and another latency, which absorb
+three quarters of it; a ladder of amplitudes tells, or air against water.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def drag(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque on the shaft in N m."""
+    return x - p[c] * v * wp.abs(v)
+
+
+EFFECT = Effect(
+    name="quadratic_drag",
+    site="load",
+    term=drag,
+    parameters=(Parameter("coefficient_Nms2", low=0.0, high=0.5, typical=0.01),),
+)

@@ -1,0 +1,37 @@
+"""Sensor gain: measured angles are too large or too small by a factor ``gain`` off 1.
+
+``angle = (1 + gain) q``.
+
+Leaves error in proportion to the angle. Taken for: elastic skin; another servo gain or supply
+tells.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def scale(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Measured angle in rad."""
+    return x * (wp.float64(1.0) + p[c])
+
+
+EFFECT = Effect(
+    name="sensor_gain",
+    site="sensor",
+    term=scale,
+    parameters=(Parameter("gain", low=-0.5, high=0.5, typical=0.02),),
+    order=2,
+)

@@ -1,0 +1,38 @@
+"""Supply droop: a battery that runs down, and with it the torque.
+
+``torque *= 1 - loss_per_min * minutes``.
+
+Leaves gain that falls evenly with time, on all joints alike. Taken for: thermal derating, clock
+drift; a fresh battery tells.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def droop(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque that the motor makes in N m."""
+    return x * wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0))
+
+
+EFFECT = Effect(
+    name="supply_droop",
+    site="motor",
+    term=droop,
+    parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),
+    component="supply",
+    order=1,
+)

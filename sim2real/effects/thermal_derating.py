@@ -1,0 +1,42 @@
+"""Thermal derating: the motor weakens as it warms.
+
+A warmth z follows the square of the torque, relative to the largest that PD control of one radian
+would ask, with a time constant of 30 s; ``torque *= 1 - loss z / (1 + z)``. A lumped stand-in for
+the rise of winding resistance and the fall of the magnets' field.
+
+Leaves gain that falls over minutes of work and comes back with rest. Taken for: supply droop; a
+pause tells.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def weaken(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque that the motor makes in N m."""
+    relative = torque / wp.max(p[0], wp.float64(1e-12))
+    z[s] += h / wp.float64(30.0) * (wp.float64(100.0) * relative * relative - z[s])
+    return x * (wp.float64(1.0) - p[c] * z[s] / (wp.float64(1.0) + z[s]))
+
+
+EFFECT = Effect(
+    name="thermal_derating",
+    site="motor",
+    term=weaken,
+    parameters=(Parameter("loss", low=0.0, high=0.9, typical=0.4),),
+    memory=1,
+    order=1,
+)
