@@ -43,7 +43,7 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
         fits: For each figure the recording, the joint, its predicted position in rad, shape (T,),
             and which samples were held out, shape (T,).
     """
-    blocks: list[Block] = [_parameter_table(model)]
+    blocks: list[Block] = [_parameter_table(model), *(Note("warn", note) for note in model.notes)]
     drawing = parameter_figure(model)
     blocks.append(Figure(svg(drawing), _PARAMETERS, svg(drawing, width=NARROW)))
     for name, joint in model.joints.items():

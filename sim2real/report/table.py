@@ -41,6 +41,8 @@ def fit_report(model: Model) -> str:
         lines += _remarks(joint)
     if model.effects:
         lines += ["", "supply and link", *_listed("effects", map(effect_text, model.effects))]
+    if model.notes:
+        lines += ["", *_notes(model.notes)]
     return "\n".join(lines)
 
 
@@ -95,11 +97,17 @@ def _remarks(joint: JointModel) -> list[str]:
         lines += _listed("correlated", pairs)
     if joint.effects:
         lines += _listed("effects", map(effect_text, joint.effects))
-    for note in joint.notes:
-        lines += textwrap.wrap(
+    return lines + _notes(joint.notes)
+
+
+def _notes(notes: Iterable[str]) -> list[str]:
+    return [
+        line
+        for note in notes
+        for line in textwrap.wrap(
             printable(note), WIDTH, initial_indent="  ! ", subsequent_indent="    "
         )
-    return lines
+    ]
 
 
 def _listed(label: str, items: Iterable[str]) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim2real.recording import Load
+from sim2real.recording import Load, Recording
 from sim2real.servo.fit import Fit, bounds, residuals, rms
 from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
@@ -17,6 +17,15 @@ _STRUCTURED = 2.0
 """Residuals above so many times the noise have something in them."""
 _MATERIAL = 0.05
 """Share of the stated inertia below which a difference is left to scales and rulers."""
+
+
+def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
+    """Notes on joints that do not move and on recordings made in water."""
+    notes = [f"{joint} does not move in these recordings and is not identified" for joint in still]
+    wet = [recording.name for recording in recordings if recording.medium == "water"]
+    if wet:
+        notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass hide in the gains")
+    return tuple(notes)
 
 
 def on_fit(

@@ -43,7 +43,6 @@ class Fit:
     residuals: tuple[Array, ...]
     jacobians: tuple[Array, ...]
     converged: bool
-
     inertia: float
 
     def loss(self, scale_rad: float) -> float:

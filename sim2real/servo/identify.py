@@ -58,7 +58,8 @@ def identify(
         robot: The robot that was recorded.
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
-        free_inertia: Fit inertia that the stated load leaves out, too (it needs a pendulum).
+        free_inertia: Fit inertia that the stated load leaves out, too; this takes a pendulum, or
+            recordings with different known loads.
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -85,11 +86,7 @@ def identify(
     return Model(
         joints={joint: result.model for joint, result in results.items()},
         fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
-        notes=tuple(
-            f"{joint} does not move in these recordings and is not identified"
-            for joint in recorded
-            if joint not in moving
-        ),
+        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
     )
 
@@ -119,18 +116,20 @@ def _identify_joint(
     given: list[Trace], held_out: str | None, free_inertia: bool, rng: np.random.Generator
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
-    noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+    noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
     start, others = first_guess(fitted, rng)
     free, unseen = _influential(fitted, start, noise)
     best, rivals = _best(fitted, start, others, free)
     stated = given[0].load
     notes: list[str] = []
-    if stated is not PER_INERTIA and stated.gravity_Nm > 0:
+    if stated is not PER_INERTIA and _shows_inertia(fitted):
         freed = _with_inertia(fitted, best)
         if free_inertia:
             best = freed
         else:
             notes += advice.on_inertia(best, freed, scored, stated)
+    elif free_inertia:
+        notes.append("inertia left out cannot be fitted: it takes a pendulum or two known loads")
     units = natural_units(best.parameters, best.inertia)[list(best.free)]
     spread = uncertainty(best, units)
     figures = _figures(best, scored, fitted, noise)
@@ -164,6 +163,11 @@ def _influential(
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
     return seen, tuple(k for k in _PLAIN if k not in seen)
+
+
+def _shows_inertia(fitted: list[Trace]) -> bool:
+    """Whether a scale of torque is known, so that inertia can be told from the gains."""
+    return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:

@@ -96,3 +96,8 @@ def test_control_characters_do_not_reach_the_terminal():
     model = Model({"j\x1b[31m\n1": JointModel(1, 1, 0.1, 1, notes=("a\x07b",))})
     table = fit_report(model)
     assert "\x1b" not in table and "\x07" not in table
+
+
+def test_notes_on_the_whole_model_come_last():
+    model = replace(one_joint(), notes=("j2 does not move",))
+    assert fit_report(model).splitlines()[-1] == "  ! j2 does not move"

@@ -175,6 +175,28 @@ def test_complete_load_is_not_accused():
     assert not any("contradict" in note for note in model.notes)
 
 
+def test_two_known_loads_show_a_rotor_without_a_pendulum():
+    light, heavy = (plant.Servo(2.2, 0.06, 0.0683, inertia + 0.001) for inertia in (0.002, 0.006))
+    recordings = [record(light, name="light"), record(heavy, name="heavy", seed=1)]
+    stated = [Load(0.002), Load(0.006)]
+    given = [Recording(**{**vars(r), "loads": {"j1": load}})
+             for r, load in zip(recordings, stated, strict=True)]  # fmt: skip
+    given.append(Recording(**{**vars(given[0]), "name": "again"}))
+    model = identify(given, bench("j1"), free_inertia=True).joints["j1"]
+    assert model.effects[0].parameters["inertia_kgm2"] == pytest.approx(0.001, rel=0.05)
+    assert model.kp_Nm_per_rad == pytest.approx(2.2, rel=0.03)
+
+
+def test_a_wish_that_cannot_be_met_is_told():
+    model = identify([record(SERVO)], bench("j1"), free_inertia=True).joints["j1"]
+    assert any("takes a pendulum or two known loads" in note for note in model.notes)
+
+
+def test_water_is_remarked_on():
+    wet = Recording(**{**vars(record(SERVO)), "medium": "water"})
+    assert "added mass" in identify([wet], bench("j1")).notes[0]
+
+
 def test_missing_physics_is_not_hidden():
     recording = record(SERVO)
     t, command = recording.t, recording.command[:, 0]
