@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.recording import Load, Recording
-from sim2real.servo.fit import Fit, bounds, residuals, rms
+from sim2real.servo.fit import Fit, residuals, rms
 from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
@@ -46,7 +46,7 @@ def on_fit(
     for k in set(best.free) - named:
         if not np.isfinite(ends[PARAMETERS[k]][1]):
             notes.append(f"{_SHORT[k]} cannot be told from above: these recordings set no bound")
-    low, high = bounds(best.inertia)
+    low, high = best.low, best.high
     for k in best.at_bound:
         end = low[k] if best.parameters[k] - low[k] < high[k] - best.parameters[k] else high[k]
         notes.append(f"{_SHORT[k]} ended on its bound of {end:g}")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim2real.servo.symbolic import simulate
+from sim2real.servo.symbolic import PARAMETERS, simulate
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -28,7 +28,10 @@ class Fit:
     """A fit that has converged, or says that it has not.
 
     Attributes:
-        parameters: The four numbers named in ``symbolic.PARAMETERS``.
+        names: Names of all N parameters; the first four are ``symbolic.PARAMETERS``.
+        parameters: Their values, shape (N,).
+        low: Their smallest values, shape (N,).
+        high: Their largest values, shape (N,).
         free: Indices of those that were fitted.
         scale_rad: Robust standard deviation of the residual.
         residuals: Simulated minus measured angle at the used samples, one array a trace.
@@ -37,7 +40,10 @@ class Fit:
         inertia: The stated inertia, kg m2.
     """
 
+    names: tuple[str, ...]
     parameters: Array
+    low: Array
+    high: Array
     free: tuple[int, ...]
     scale_rad: float
     residuals: tuple[Array, ...]
@@ -47,19 +53,13 @@ class Fit:
 
     def loss(self, scale_rad: float) -> float:
         """Robust loss for a given scale of the residual, in rad2; about the sum of squares."""
-        size2 = (OUTLIER_SD * scale_rad) ** 2
-        return sum(float(np.sum(np.sqrt(1 + e**2 / size2) - 1)) for e in self.residuals) * 2 * size2
+        return robust_loss(self.residuals, scale_rad)
 
     @property
     def at_bound(self) -> tuple[int, ...]:
         """Indices of the free parameters that ended on a bound."""
-        low, high = bounds(self.inertia)
-        span = high - low
-        return tuple(
-            k
-            for k in self.free
-            if min(self.parameters[k] - low[k], high[k] - self.parameters[k]) < 1e-6 * span[k]
-        )
+        room = np.minimum(self.parameters - self.low, self.high - self.parameters)
+        return tuple(k for k in self.free if room[k] < 1e-6 * (self.high[k] - self.low[k]))
 
 
 def bounds(inertia: float) -> tuple[Array, Array]:
@@ -90,9 +90,6 @@ def fit(
 ) -> Fit:
     """Fit the free parameters to all traces at once.
 
-    A first round of plain least squares finds the scale of the residual; later rounds weigh
-    samples far beyond it down (soft L1 loss), the scale taken anew until it stays.
-
     Args:
         traces: The joint's recordings.
         start: All parameters, shape (4,); those not free stay as they are.
@@ -103,39 +100,78 @@ def fit(
     inertia = traces[0].load.inertia_kgm2
     low, high = bounds(inertia)
     index = list(free)
-    unit = np.maximum(np.abs(start), [1e-6 * inertia, 1e-2 * inertia, 1e-2, 1e-1 * inertia])
+    unit = np.maximum(np.abs(start), [1e-6 * inertia, 1e-2 * inertia, 1e-2, 1e-1 * inertia])[index]
     parameters = np.clip(start, low, high).astype(np.float64)
-    cache: dict[bytes, tuple[Array, Array]] = {}
 
     def evaluate(x: Array) -> tuple[Array, Array]:
+        trial = parameters.copy()
+        trial[index] = x * unit
+        errors, slopes = residuals(trial, traces)
+        return np.concatenate(errors), np.concatenate(slopes)[:, index] * unit
+
+    x, converged = search(
+        evaluate,
+        parameters[index] / unit,
+        (low[index] / unit, high[index] / unit),
+        rounds=rounds,
+        evaluations=evaluations,
+    )
+    parameters[index] = x * unit
+    errors, slopes = residuals(parameters, traces)
+    return Fit(
+        names=PARAMETERS,
+        parameters=parameters,
+        low=low,
+        high=high,
+        free=free,
+        scale_rad=robust_scale(np.concatenate(errors)),
+        residuals=errors,
+        jacobians=tuple(slope[:, index] for slope in slopes),
+        converged=converged,
+        inertia=inertia,
+    )
+
+
+def search(
+    evaluate: Callable[[Array], tuple[Array, Array]],
+    start: Array,
+    box: tuple[Array, Array],
+    *,
+    rounds: int,
+    evaluations: int,
+) -> tuple[Array, bool]:
+    """Least squares, first plain, then robust (soft L1) with the scale taken anew until it stays.
+
+    Args:
+        evaluate: Residuals (n,) and their derivatives (n, F) at a point (F,).
+        start: Where to begin, shape (F,).
+        box: Smallest and largest values, each of shape (F,).
+        rounds: Most robust rounds after the plain one.
+        evaluations: Most evaluations in one round.
+
+    Returns:
+        The minimum, shape (F,), and whether the search converged to it.
+    """
+    cache: dict[bytes, tuple[Array, Array]] = {}
+
+    def at(x: Array) -> tuple[Array, Array]:
         key = x.tobytes()
         if key not in cache:
             cache.clear()
-            trial = parameters.copy()
-            trial[index] = x * unit[index]
-            errors, slopes = residuals(trial, traces)
-            cache[key] = (np.concatenate(errors), np.concatenate(slopes)[:, index] * unit[index])
+            cache[key] = evaluate(x)
         return cache[key]
 
-    def error(x: Array) -> Array:
-        return evaluate(x)[0]
-
-    def slope(x: Array) -> Array:
-        return evaluate(x)[1]
-
-    box = (low[index] / unit[index], high[index] / unit[index])
     margin = 1e-9 * (box[1] - box[0])
-    scale, converged = 1.0, True
+    point, scale, converged = start, 1.0, True
     for number in range(rounds + 1):
-        x = np.clip(parameters[index] / unit[index], box[0] + margin, box[1] - margin)
         if number:
-            before, scale = scale, robust_scale(evaluate(x)[0])
+            before, scale = scale, robust_scale(at(point)[0])
             if number > 1 and abs(scale / before - 1) < _SAME_SCALE:
                 break
         result = least_squares(
-            error,
-            x,
-            jac=slope,
+            lambda x: at(x)[0],  # type: ignore[misc]
+            np.clip(point, box[0] + margin, box[1] - margin),
+            jac=lambda x: at(x)[1],  # type: ignore[misc]
             bounds=box,
             loss="soft_l1" if number else "linear",
             f_scale=OUTLIER_SD * scale,
@@ -145,18 +181,14 @@ def fit(
             gtol=1e-12,
             max_nfev=evaluations,
         )
-        parameters[index] = result.x * unit[index]
-        converged = result.status > 0
-    errors, slopes = residuals(parameters, traces)
-    return Fit(
-        parameters=parameters,
-        free=free,
-        scale_rad=robust_scale(np.concatenate(errors)),
-        residuals=errors,
-        jacobians=tuple(slope[:, index] for slope in slopes),
-        converged=converged,
-        inertia=inertia,
-    )
+        point, converged = result.x, result.status > 0
+    return point, converged
+
+
+def robust_loss(errors: Sequence[Array], scale_rad: float) -> float:
+    """Soft L1 loss of residuals of a given scale, in rad2; about their sum of squares."""
+    size2 = (OUTLIER_SD * scale_rad) ** 2
+    return sum(float(np.sum(np.sqrt(1 + e**2 / size2) - 1)) for e in errors) * 2 * size2
 
 
 def rms(errors: Sequence[Array]) -> float:

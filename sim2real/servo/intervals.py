@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.fit import Fit, bounds, fit
+from sim2real.servo.fit import Fit, fit
 from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty
@@ -28,7 +28,7 @@ def intervals(
     upper end is infinite where the recordings set none; no end is below what is possible. An
     interval spans every rival that accounts for the recordings as well.
     """
-    low, high = bounds(best.inertia)
+    low, high = best.low, best.high
     equal = [one for one in rivals if _excess(one, best, spread.inflation) < _CHI2_90]
     wide = {k for direction in spread.open_directions for k in direction}
     result = {PARAMETERS[k]: (float(low[k]), float(np.inf)) for k in range(3) if k not in best.free}

@@ -70,7 +70,11 @@ def test_intervals_hold_where_residuals_are_correlated():
         noise = ar1(np.random.default_rng(seed), 0.9, x.size)
         estimate = np.linalg.lstsq(slopes, noise, rcond=None)[0]
         error = slopes @ estimate - noise
-        fit = Fit(np.zeros(4), (0, 1), robust_scale(error), (error,), (slopes,), True, 1.0)
+        fit = Fit(
+            names=("level", "slope"), parameters=estimate, low=np.full(2, -9.0),
+            high=np.full(2, 9.0), free=(0, 1), scale_rad=robust_scale(error), residuals=(error,),
+            jacobians=(slopes,), converged=True, inertia=1.0,
+        )  # fmt: skip
         spread = uncertainty(fit, np.full(2, 100.0))
         held += abs(estimate[1]) < spread.half_width[1]
     low, high = binomtest(held, 200).proportion_ci(0.99)
