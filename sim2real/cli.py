@@ -86,7 +86,11 @@ def _identify(command: argparse.ArgumentParser) -> None:
         help="recording to score on, not fit (default: the last; of a lone one its last quarter)",
     )
     command.add_argument(
-        "--free-inertia", action="store_true", help="fit inertia that the stated load leaves out"
+        "--effects",
+        nargs="+",
+        default=(),
+        metavar="EFFECT",
+        help="effects to fit with the gains, as load_friction or unmodelled_inertia",
     )
     command.add_argument("--no-plots", action="store_true", help="write no MODEL.JOINT.png")
 

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         recordings,
         robot,
         held_out=options.held_out,
-        free_inertia=options.free_inertia,
+        effects=options.effects,
         seed=options.seed,
         progress=lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     )

@@ -13,6 +13,7 @@ import zlib
 from pathlib import Path
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
 start_warp()
@@ -23,14 +24,22 @@ CATALOGUE: tuple[Effect, ...] = tuple(
     if module.name != "effect"
 )
 
-SIGNATURE: int = zlib.crc32(
-    b"".join(p.read_bytes() for p in sorted(Path(__path__[0]).glob("*.py")))
+SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
+    b"".join(path.read_bytes() for path in sorted(Path(__path__[0]).glob("*.py")))
 )
 """Changes with any effect's source; a kernel that names it is compiled anew then."""
 
-__all__ = ["CATALOGUE", "SIGNATURE", "Effect", "Parameter", "effect_named"]
+__all__ = ["CATALOGUE", "SIGNATURE", "Effect", "Parameter", "named"]
 
 
-def effect_named(name: str) -> Effect | None:
-    """The effect with this identifier, or None."""
-    return next((effect for effect in CATALOGUE if effect.name == name), None)
+def named(name: str, where: str = "effects") -> Effect:
+    """The effect with this identifier.
+
+    Raises:
+        InputError: If the catalogue has none; ``where`` says who asked for it.
+    """
+    for effect in CATALOGUE:
+        if effect.name == name:
+            return effect
+    known = ", ".join(effect.name for effect in CATALOGUE)
+    raise InputError(where, "effects", repr(name), f"one of {known}")

@@ -35,6 +35,9 @@ it, 0 at the start. At ``arrival``, ``time`` is when the set-point was sent and 
 class Parameter:
     """One parameter of an effect.
 
+    Its values are those for a hobby servo of 2 N m/rad that turns 0.002 kg m2; ``scaled`` gives
+    them for another.
+
     Attributes:
         name: Its fixed name, the unit at its end.
         low: Smallest value that means anything.
@@ -46,6 +49,17 @@ class Parameter:
     low: float
     high: float
     typical: float
+
+    def scaled(self, kp_Nm_per_rad: float, inertia_kgm2: float) -> Parameter:
+        """The same parameter for a servo of another strength and load."""
+        size = 1.0
+        if "per_Nm" in self.name:
+            size = 2.0 / kp_Nm_per_rad
+        elif "Nm" in self.name:
+            size = kp_Nm_per_rad / 2.0
+        elif "kgm2" in self.name:
+            size = inertia_kgm2 / 0.002
+        return Parameter(self.name, self.low * size, self.high * size, self.typical * size)
 
 
 @dataclass(frozen=True)

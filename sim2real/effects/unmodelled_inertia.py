@@ -33,5 +33,5 @@ EFFECT = Effect(
     name="unmodelled_inertia",
     site="inertia",
     term=rotor,
-    parameters=(Parameter("inertia_kgm2", low=-0.9, high=0.1, typical=0.001),),
+    parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),
 )

@@ -99,7 +99,7 @@ def _joint_blocks(model: Model, name: str, joint: JointModel) -> list[Block]:
         if quantity.unbounded
     ]
     if joint.effects:
-        effects = ", ".join(map(effect_text, joint.effects))
+        effects = ", ".join(effect_text(effect, joint.interval) for effect in joint.effects)
         sentences.append(f"This leaves out what the model has beside it: {effects}.")
     sentences.append(_error_sentence(figures))
     notes = [Note("warn", note) for note in joint.notes]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sim2real.model import FittedEffect, JointModel
@@ -82,20 +83,28 @@ def quantities(joint: JointModel) -> tuple[Quantity, ...]:
     )
 
 
-def correlations(joint: JointModel, above: float = 0.3) -> list[tuple[str, str, float]]:
-    """Pairs of estimates whose correlation is stronger than ``above``, the strongest first."""
+def correlations(
+    joint: JointModel, above: float = 0.3, most: int = 4
+) -> list[tuple[str, str, float]]:
+    """The strongest correlations of estimates beyond ``above``, the strongest first."""
     pairs = []
     for pair, r in joint.correlation.items():
         first, _, second = pair.partition(",")
         if abs(r) > above:
             pairs.append((short_name(first), short_name(second), float(r)))
-    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))[:most]
 
 
-def effect_text(effect: FittedEffect) -> str:
-    """An effect on one line: ``backlash (gap_rad 0.03)``."""
-    parameters = ", ".join(f"{name} {value:.4g}" for name, value in effect.parameters.items())
-    return printable(f"{effect.effect} ({parameters})" if parameters else effect.effect)
+def effect_text(
+    effect: FittedEffect, intervals: Mapping[str, tuple[float, float]] | None = None
+) -> str:
+    """An effect on one line: ``backlash (gap_rad 0.03, 0.027 to 0.033)``."""
+    parameters = []
+    for name, value in effect.parameters.items():
+        ends = (intervals or {}).get(f"{effect.effect}.{name}")
+        between = f", {ends[0]:.3g} to {ends[1]:.3g}" if ends else ""
+        parameters.append(f"{name} {value:.4g}{between}")
+    return printable(f"{effect.effect} ({'; '.join(parameters)})" if parameters else effect.effect)
 
 
 def milliradians(angle_rad: float | None) -> str:

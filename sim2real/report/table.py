@@ -76,6 +76,9 @@ def _quality(figures: Mapping[str, float | None]) -> list[str]:
     noise = figures.get("noise")
     errors += f"; noise {milliradians(noise)}" if noise is not None else ""
     lines = _listed("RMSE", [errors])
+    if "train_without_effects" in figures:
+        before = [milliradians(figures.get(f"{k}_without_effects")) for k in ("train", "heldout")]
+        lines += _listed("plain PD", [f"{before[0]} train, {before[1]} held out"])
     time, lag, outliers = (
         figures.get(name) for name in ("correlation_time_s", "whiteness", "robust_outliers")
     )
@@ -96,7 +99,7 @@ def _remarks(joint: JointModel) -> list[str]:
     if pairs:
         lines += _listed("correlated", pairs)
     if joint.effects:
-        lines += _listed("effects", map(effect_text, joint.effects))
+        lines += _listed("effects", [effect_text(e, joint.interval) for e in joint.effects])
     return lines + _notes(joint.notes)
 
 

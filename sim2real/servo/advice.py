@@ -6,13 +6,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sim2real.effects import Effect
 from sim2real.recording import Load, Recording
 from sim2real.servo.fit import Fit, residuals, rms
-from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
-_SHORT = ("kp", "kd", "latency", "inertia left out")
+_SHORT = {
+    "kp_Nm_per_rad": "kp",
+    "kd_Nms_per_rad": "kd",
+    "latency_s": "latency",
+    "unmodelled_inertia_kgm2": "inertia left out",
+}
 _STRUCTURED = 2.0
 """Residuals above so many times the noise have something in them."""
 _MATERIAL = 0.05
@@ -37,22 +42,31 @@ def on_fit(
 ) -> list[str]:
     """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
     notes = [
-        f"{_SHORT[k]} has no influence on these recordings; its value is only a start"
+        f"{_short(best, k)} has no influence on these recordings; its value is only a start"
         for k in unseen
     ]
     for direction in dict.fromkeys(spread.open_directions):
-        notes.append(_open([_SHORT[best.free[k]] for k in direction]))
+        notes.append(_open([_short(best, best.free[k]) for k in direction]))
     named = {best.free[k] for direction in spread.open_directions for k in direction}
     for k in set(best.free) - named:
-        if not np.isfinite(ends[PARAMETERS[k]][1]):
-            notes.append(f"{_SHORT[k]} cannot be told from above: these recordings set no bound")
+        if not np.isfinite(ends[best.names[k]][1]):
+            notes.append(
+                f"{_short(best, k)} cannot be told from above: these recordings set no bound"
+            )
     low, high = best.low, best.high
     for k in best.at_bound:
         end = low[k] if best.parameters[k] - low[k] < high[k] - best.parameters[k] else high[k]
-        notes.append(f"{_SHORT[k]} ended on its bound of {end:g}")
+        notes.append(f"{_short(best, k)} ended on its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
     return notes + _on_misfit(figures)
+
+
+def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
+    """A note where inertia is to be fitted that no recording can show."""
+    if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
+        return []
+    return ["unmodelled_inertia cannot show: it takes a pendulum or two known loads"]
 
 
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
@@ -73,8 +87,12 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
         f"the data contradict the stated inertia of {stated.inertia_kgm2:.4g} kg m2: "
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
         f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; is a rotor or arm "
-        "left out? --free-inertia fits it"
+        "left out? --effects unmodelled_inertia fits it"
     ]
+
+
+def _short(best: Fit, k: int) -> str:
+    return _SHORT.get(best.names[k], best.names[k])
 
 
 def _open(names: list[str]) -> str:
@@ -92,6 +110,6 @@ def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
         return []
     times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise shows"
     return [
-        f"a plain PD servo leaves {1e3 * train:.1f} mrad, {times}, and "
+        f"the model leaves {1e3 * train:.1f} mrad, {times}, and "
         f"what it leaves is correlated over {1e3 * time:.0f} ms: physics is missing from this model"
     ]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.effects import Effect, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.noise import noise_floor
@@ -15,10 +16,10 @@ from sim2real.output import provenance
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo import advice
+from sim2real.servo.enrich import effect_units, fit_effects, residuals_with_effects
 from sim2real.servo.fit import Fit, fit, residuals, rms
-from sim2real.servo.intervals import intervals
+from sim2real.servo.intervals import intervals, symmetric_intervals
 from sim2real.servo.start import first_guess, natural_units
-from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
 from sim2real.servo.uncertainty import (
     Uncertainty,
@@ -47,7 +48,7 @@ def identify(
     robot: Robot,
     *,
     held_out: str | None = None,
-    free_inertia: bool = False,
+    effects: Sequence[str] = (),
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -58,8 +59,7 @@ def identify(
         robot: The robot that was recorded.
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
-        free_inertia: Fit inertia that the stated load leaves out, too; this takes a pendulum, or
-            recordings with different known loads.
+        effects: Names of effects to fit together with the gains of every joint.
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -67,9 +67,11 @@ def identify(
         The model, with 90 % intervals, errors on fitted and held-out data, and notes.
 
     Raises:
-        InputError: If no joint moves, or a recording and the robot do not agree.
+        InputError: If no joint moves, a recording and the robot do not agree, or the catalogue
+            lacks an effect.
     """
     _check_inputs(recordings, robot, held_out)
+    wanted = [named(effect) for effect in dict.fromkeys(effects)]
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
     if not moving:
@@ -78,7 +80,7 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
     results = {
-        joint: _identify_joint(traces(recordings, joint), held_out, free_inertia, rng)
+        joint: _identify_joint(traces(recordings, joint), held_out, wanted, rng)
         for joint in progress(moving)
     }
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
@@ -113,7 +115,7 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 
 
 def _identify_joint(
-    given: list[Trace], held_out: str | None, free_inertia: bool, rng: np.random.Generator
+    given: list[Trace], held_out: str | None, wanted: list[Effect], rng: np.random.Generator
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
     noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
@@ -121,19 +123,22 @@ def _identify_joint(
     free, unseen = _influential(fitted, start, noise)
     best, rivals = _best(fitted, start, others, free)
     stated = given[0].load
+    figures = _figures(best, residuals(best.parameters, scored)[0], fitted, noise)
     notes: list[str] = []
-    if stated is not PER_INERTIA and _shows_inertia(fitted):
-        freed = _with_inertia(fitted, best)
-        if free_inertia:
-            best = freed
-        else:
-            notes += advice.on_inertia(best, freed, scored, stated)
-    elif free_inertia:
-        notes.append("inertia left out cannot be fitted: it takes a pendulum or two known loads")
-    units = natural_units(best.parameters, best.inertia)[list(best.free)]
-    spread = uncertainty(best, units)
-    figures = _figures(best, scored, fitted, noise)
-    ends = intervals(best, rivals, spread, units, fitted)
+    if wanted:
+        units = effect_units(best, wanted)
+        without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
+        best = fit_effects(fitted, best, wanted)
+        spread = uncertainty(best, units)
+        ends = symmetric_intervals(best, spread, units)
+        figures = _figures(best, residuals_with_effects(best, scored), fitted, noise) | without
+        notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
+    else:
+        if stated is not PER_INERTIA and _shows_inertia(fitted):
+            notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
+        units = natural_units(best.parameters, best.inertia)[list(best.free)]
+        spread = uncertainty(best, units)
+        ends = intervals(best, rivals, spread, units, fitted)
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes))
     return JointResult(model, figures, held)
@@ -182,19 +187,17 @@ def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
 
 
 def _figures(
-    best: Fit, scored: list[Trace], fitted: list[Trace], noise: float
+    best: Fit, unseen: tuple[Array, ...], fitted: list[Trace], noise: float
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
     period = float(np.median(np.diff(fitted[0].t)))
-    time = float(np.mean([correlation_samples(e) for e in errors])) * period
-    unseen, _ = residuals(best.parameters, scored) if scored else ((), ())
     everything = np.concatenate(errors)
     return {
         "train": rms(errors),
-        "heldout": rms(unseen) if scored else None,
+        "heldout": rms(unseen) if unseen else None,
         "noise": noise,
         "whiteness": whiteness(errors),
-        "correlation_time_s": time,
+        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
         "robust_outliers": float(np.mean(np.abs(everything) > 4 * best.scale_rad)),
     }
 
@@ -206,12 +209,13 @@ def _joint_model(
     load: Load,
     notes: tuple[str, ...],
 ) -> JointModel:
-    names = [PARAMETERS[k] for k in best.free]
-    kp, kd, latency, extra = (float(x) for x in best.parameters)
+    names = [best.names[k] for k in best.free]
+    kp, kd, latency = (float(x) for x in best.parameters[:3])
     known = load is not PER_INERTIA
-    effects: tuple[FittedEffect, ...] = ()
-    if 3 in best.free:
-        effects = (FittedEffect("unmodelled_inertia", {"inertia_kgm2": extra}),)
+    fitted: dict[str, dict[str, float]] = {}
+    for name, value in zip(best.names[4:], best.parameters[4:], strict=True):
+        effect, parameter = name.split(".")
+        fitted.setdefault(effect, {})[parameter] = float(value)
     return JointModel(
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
@@ -225,6 +229,6 @@ def _joint_model(
             for i in range(len(names))
             for j in range(i + 1, len(names))
         },
-        effects=effects,
+        effects=tuple(FittedEffect(*entry) for entry in fitted.items()),
         notes=notes,
     )

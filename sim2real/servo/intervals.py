@@ -47,6 +47,20 @@ def intervals(
     return result
 
 
+def symmetric_intervals(
+    best: Fit, spread: Uncertainty, units: Array
+) -> dict[str, tuple[float, float]]:
+    """90 % intervals from the covariance alone, infinite upwards along directions not seen."""
+    wide = {k for direction in spread.open_directions for k in direction}
+    result = {}
+    for k, index in enumerate(best.free):
+        value, half = float(best.parameters[index]), float(spread.half_width[k])
+        open_ = k in wide or half > units[k]
+        ends = (float(best.low[index]), np.inf) if open_ else (value - half, value + half)
+        result[best.names[index]] = (max(ends[0], float(best.low[index])), ends[1])
+    return result
+
+
 def _profiled(
     best: Fit, index: int, first: float, limit: float, fitted: list[Trace], inflation: float
 ) -> float:

@@ -44,7 +44,7 @@ def simulate_servos(
         inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
         steps *= wp.float64(2.0)
     fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
-    longest_step = wp.min(longest, wp.float64(1.0) / (steps * fastest))
+    longest_step = wp.min(longest, wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
     state[2] = kp * (u - state[0])

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.effects import CATALOGUE, effect_named
+from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
@@ -67,10 +67,7 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
 
 
 def _fill(row: Array, fitted: FittedEffect, where: str) -> None:
-    effect = effect_named(fitted.effect)
-    if effect is None:
-        known = ", ".join(e.name for e in CATALOGUE)
-        raise InputError(where, "effects", repr(fitted.effect), f"one of {known}")
+    effect = named(fitted.effect, where)
     names = [parameter.name for parameter in effect.parameters]
     for name, value in fitted.parameters.items():
         if name not in names:

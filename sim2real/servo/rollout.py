@@ -27,6 +27,7 @@ def rollout(
     command: Array,
     *,
     steps_per_radian: float = STEPS_PER_RADIAN,
+    substep_s: float | None = None,
     device: str = "cpu",
     threads: int = 1,
 ) -> Array:
@@ -40,6 +41,8 @@ def rollout(
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T, J); NaN where the torque is off.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
+        substep_s: Longest sub-step in s; by ``steps_per_radian``, and at most 2 ms, where None. One
+            length for all rows makes differences between them smooth.
         device: Warp device.
         threads: CPU threads to share the batch.
 
@@ -49,6 +52,7 @@ def rollout(
     B, (T, J) = theta.shape[0], command.shape
     rows = np.ascontiguousarray(theta, dtype=np.float64).reshape(B * J, len(COLUMNS))
     position = np.empty((B * J, T))
+    fine, longest = (steps_per_radian, LONGEST_SUBSTEP_S) if substep_s is None else (0.0, substep_s)
     active = active_effects(rows)
     sent = np.ascontiguousarray(command.T)
 
@@ -61,7 +65,7 @@ def rollout(
         wp.launch(
             simulate_servos,
             dim=out.shape[0],
-            inputs=[*arrays, offset, steps_per_radian, LONGEST_SUBSTEP_S],
+            inputs=[*arrays, offset, fine, longest],
             outputs=[out],
             device=device,
         )

@@ -78,11 +78,9 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     along_sd = np.sqrt(along) / level
     seen = along_sd < _OPEN_SD
     inverse = directions[:, seen] / level[seen] @ directions[:, seen].T
-    covariance = inverse @ spread @ inverse
     at_least = inverse @ independent @ inverse
-    ratio = np.sqrt(_ratio(np.diag(covariance), np.diag(at_least)))
-    covariance = covariance if ratio.min() >= 1 else _raised(covariance, at_least)
-    sd = np.sqrt(np.diag(covariance))
+    covariance = _raised(inverse @ spread @ inverse, at_least)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     freedom = max(effective - units.size, 1.0)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim2real.effects import CATALOGUE, effect_named
+from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import CELLS, joint_row
@@ -45,7 +45,7 @@ def typical(effect):
 
 
 def each(*names):
-    effects = [effect_named(name) for name in names] if names else CATALOGUE
+    effects = [named(name) for name in names] if names else CATALOGUE
     return pytest.mark.parametrize("effect", effects, ids=lambda effect: effect.name)
 
 
@@ -53,7 +53,8 @@ def test_the_catalogue_is_complete_and_each_name_stands_once():
     names = [effect.name for effect in CATALOGUE]
     assert len(set(names)) == len(names)
     assert set(names) >= SPECIFIED
-    assert effect_named("magic") is None
+    with pytest.raises(InputError, match="magic"):
+        named("magic")
 
 
 @each()
@@ -319,13 +320,13 @@ def test_lost_packets_are_never_heard():
 
 @each()
 def test_the_readme_lists_it(effect):
-    text = (Path(inspect.getfile(effect_named)).parent / "README.md").read_text()
+    text = (Path(inspect.getfile(named)).parent / "README.md").read_text()
     assert f"| `{effect.name}` | {effect.site} | {effect.component} |" in text
 
 
 def test_a_new_effect_is_one_file(tmp_path):
     """A copy of the package with one file more knows, simulates and refuses what that file says."""
-    package = Path(inspect.getfile(effect_named)).parents[1]
+    package = Path(inspect.getfile(named)).parents[1]
     shutil.copytree(package, tmp_path / "sim2real")
     source = (package / "effects" / "sensor_offset.py").read_text()
     (tmp_path / "sim2real" / "effects" / "squared_sensor.py").write_text(

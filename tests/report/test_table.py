@@ -101,3 +101,14 @@ def test_control_characters_do_not_reach_the_terminal():
 def test_notes_on_the_whole_model_come_last():
     model = replace(one_joint(), notes=("j2 does not move",))
     assert fit_report(model).splitlines()[-1] == "  ! j2 does not move"
+
+
+def test_effects_show_their_intervals_and_what_they_are_worth():
+    effects = (FittedEffect("backlash", {"gap_rad": 0.03}),)
+    joint = replace(one_joint().joints["j1"], effects=effects,
+                    interval={"backlash.gap_rad": (0.027, 0.033)})  # fmt: skip
+    figures = {"train": 0.002, "heldout": 0.003, "train_without_effects": 0.02,
+               "heldout_without_effects": 0.03}  # fmt: skip
+    table = fit_report(Model({"j1": joint}, fit={"j1.position_rad": figures}))
+    assert "backlash (gap_rad 0.03, 0.027 to 0.033)" in table
+    assert "plain PD    20.0 mrad train, 30.0 mrad held out" in table

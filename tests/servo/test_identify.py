@@ -163,7 +163,7 @@ def test_incomplete_load_is_noticed_and_can_be_fitted():
     recording = pendulum(extra=0.0017)
     held = identify([recording], bench("j1")).joints["j1"]
     assert any("contradict the stated inertia" in note for note in held.notes)
-    freed = identify([recording], bench("j1"), free_inertia=True).joints["j1"]
+    freed = identify([recording], bench("j1"), effects=["unmodelled_inertia"]).joints["j1"]
     (effect,) = freed.effects
     assert effect.parameters["inertia_kgm2"] == pytest.approx(0.0017, rel=0.05)
     assert freed.latency_s < 0.006
@@ -182,13 +182,13 @@ def test_two_known_loads_show_a_rotor_without_a_pendulum():
     given = [Recording(**{**vars(r), "loads": {"j1": load}})
              for r, load in zip(recordings, stated, strict=True)]  # fmt: skip
     given.append(Recording(**{**vars(given[0]), "name": "again"}))
-    model = identify(given, bench("j1"), free_inertia=True).joints["j1"]
+    model = identify(given, bench("j1"), effects=["unmodelled_inertia"]).joints["j1"]
     assert model.effects[0].parameters["inertia_kgm2"] == pytest.approx(0.001, rel=0.05)
     assert model.kp_Nm_per_rad == pytest.approx(2.2, rel=0.03)
 
 
 def test_a_wish_that_cannot_be_met_is_told():
-    model = identify([record(SERVO)], bench("j1"), free_inertia=True).joints["j1"]
+    model = identify([record(SERVO)], bench("j1"), effects=["unmodelled_inertia"]).joints["j1"]
     assert any("takes a pendulum or two known loads" in note for note in model.notes)
 
 
