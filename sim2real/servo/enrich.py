@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 STRENGTHS = (0.3, 1.0, 3.0, 10.0)
 """Multiples of the typical value from which each parameter of an effect starts."""
 _MOST_STARTS = 256
-_TRIED = 4
 _DIFFERENCE = 1e-4
 """Step of the central differences, in natural units."""
 _THREADS = 2
@@ -67,7 +66,7 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
     best: tuple[float, Array, bool] | None = None
     for start in _starts(traces, plain, given, columns, substep_s):
         scaled = np.clip(start / unit, *box)
-        x, converged = search(evaluate, scaled, box, rounds=1, evaluations=25)
+        x, converged = search(evaluate, scaled, box, rounds=0, evaluations=12)
         loss = robust_loss([evaluate(x)[0]], plain.scale_rad)
         if best is None or loss < best[0]:
             best = (loss, x, converged)
@@ -130,7 +129,7 @@ def _starts(
     columns: list[int],
     substep_s: float,
 ) -> Array:
-    """The most promising starts: gains as fitted, effects at the strengths that fit best."""
+    """For each strength of each parameter the combination that fits best, gains as fitted."""
     choices = [[min(max(s * p.typical, p.low), p.high) for s in STRENGTHS] for p in given.values()]
     every = len(STRENGTHS) ** len(choices) <= _MOST_STARTS
     grid = np.array(
@@ -142,7 +141,13 @@ def _starts(
         robust_loss([_error(a[k], t) for a, t in zip(angles, traces, strict=True)], plain.scale_rad)
         for k in range(rows.shape[0])
     ]
-    return np.asarray(rows[np.argsort(losses)[:_TRIED]])
+    order = np.argsort(losses)
+    best = {
+        int(next(k for k in order if grid[k, column] == value))
+        for column in range(grid.shape[1])
+        for value in np.unique(grid[:, column])
+    }
+    return np.asarray(rows[sorted(best)])
 
 
 def _simulate(
