@@ -81,6 +81,22 @@ def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) ->
     )
 
 
+def all_findings(check: Check) -> list[str]:
+    """What is odd, one sentence each; what several joints share is said once."""
+    shared: dict[str, list[tuple[str, str]]] = {}
+    for row in check.joints:
+        for finding in row.findings:
+            rest = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
+            shared.setdefault(rest, []).append((row.joint, finding))
+    return [
+        *check.findings,
+        *(
+            same[0][1] if len(same) == 1 else f"{', '.join(joint for joint, _ in same)}: {rest}"
+            for rest, same in shared.items()
+        ),
+    ]
+
+
 def format_check(check: Check) -> str:
     """The check as text for a terminal, at most 100 columns wide."""
     clock = check.timing
@@ -102,7 +118,7 @@ def format_check(check: Check) -> str:
             f"{row.missing:>7}  {row.load}"
         )
     lines = [_cut(line.rstrip(), WIDTH) for line in lines]
-    findings = [*check.findings, *(f for row in check.joints for f in row.findings)]
+    findings = all_findings(check)
     identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
     for mark, sentences in (("! ", findings), ("  ", identifiable)):
         if sentences:

@@ -203,3 +203,15 @@ def test_real_backlash_stand(realdata) -> None:
         assert all("has no load given" in " ".join(j.findings) for j in checked.joints)
         assert "At 9.9 Hz" in said(checked)
         assert "against" not in said(checked)
+
+
+def test_what_joints_share_is_said_once():
+    from dataclasses import replace
+
+    from sim2real.check import all_findings
+
+    one = check(recording())
+    first = replace(one.joints[0], joint="a", findings=("a's load is odd.", "a never moves."))
+    second = replace(one.joints[0], joint="b", findings=("b's load is odd.",))
+    both = replace(one, joints=(first, second), findings=("A gap.",))
+    assert all_findings(both) == ["A gap.", "a, b: load is odd.", "a never moves."]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim2real.check import Check
+from sim2real.check import Check, all_findings
 from sim2real.recording import Recording
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -75,8 +75,7 @@ def _notes(checks: Sequence[Check]) -> list[Block]:
     """Findings, each said once, with the recordings that share it."""
     where: dict[str, list[str]] = {}
     for check in checks:
-        findings = [*check.findings, *(f for joint in check.joints for f in joint.findings)]
-        for finding in findings:
+        for finding in all_findings(check):
             where.setdefault(finding, []).append(check.recording)
     if not where:
         return [Note("good", "Nothing odd was found.")]
