@@ -63,15 +63,12 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
         return errors, (up - down).T / (2 * _DIFFERENCE)
 
     box = (low[index] / unit, high[index] / unit)
-    best: tuple[float, Array, bool] | None = None
-    for start in _starts(traces, plain, given, columns, substep_s):
-        scaled = np.clip(start / unit, *box)
-        x, converged = search(evaluate, scaled, box, rounds=0, evaluations=12)
-        loss = robust_loss([evaluate(x)[0]], plain.scale_rad)
-        if best is None or loss < best[0]:
-            best = (loss, x, converged)
-    assert best is not None
-    x, converged = search(evaluate, best[1], box, rounds=3, evaluations=40)
+    tried = [
+        search(evaluate, np.clip(start / unit, *box), box, rounds=0, evaluations=12)[0]
+        for start in _starts(traces, plain, given, columns, substep_s)
+    ]
+    nearest = min(tried, key=lambda x: robust_loss([evaluate(x)[0]], plain.scale_rad))
+    x, converged = search(evaluate, nearest, box, rounds=3, evaluations=40)
     errors, slopes = evaluate(x)
     parameters = np.zeros(len(names))
     parameters[index] = x * unit
