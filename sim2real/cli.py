@@ -101,6 +101,16 @@ def _predict(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="CSV", help="predicted.csv")
 
 
+def _diagnose(command: argparse.ArgumentParser) -> None:
+    _recordings(command)
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument("--model", type=Path, help="MODEL.json to start from")
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json"
+    )
+    command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
+
+
 def _import(command: argparse.ArgumentParser) -> None:
     command.add_argument("source", type=Path, help="a log (.json), or a ROS 1 or 2 bag")
     command.add_argument(
@@ -144,6 +154,13 @@ _COMMANDS: tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None], str,
         _predict,
         "simulate a model from rest on the commands of a CSV",
         "sim2real predict model.json chirp.csv --out predicted.csv",
+    ),
+    (
+        "diagnose",
+        "sim2real.commands.diagnose",
+        _diagnose,
+        "say which physics the fitted servos leave out, model it and show the fit improve",
+        "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
     ),
     (
         "import",

@@ -48,9 +48,11 @@ def brake(
 
 EFFECT = Effect(
     name="acceleration_limit",
+    plain="limited acceleration of the set-point",
+    says="the servo's own profile speeds its set-point up by no more than {limit_rad_s2}",
     site="command",
     term=brake,
-    parameters=(Parameter("limit_rad_s2", low=0.0, high=1000.0, typical=60.0),),
+    parameters=(Parameter("limit_rad_s2", low=0.0, high=10000.0, typical=60.0),),
     memory=3,
     order=1,
 )

@@ -31,10 +31,13 @@ def bound(
 
 EFFECT = Effect(
     name="asymmetric_friction",
+    plain="friction that differs by direction",
+    says="dry friction of {torque_Nm} holds the shaft, {asymmetry} more one way than on average",
     site="friction",
     term=bound,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("asymmetry", low=-1.0, high=1.0, typical=0.3),
     ),
+    family="dry friction",
 )

@@ -31,6 +31,8 @@ def drift(
 
 EFFECT = Effect(
     name="clock_drift",
+    plain="clocks that drift apart",
+    says="the clock that sends and the clock that measures drift apart by {s_per_s}",
     site="arrival",
     term=drift,
     parameters=(Parameter("s_per_s", low=-0.01, high=0.01, typical=0.001),),

@@ -31,11 +31,13 @@ def ripple(
 
 EFFECT = Effect(
     name="cogging",
+    plain="a torque that repeats with the angle",
+    says="a torque of {torque_Nm} repeats every {period_rad}",
     site="load",
     term=ripple,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05),
-        Parameter("period_rad", low=0.0, high=6.3, typical=0.2),
+        Parameter("period_rad", low=0.0, high=1.6, typical=0.2),
         Parameter("phase_rad", low=-3.15, high=3.15, typical=0.0),
     ),
 )

@@ -36,9 +36,12 @@ def smooth(
 
 EFFECT = Effect(
     name="command_filter",
+    plain="a filter on the set-point",
+    says="the servo smooths its set-point over {time_constant_s}",
     site="command",
     term=smooth,
     parameters=(Parameter("time_constant_s", low=0.0, high=0.5, typical=0.03),),
     memory=2,
     order=2,
+    family="filter",
 )

@@ -31,7 +31,10 @@ def bound(
 
 EFFECT = Effect(
     name="coulomb_friction",
+    plain="dry friction",
+    says="dry friction of {torque_Nm} holds the shaft",
     site="friction",
     term=bound,
     parameters=(Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),),
+    family="dry friction",
 )

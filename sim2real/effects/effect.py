@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -70,18 +72,55 @@ class Effect:
 
     Attributes:
         name: Its fixed identifier.
+        plain: What it is, in plain words, to stand in a sentence.
+        says: The finding as a clause, with the parameters' names in braces.
         site: Where its term acts.
         term: The term, a Warp function (see ``Site``).
         parameters: Its parameters, in the order of their columns.
         component: What it belongs to.
         memory: Number of cells of memory that it needs.
         order: Effects at one site act in ascending order, those of equal order by name.
+        family: Effects of one family describe the same mechanism: a joint has one of them at most.
+        also: Further terms of the effect, each with its site.
     """
 
     name: str
+    plain: str
+    says: str
     site: Site
     term: Any
     parameters: tuple[Parameter, ...]
     component: Literal["joint", "supply", "link"] = "joint"
     memory: int = 0
     order: int = 0
+    family: str = ""
+    also: tuple[tuple[Site, Any], ...] = ()
+
+    def statement(self, values: Mapping[str, float]) -> str:
+        """The finding as a clause, for these values of the parameters (SI)."""
+        return self.says.format(**{name: readable(name, x) for name, x in values.items()})
+
+
+_READABLE = (
+    ("_rad_per_Nm", "° per N m", 180 / math.pi),
+    ("_Nm_per_rad_s", " N m/(rad s)", 1.0),
+    ("_Nm_per_rad", " N m/rad", 1.0),
+    ("_rad_s2", " rad/s²", 1.0),
+    ("_rad_s", " rad/s", 1.0),
+    ("_rad", "°", 180 / math.pi),
+    ("_Nms2", " N m s²", 1.0),
+    ("_Nm", " N m", 1.0),
+    ("_kgm2", " kg m²", 1.0),
+    ("_s_per_s", " ppm", 1e6),
+    ("s_per_s", " ppm", 1e6),
+    ("_s", " ms", 1e3),
+)
+"""Endings of parameters' names, the unit that a person reads, and its size."""
+
+
+def readable(name: str, value: float) -> str:
+    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``."""
+    unit, size = next(
+        ((unit, size) for ending, unit, size in _READABLE if name.endswith(ending)), (" %", 100.0)
+    )
+    return f"{value * size:.3g}{unit}"

@@ -31,6 +31,8 @@ def pendulum(
 
 EFFECT = Effect(
     name="gravity_load",
+    plain="a weight that the loads leave out",
+    says="a weight that the loads leave out pulls with {torque_Nm} when level",
     site="load",
     term=pendulum,
     parameters=(Parameter("torque_Nm", low=-2.0, high=2.0, typical=0.1),),

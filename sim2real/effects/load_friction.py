@@ -31,6 +31,8 @@ def bound(
 
 EFFECT = Effect(
     name="load_friction",
+    plain="friction that grows with load",
+    says="dry friction takes {ratio} of the torque that the gears carry",
     site="friction",
     term=bound,
     parameters=(Parameter("ratio", low=0.0, high=0.9, typical=0.2),),

@@ -36,6 +36,8 @@ def bristle(
 
 EFFECT = Effect(
     name="presliding_friction",
+    plain="dry friction that is springy before it slips",
+    says="dry friction of {torque_Nm} is a spring of {stiffness_Nm_per_rad} until it slips",
     site="load",
     term=bristle,
     parameters=(
@@ -43,4 +45,5 @@ EFFECT = Effect(
         Parameter("stiffness_Nm_per_rad", low=0.0, high=200.0, typical=10.0),
     ),
     memory=1,
+    family="dry friction",
 )

@@ -36,6 +36,8 @@ def ramp(
 
 EFFECT = Effect(
     name="rate_limit",
+    plain="limited speed of the set-point",
+    says="the servo's own profile moves its set-point no faster than {limit_rad_s}",
     site="command",
     term=ramp,
     parameters=(Parameter("limit_rad_s", low=0.0, high=50.0, typical=3.0),),

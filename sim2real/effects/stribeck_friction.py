@@ -35,6 +35,8 @@ def bound(
 
 EFFECT = Effect(
     name="stribeck_friction",
+    plain="friction that is larger near standstill",
+    says="friction of {breakaway_Nm} falls to {torque_Nm} above about {velocity_rad_s}",
     site="friction",
     term=bound,
     parameters=(
@@ -42,4 +44,5 @@ EFFECT = Effect(
         Parameter("breakaway_Nm", low=0.0, high=2.0, typical=0.1),
         Parameter("velocity_rad_s", low=0.0, high=5.0, typical=0.3),
     ),
+    family="dry friction",
 )

@@ -1,6 +1,8 @@
 """Supply droop: a battery that runs down, and with it the torque.
 
-``torque *= 1 - loss_per_min * minutes``.
+What the controller asks scales with the voltage, the damping by back-EMF does not:
+``torque = kp error (1 - loss_per_min * minutes) - kd v`` (the circuit of a DC motor behind a
+bridge; any text on motors).
 
 Leaves gain that falls evenly with time, on all joints alike. Taken for: thermal derating, clock
 drift; a fresh battery tells.
@@ -25,11 +27,16 @@ def droop(
     s: int,
 ) -> wp.float64:
     """Torque that the motor makes in N m."""
-    return x * wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0))
+    asked = x + p[1] * v
+    return (
+        asked * wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0)) - p[1] * v
+    )
 
 
 EFFECT = Effect(
     name="supply_droop",
+    plain="a supply that runs down",
+    says="the supply runs down, and with it the torque, by {loss_per_min} a minute",
     site="motor",
     term=droop,
     parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),

@@ -34,6 +34,8 @@ def weaken(
 
 EFFECT = Effect(
     name="thermal_derating",
+    plain="a motor that weakens as it warms",
+    says="the motor loses up to {loss} of its torque as it warms",
     site="motor",
     term=weaken,
     parameters=(Parameter("loss", low=0.0, high=0.9, typical=0.4),),

@@ -30,6 +30,8 @@ def favour(
 
 EFFECT = Effect(
     name="torque_asymmetry",
+    plain="a motor that pulls harder one way",
+    says="the motor pulls {asymmetry} harder one way than the other",
     site="motor",
     term=favour,
     parameters=(Parameter("asymmetry", low=-1.0, high=1.0, typical=0.2),),

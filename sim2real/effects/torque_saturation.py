@@ -30,6 +30,8 @@ def clip(
 
 EFFECT = Effect(
     name="torque_saturation",
+    plain="a torque limit",
+    says="the motor gives no more than {limit_Nm}",
     site="motor",
     term=clip,
     parameters=(Parameter("limit_Nm", low=0.0, high=20.0, typical=0.5),),

@@ -1,6 +1,8 @@
 """Voltage sag: the supply gives way under load, and the torque with it.
 
-``torque *= 1 - loss * |torque| / full``, full load being what PD control of half a radian asks.
+What the controller asks scales with the voltage, the damping by back-EMF does not:
+``torque = kp error (1 - loss |torque| / full) - kd v``, full load being what an error of half a
+radian asks (the circuit of a DC motor behind a bridge; any text on motors).
 
 Leaves gain that falls with load. Taken for: torque saturation, load friction; moving another joint
 tells, if they share the supply.
@@ -26,11 +28,14 @@ def sag(
 ) -> wp.float64:
     """Torque that the motor makes in N m."""
     full = wp.max(wp.float64(0.5) * p[0], wp.float64(1e-12))
-    return x * (wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0)))
+    left = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
+    return (x + p[1] * v) * left - p[1] * v
 
 
 EFFECT = Effect(
     name="voltage_sag",
+    plain="a supply that sags under load",
+    says="the supply sags under load, which costs {loss_at_full_load} of the torque at full load",
     site="motor",
     term=sag,
     parameters=(Parameter("loss_at_full_load", low=0.0, high=0.9, typical=0.2),),

@@ -19,21 +19,23 @@ def simulate_servos(
     theta: wp.array2d(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
     memory: wp.array2d(dtype=wp.float64),
-    t: Row,
+    signal: wp.array(dtype=wp.int32),
+    times: wp.array2d(dtype=wp.float64),
     command: wp.array2d(dtype=wp.float64),
-    offset: int,
+    length: wp.array(dtype=wp.int32),
     steps_per_radian: wp.float64,
-    longest: wp.float64,
+    longest: Row,
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """Simulate one servo from rest on its first set-point; see ``rollout.rollout``."""
+    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``."""
     _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     row = wp.tid()
     p = theta[row]
     z = memory[row]
     effects = active[row]
-    sent = command[(row + offset) % command.shape[0]]
-    samples = t.shape[0]
+    t = times[signal[row]]
+    sent = command[signal[row]]
+    samples = length[signal[row]]
     zero = wp.float64(0.0)
     kp = wp.float64(p[0])
     kd = wp.float64(p[1])
@@ -44,7 +46,7 @@ def simulate_servos(
         inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
         steps *= wp.float64(2.0)
     fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
-    longest_step = wp.min(longest, wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
+    longest_step = wp.min(longest[row], wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
     state[2] = kp * (u - state[0])

@@ -17,14 +17,19 @@ Row = wp.array(dtype=wp.float64)
 
 def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], int]:
     """Terms, columns, cells and bits of the effects at one site, and all their bits together."""
-    here = [(k, e) for k, e in enumerate(CATALOGUE) if e.site == site]
+    here = [
+        (k, effect, term)
+        for k, effect in enumerate(CATALOGUE)
+        for place, term in ((effect.site, effect.term), *effect.also)
+        if place == site
+    ]
     here.sort(key=lambda entry: entry[1].order)
     return (
-        [effect.term for _, effect in here],
-        [FIRST_COLUMN[effect.name] for _, effect in here],
-        [FIRST_CELL[effect.name] for _, effect in here],
-        [1 << k for k, _ in here],
-        sum(1 << k for k, _ in here),
+        [term for _, _, term in here],
+        [FIRST_COLUMN[effect.name] for _, effect, _ in here],
+        [FIRST_CELL[effect.name] for _, effect, _ in here],
+        [1 << k for k, _, _ in here],
+        sum(1 << k for k, _, _ in here),
     )
 
 

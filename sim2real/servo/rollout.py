@@ -52,20 +52,22 @@ def rollout(
     B, (T, J) = theta.shape[0], command.shape
     rows = np.ascontiguousarray(theta, dtype=np.float64).reshape(B * J, len(COLUMNS))
     position = np.empty((B * J, T))
-    fine, longest = (steps_per_radian, LONGEST_SUBSTEP_S) if substep_s is None else (0.0, substep_s)
+    fine, step = (steps_per_radian, LONGEST_SUBSTEP_S) if substep_s is None else (0.0, substep_s)
     active = active_effects(rows)
-    sent = np.ascontiguousarray(command.T)
+    signal = np.tile(np.arange(J, dtype=np.int32), B)
+    signals = [
+        to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
+    ]
 
     def simulate(part: slice) -> None:
         memory = np.zeros((part.stop - part.start, CELLS))
-        given = (rows[part], active[part], memory, t, sent)
-        arrays = [_to_warp(x, device) for x in given]
+        longest = np.full(memory.shape[0], step)
+        given = (rows[part], active[part], memory, signal[part])
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
-        offset = part.start % J
         wp.launch(
             simulate_servos,
             dim=out.shape[0],
-            inputs=[*arrays, offset, fine, longest],
+            inputs=[*(to_warp(x, device) for x in given), *signals, fine, to_warp(longest, device)],
             outputs=[out],
             device=device,
         )
@@ -98,6 +100,7 @@ def active_effects(rows: Array) -> NDArray[np.int32]:
     return active
 
 
-def _to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
+def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """A Warp array of int32 or float64 on a device; on the CPU it shares contiguous memory."""
     kind = wp.int32 if values.dtype == np.int32 else wp.float64
     return wp.from_numpy(np.ascontiguousarray(values), dtype=kind, device=device)

@@ -1,0 +1,1 @@
+"""Find the missing physics: is there a mismatch, where, what was left out, and what to do next."""

@@ -1,0 +1,88 @@
+"""Errors on data that a fit has not seen: every recording held out in turn, or the last quarter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.minimise import Servos, minimise
+from sim2real.servo.trace import Trace, split
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Simulated minus measured angles where the fit did not look.
+
+    Attributes:
+        residuals: One array a fold, of its held-out samples, rad.
+        theta: Parameters fitted to the rest of each fold, shape (folds, P).
+    """
+
+    residuals: tuple[Array, ...]
+    theta: Array
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error in rad."""
+        return float(np.sqrt(np.mean(np.concatenate(self.residuals) ** 2)))
+
+
+def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
+    """Pairs of traces to fit and to score: each recording in turn, or the end of a lone one."""
+    if len(traces) > 1:
+        return [([other for other in traces if other is not one], [one]) for one in traces]
+    fitted, scored, _ = split(traces, None)
+    return [(fitted, scored)] if scored else []
+
+
+def held_out(
+    joints: Sequence[Sequence[Trace]],
+    servos: Sequence[Servos],
+    *,
+    white: bool = True,
+    device: str = "cpu",
+) -> list[Unseen | None]:
+    """Refit each servo without each fold and score it there.
+
+    Args:
+        joints: Traces of each servo's joint.
+        servos: Servos with the parameters fitted to everything, each of one row.
+        white: Whether the refits take the noise for white, which is best for predictions where
+            something stays missing.
+        device: Warp device.
+
+    Returns:
+        One entry a servo; None where nothing can be held out.
+    """
+    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
+    if not pairs:
+        return [None for _ in joints]
+    training = Batch([fitted for _, (fitted, _) in pairs], device)
+    scoring = Batch([scored for _, (_, scored) in pairs], device)
+    results: dict[int, tuple[list[Array], list[Array]]] = {}
+    for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
+        some = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
+        rows = [vars(servos[pairs[k][0]]) for k in some]
+        start = Servos(*(np.concatenate([row[name] for row in rows]) for name in rows[0]))
+        start = replace(start, joint=np.array(some, dtype=np.int32))
+        fits = minimise(training, start, iterations=10, white=white)
+        scored = scoring.evaluate(
+            Problems(start.joint, fits.servos.theta[:, None], np.zeros((len(some), 1))),
+            keep=True,
+        )
+        assert scored.residual is not None
+        for k, residual, theta in zip(some, scored.residual, fits.servos.theta, strict=True):
+            used = pairs[k][1][1][0].used
+            errors, thetas = results.setdefault(pairs[k][0], ([], []))
+            errors.append(residual[0, : used.size][used])
+            thetas.append(theta)
+    return [
+        Unseen(tuple(results[n][0]), np.array(results[n][1])) if n in results else None
+        for n in range(len(joints))
+    ]

@@ -1,0 +1,180 @@
+"""From findings joint by joint to what a person is told of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.investigate import Finding
+from sim2real.diagnose.posterior import Group
+from sim2real.diagnose.result import Estimate, NamedEffect, Rival
+from sim2real.diagnose.search import Hypothesis
+from sim2real.effects import named
+from sim2real.model import FittedEffect
+from sim2real.servo.parameters import BASE, COLUMNS
+
+Array = NDArray[np.float64]
+
+NAMED = 0.5
+"""Probability from which an effect is named."""
+_RIVALS = 8
+_Q95 = 1.645
+
+
+@dataclass(frozen=True)
+class Said:
+    """A group on one joint, or on several that share it."""
+
+    group: Group
+    joints: tuple[str, ...]
+    component: str
+
+
+def gathered(findings: Mapping[str, Finding]) -> list[Said]:
+    """Groups of all joints; what is on the supply or the link of several is said once."""
+    said: list[Said] = []
+    shared: dict[str, list[tuple[str, Group]]] = {}
+    for joint, finding in findings.items():
+        for group in finding.groups:
+            if group.probability < NAMED:
+                continue
+            place = named(group.members[0]).component
+            if place == "joint":
+                said.append(Said(group, (joint,), joint))
+            else:
+                shared.setdefault(group.members[0], []).append((joint, group))
+    for effect, where in shared.items():
+        likeliest = max((group for _, group in where), key=lambda group: group.probability)
+        joints = tuple(joint for joint, _ in where)
+        place = named(effect).component if len(joints) > 1 else joints[0]
+        said.append(Said(likeliest, joints, place))
+    return sorted(said, key=lambda one: -one.group.probability)
+
+
+def named_effects(
+    findings: Mapping[str, Finding],
+    said: Sequence[Said],
+    models: Mapping[str, Hypothesis],
+    heldout: Mapping[str, Mapping[str, float | None]],
+) -> tuple[NamedEffect, ...]:
+    """What was left out.
+
+    Args:
+        findings: By joint.
+        said: Groups, gathered.
+        models: The enriched servo of each joint.
+        heldout: Figures of each joint on data that its refits have not seen.
+    """
+    return tuple(_named(findings, one, models, heldout) for one in said)
+
+
+def _named(
+    findings: Mapping[str, Finding],
+    one: Said,
+    models: Mapping[str, Hypothesis],
+    heldout: Mapping[str, Mapping[str, float | None]],
+) -> NamedEffect:
+    effect, joint = one.group.members[0], one.joints[0]
+    found = [estimates(models[j], effect, findings[j].step_rad) for j in one.joints]
+    found = [entry for entry in found if entry]
+    parameters = _combined(found)
+    plain = findings[joint].book.plain.fit.servos.theta[0]
+    rich = models[joint].fit.servos.theta[0]
+    return NamedEffect(
+        effect=effect,
+        component=one.component,
+        probability=one.group.probability,
+        group=one.group.members,
+        parameters=parameters,
+        heldout=dict(heldout.get(joint, {})),
+        baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
+        stability=one.group.stability,
+        statement=statement(one, parameters),
+    )
+
+
+def statement(one: Said, parameters: Mapping[str, Estimate]) -> str:
+    """One sentence that a roboticist would say."""
+    effect = named(one.group.members[0])
+    values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
+    complete = len(values) == len(effect.parameters)
+    clause = effect.statement(values) if complete else f"there is {effect.plain}"
+    others = [named(name).plain for name in one.group.members[1:]]
+    doubt = f" (or {', or '.join(others)}: these recordings cannot tell)" if others else ""
+    return f"{', '.join(one.joints)}: {clause}{doubt}."
+
+
+def rivals(findings: Mapping[str, Finding], said: Sequence[Said]) -> tuple[Rival, ...]:
+    """What was considered and not named, likeliest first."""
+    taken = {
+        (joint, effect) for one in said for joint in one.joints for effect in one.group.members
+    }
+    found = []
+    for joint, finding in findings.items():
+        effects = {e for s in finding.posterior.sets for e in s - finding.book.base}
+        for effect in effects:
+            p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
+            if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
+                found.append(Rival(effect, joint, p))
+    return tuple(sorted(found, key=lambda r: -r.probability)[:_RIVALS])
+
+
+def estimates(model: Hypothesis, effect: str, step_rad: float | None) -> dict[str, Estimate]:
+    """Parameters of an effect with their spread, by name; empty where the fit has it not."""
+    if step_rad is not None and effect == "encoder_quantization":
+        return {"step_rad": Estimate(step_rad, 0.0, step_rad, step_rad)}
+    servos = model.fit.servos
+    columns = [COLUMNS[k] for k in servos.columns[0]]
+    total = model.fit.gram[0].sum(axis=0)[1:, 1:]
+    variance = float(model.fit.error2[0] / model.fit.count[0])
+    covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+    found = {}
+    for k, name in enumerate(columns):
+        if not name.startswith(f"{effect}."):
+            continue
+        mean = float(servos.theta[0, servos.columns[0, k]])
+        sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
+        low, high = mean - _Q95 * sd, mean + _Q95 * sd
+        low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
+        found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
+    return found
+
+
+def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+    """Precision-weighted means of what several joints say."""
+    if not found:
+        return {}
+    combined = {}
+    for name in found[0]:
+        means = np.array([entry[name].mean for entry in found])
+        sds = np.array([entry[name].sd for entry in found])
+        weight = 1 / np.maximum(sds, 1e-9 * (np.abs(means) + 1e-12)) ** 2
+        mean = float(np.sum(weight * means) / weight.sum())
+        # Never narrower than the joints' own disagreement.
+        spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
+        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if len(found) > 1 else float(sds[0])
+        low = min(mean, max(mean - _Q95 * sd, min(e[name].q05 for e in found)))
+        high = max(mean, min(mean + _Q95 * sd, max(e[name].q95 for e in found)))
+        combined[name] = Estimate(mean, sd, low, high)
+    return combined
+
+
+def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
+    """Effects of an enriched servo as a model states them."""
+    theta = model.fit.servos.theta[0]
+    listed = [
+        FittedEffect(
+            name,
+            {
+                p.name: float(theta[COLUMNS.index(f"{name}.{p.name}")])
+                for p in named(name).parameters
+            },
+        )
+        for name in sorted(model.effects)
+    ]
+    if step_rad is not None:
+        listed.append(FittedEffect("encoder_quantization", {"step_rad": step_rad}))
+    return tuple(listed)

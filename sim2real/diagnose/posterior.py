@@ -1,0 +1,142 @@
+"""How sure: probabilities of effects, and which of them the recordings cannot tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.search import Book, Hypothesis, Set
+from sim2real.servo.minimise import Fits, loglikelihood
+
+Array = NDArray[np.float64]
+
+DRAWS = 200
+LAW_ERROR = 0.03
+"""How far the law of an effect may be from what a servo does, relative to the effect."""
+GROUP_SHARE = 0.1
+"""A rival this probable, relative to the likeliest, cannot be told from it."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One thing that was left out, and the effects that it may be, likeliest first.
+
+    Attributes:
+        members: The effects.
+        probability: That one of them is there.
+        stability: Share of bootstraps in which a set with one of them came first.
+    """
+
+    members: tuple[str, ...]
+    probability: float
+    stability: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities over the sets that were tried on one joint.
+
+    Attributes:
+        sets: The sets, likeliest first.
+        probability: Of each, shape (M,).
+        first: Share of bootstraps in which it came first, shape (M,).
+    """
+
+    sets: tuple[Set, ...]
+    probability: Array
+    first: Array
+
+    def inclusion(self, *effects: str) -> float:
+        """Probability that at least one of these effects is there."""
+        there = [bool(s & set(effects)) for s in self.sets]
+        return float(self.probability[np.array(there, dtype=bool)].sum())
+
+    def groups(self, base: Set) -> tuple[Group, ...]:
+        """The effects of the likeliest set, each with those that could stand in for it."""
+        best = self.sets[0]
+        weight = dict(zip(self.sets, self.probability, strict=True))
+        taken = set(best)
+        found = []
+        for effect in sorted(best - base, key=lambda e: -self.inclusion(e)):
+            swaps = {
+                next(iter(s - best)): p
+                for s, p in weight.items()
+                if len(s) == len(best) and s - best and best - s == {effect}
+            }
+            rivals = [f for f, p in swaps.items() if p >= GROUP_SHARE * weight[best]]
+            rivals = [f for f in sorted(rivals, key=lambda f: -swaps[f]) if f not in taken]
+            taken.update(rivals)
+            members = (effect, *rivals)
+            there = np.array([bool(s & set(members)) for s in self.sets])
+            found.append(Group(members, self.inclusion(*members), float(self.first[there].sum())))
+        return tuple(found)
+
+
+def posterior(
+    book: Book, rng: np.random.Generator, log_odds: dict[str, float] | None = None
+) -> Posterior:
+    """Probabilities of the sets, averaged over bootstraps of blocks.
+
+    Averaging keeps a model that is best by a little, or in a few stretches only, from being called
+    certain. Source: Huggins, Miller, Reproducible model selection using bagged posteriors, Bayesian
+    Analysis 18 (2023) 79-104. In each bootstrap the parameters are refitted to first order.
+
+    Args:
+        book: What was tried on the joint.
+        rng: For the bootstrap.
+        log_odds: Additions to the log prior odds of effects, from what else is known.
+    """
+    tried = sorted(book.tried.values(), key=lambda h: -h.evidence)
+    tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0 or h.effects == book.base]
+    extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.effects) for h in tried])
+    blocks = tried[0].fit.gram.shape[1]
+    used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)
+    draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=DRAWS)
+    weights = np.zeros((DRAWS, blocks))
+    weights[:, used] = draws
+    scores = np.stack([_resampled(h.fit, weights) for h in tried])
+    fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
+    # A refit to a resampled record gains half a unit a parameter more than one to a new record.
+    fixed -= 0.5 * np.array([h.fit.servos.columns.shape[1] for h in tried])
+    scores *= _trust(tried[0], book.plain)
+    total = scores + (fixed + extra)[:, None]
+    total -= total.max(axis=0)
+    share = np.exp(total)
+    share /= share.sum(axis=0)
+    probability = share.mean(axis=1)
+    first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / DRAWS
+    order = np.argsort(-probability)
+    return Posterior(tuple(tried[k].effects for k in order), probability[order], first[order])
+
+
+def _trust(best: Hypothesis, plain: Hypothesis) -> float:
+    """Share of a difference in log-likelihood that counts, given that laws are approximations.
+
+    A law that is wrong by ``LAW_ERROR`` of its own effect loses that squared, of the energy that
+    the effect has in the innovations, to one that happens to be shaped right.
+    """
+    ratio = float(plain.fit.error2[0] / best.fit.error2[0])
+    energy = 0.5 * float(best.fit.count[0]) * max(ratio - 1.0, 0.0)
+    return 1.0 / (1.0 + LAW_ERROR**2 * energy)
+
+
+def _resampled(fit: Fits, weights: Array) -> Array:
+    """Log-likelihood of one fit for each set of block weights, shape (draws,)."""
+    weights = np.vstack([np.ones(weights.shape[1]), weights])
+    servos = fit.servos
+    x, unit = servos.values()[0], servos.unit[0]
+    low, high = servos.low[0] / unit, servos.high[0] / unit
+    inside = (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low))
+    kept = np.concatenate([[0], 1 + np.flatnonzero(inside)])
+    total = np.einsum("db,bij->dij", weights, fit.gram[0][:, kept[:, None], kept])
+    normal, slope = total[:, 1:, 1:], total[:, 1:, 0]
+    size = np.einsum("dff->df", normal)
+    ridge = 1e-9 * size.max(axis=1, initial=0.0) + 1e-300
+    normal = normal + ridge[:, None, None] * np.eye(normal.shape[1])
+    step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
+    error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
+    score = loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
+    # Where the search stopped short, a step promises what it would not keep.
+    return np.asarray(score[1:] - (score[0] - fit.loglikelihood[0]))

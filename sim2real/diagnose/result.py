@@ -1,0 +1,270 @@
+"""What a diagnosis says, as values and as ``diagnosis.json``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.model import Model
+from sim2real.output import write_json
+
+SCHEMA = "sim2real.diagnosis/1"
+
+Array = NDArray[np.float64]
+Verdict = Literal["consistent", "explained", "ambiguous", "partly_explained", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """Where simulation and recording differ by more than noise.
+
+    Attributes:
+        signal: The measured signal, ``"j2.position_rad"``.
+        component: The part that the mismatch belongs to: a joint, ``supply`` or ``link``.
+        rmse: Error of the plain servo on data it was not fitted to, rad.
+        noise: Standard deviation of the measurement noise, rad.
+        share: Share of the error's variance that is not noise, 0 to 1.
+        windows_s: For each recording, by name, the stretches in which the mismatch stands out.
+        where: In which states it shows, in words.
+        dependence: Share of the residual torque's variance that each state explains by itself.
+    """
+
+    signal: str
+    component: str
+    rmse: float
+    noise: float
+    share: float
+    windows_s: Mapping[str, tuple[tuple[float, float], ...]]
+    where: str
+    dependence: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of an effect: mean, standard deviation and 90 % interval."""
+
+    mean: float
+    sd: float
+    q05: float
+    q95: float
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """Physics that was left out, as far as these recordings tell.
+
+    Attributes:
+        effect: Likeliest member of the group.
+        component: The joint, ``supply`` or ``link``.
+        probability: That one of the group is there.
+        group: Effects that these recordings cannot tell apart, likeliest first.
+        parameters: What the fit says of the likeliest one.
+        heldout: ``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, by refits that
+            have not seen the recording they are scored on.
+        baseline_shift: How far each parameter of the plain servo moved when the effect was added.
+        stability: Share of block bootstraps in which one of the group came first.
+        statement: One sentence.
+    """
+
+    effect: str
+    component: str
+    probability: float
+    group: tuple[str, ...]
+    parameters: Mapping[str, Estimate]
+    heldout: Mapping[str, float | None]
+    baseline_shift: Mapping[str, float]
+    stability: float
+    statement: str
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that was considered and not named."""
+
+    effect: str
+    component: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class DetectionLimit:
+    """How small an effect these recordings could have shown, nine times in ten."""
+
+    effect: str
+    component: str
+    smallest: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to record next to tell the members of a group apart.
+
+    Attributes:
+        component: The joint that the group belongs to.
+        separates: The members of the group.
+        command: Kind of command signal, in words.
+        context: Change of context: ``none``, ``torque_off``, ``added_inertia``, ...
+        separation: How far apart the two closest rivals' predictions would then be, in units of
+            the noise (the norm of the whitened difference after refitting).
+        duration_s: Length of the recording.
+        statement: One sentence.
+        file: Command CSV that ``record`` can play, relative to the diagnosis file.
+        t: Times of the commands, s, shape (T,).
+        signal: The commands, rad, shape (T,).
+    """
+
+    component: str
+    separates: tuple[str, ...]
+    command: str
+    context: str
+    separation: float
+    duration_s: float
+    statement: str
+    file: str | None = None
+    t: Array | None = None
+    signal: Array | None = None
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Held-out error of ever better informed predictors of one signal, rad.
+
+    Attributes:
+        baseline: The plain servo.
+        enriched: With the named effects; equal to ``baseline`` where none is named.
+        best_decoy: With the best of the effects that mean nothing.
+        black_box: With a torque that may be any smooth function of the state.
+        noise: Standard deviation of the measurement noise: no predictor does better.
+    """
+
+    baseline: float
+    enriched: float
+    best_decoy: float | None
+    black_box: float | None
+    noise: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one joint did in one recording, for a person to look at.
+
+    Attributes:
+        joint: Its name.
+        recording: The recording's name.
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,).
+        position: Measured angles in rad, NaN where missing, shape (T,).
+        baseline: Angles of the plain servo in rad, shape (T,).
+        enriched: Angles of the servo with the named effects in rad, shape (T,).
+        speed: Smoothed speed in rad/s, shape (T,).
+        torque: Torque that the plain servo lacks, smoothed, N m (per kg m2 where the load is
+            unknown), shape (T,).
+        torque_sd: Its standard deviation, shape (T,).
+    """
+
+    joint: str
+    recording: str
+    t: Array
+    command: Array
+    position: Array
+    baseline: Array
+    enriched: Array
+    speed: Array
+    torque: Array
+    torque_sd: Array
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that ``diagnose`` found.
+
+    Attributes:
+        verdict: See the field ``verdict`` of the format.
+        mismatch: Where simulation and recording differ.
+        effects: What was left out, likeliest first.
+        rivals: What was considered beside them, likeliest first.
+        unknown: By joint, the probability that what is missing is not in the catalogue.
+        hypothesis: By joint, a formula for what no effect explains: a guess, not a finding.
+        false_discovery_rate: Expected share of wrong ones among the named, from decoys.
+        baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
+        enriched_fit: The same with the named effects.
+        ladders: By signal.
+        detection_limits: How small an effect could have been seen.
+        next_experiment: What to record next, where a group has several members.
+        gate: What the data gate found: timing, gaps, units; one sentence each.
+        model: The enriched simulator.
+        evidence: For the report.
+        provenance: As ``sim2real.output.provenance`` gives it.
+    """
+
+    verdict: Verdict
+    mismatch: tuple[Mismatch, ...]
+    effects: tuple[NamedEffect, ...]
+    rivals: tuple[Rival, ...]
+    unknown: Mapping[str, float]
+    hypothesis: Mapping[str, str]
+    false_discovery_rate: float
+    baseline_fit: Mapping[str, Mapping[str, float | None]]
+    enriched_fit: Mapping[str, Mapping[str, float | None]]
+    ladders: Mapping[str, Ladder]
+    detection_limits: tuple[DetectionLimit, ...]
+    next_experiment: Experiment | None
+    gate: tuple[str, ...]
+    model: Model
+    evidence: tuple[Evidence, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: str) -> None:
+    """Write ``diagnosis.json``.
+
+    Args:
+        diagnosis: What was found.
+        path: The file to write.
+        model: Path of the enriched model, relative to it.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+    write_json(path, _content(diagnosis) | {"model": model})
+
+
+def _content(diagnosis: Diagnosis) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict,
+        "mismatch": [_mismatch(m) for m in diagnosis.mismatch],
+        "effects": [asdict(effect) for effect in diagnosis.effects],
+        "rivals": [asdict(rival) for rival in diagnosis.rivals],
+        "unknown": dict(diagnosis.unknown),
+        "hypothesis": dict(diagnosis.hypothesis),
+        "false_discovery_rate": diagnosis.false_discovery_rate,
+        "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
+        "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
+        "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
+        "next_experiment": _experiment(diagnosis.next_experiment),
+        "gate": list(diagnosis.gate),
+        "provenance": dict(diagnosis.provenance),
+    }
+
+
+def _mismatch(mismatch: Mismatch) -> dict[str, Any]:
+    """One entry; ``windows_s`` lists those of all recordings, ``windows_by_recording`` tells which.
+
+    A time alone says nothing where there are several recordings.
+    """
+    content = asdict(mismatch)
+    by_recording = content.pop("windows_s")
+    windows = sorted(window for each in by_recording.values() for window in each)
+    return content | {"windows_s": windows, "windows_by_recording": by_recording}
+
+
+def _experiment(experiment: Experiment | None) -> dict[str, Any] | None:
+    if experiment is None:
+        return None
+    return {name: value for name, value in vars(experiment).items() if name not in ("t", "signal")}

@@ -1,0 +1,217 @@
+"""Whether what is missing is in the catalogue at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sim2real.diagnose.generic import Motion, Servo, Smooth, smooth_function
+from sim2real.diagnose.windows import Window, inside, robust_sd, windows
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.minimise import Fits, minimise
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+WANDER_S, WANDER_SHARE = 3.0, 1.5
+"""Slow wander that a sensor may have: time constant, size relative to its noise."""
+SUSPICIOUS = 1.15
+"""Excess of a plain fit from which jumps, shaking and windows are looked for."""
+_ROUNDS = 3
+_MOST_INSIDE = 0.6
+_WINDOW_COST, _SECOND_COST = 15.0, 30.0
+"""Log-likelihood that a window and each second of it must earn: edges, and a torque of its own."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What could be missing, without a name.
+
+    Attributes:
+        excess: Energy of the plain fit's residual that is neither noise nor slow wander, in
+            variances of the noise; about 1 where nothing is missing.
+        smooth: The best smooth function of one state.
+        windows: Stretches outside which the plain servo fits, for each recording; None if there
+            are none.
+        windows_evidence: Evidence, against the plain servo's, of something of its own in these
+            stretches; -inf without them.
+    """
+
+    excess: float
+    smooth: Smooth
+    windows: tuple[tuple[Window, ...], ...] | None
+    windows_evidence: float
+
+
+def unknown(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    robots: Sequence[Sequence[int]],
+    plain: Fits,
+) -> list[Unknown]:
+    """Look for physics without a name in every joint of a batch.
+
+    Args:
+        batch: The recordings.
+        joints: The same, as traces.
+        robots: Which joints belong together.
+        plain: The fit of the plain servo, one a joint.
+    """
+    residuals = residual_angles(batch, plain)
+    excesses = [
+        excess(residuals[j], traces, batch, float(np.sqrt(plain.error2[j] / plain.count[j])))
+        for j, traces in enumerate(joints)
+    ]
+    suspects = [j for j in range(len(joints)) if excesses[j] > SUSPICIOUS]
+    separate = intermittent(batch, joints, plain, residuals, suspects)
+    siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
+    found = []
+    for j in range(len(joints)):
+        motions = _motions(batch, joints, residuals, j, siblings[j])
+        servo = _servo(batch, plain, j)
+        smooth = smooth_function(motions, servo, thorough=j in suspects)
+        where, evidence = separate.get(j, (None, -np.inf))
+        found.append(Unknown(excesses[j], smooth, where, evidence))
+    return found
+
+
+def residual_angles(batch: Batch, fits: Fits) -> Array:
+    """Simulated minus measured angles of one fit a joint, 0 where missing, shape (N, R, T)."""
+    theta = fits.servos.theta[:, None]
+    seen = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
+    assert seen.residual is not None
+    return seen.residual
+
+
+def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
+    """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
+
+    The residual is whitened for white noise and an Ornstein-Uhlenbeck process by the steady-state
+    Kalman filter (Anderson, Moore, Optimal Filtering, Prentice-Hall 1979, ch. 4).
+    """
+    energy, count = 0.0, 0
+    for row, trace in zip(residual, traces, strict=False):
+        step = float(np.median(np.diff(trace.t)))
+        keep = np.exp(-step / WANDER_S)
+        drive = WANDER_SHARE**2 * (1 - keep**2)
+        spread = WANDER_SHARE**2
+        for _ in range(200):
+            gain = spread / (spread + 1)
+            spread = keep**2 * spread * (1 - gain) + drive
+        gain = spread / (spread + 1)
+        innovation = lfilter([1.0, -keep], [1.0, -keep * (1 - gain)], row[: trace.t.size])
+        used = trace.used.copy()
+        used[: batch.lags] = False
+        energy += float(np.sum(innovation[used] ** 2)) / (1 + spread)
+        count += int(used.sum())
+    scale = noise_rad**2 / (1 + spread)
+    return energy / count / scale
+
+
+def intermittent(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    plain: Fits,
+    residuals: Array,
+    suspects: Sequence[int],
+) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
+    """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
+    found: dict[int, tuple[tuple[Window, ...], ...]] = {}
+    now = {j: residuals[j] for j in suspects}
+    scores: dict[int, float] = {}
+    for _ in range(_ROUNDS):
+        found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
+        found = {j: w for j, w in found.items() if any(w) and _share(w, joints[j]) < _MOST_INSIDE}
+        if not found:
+            return {}
+        order = list(found)
+        outside = Batch(
+            [[_without(t, w) for t, w in zip(joints[j], found[j], strict=True)] for j in order],
+            batch.device,
+            batch.threads,
+        )
+        start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
+        fits = minimise(
+            outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
+        )
+        level = -0.5 * np.log(fits.error2 / fits.count)
+        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
+        seen = residual_angles(batch, whole)
+        now = {j: seen[k] for k, j in enumerate(order)}
+        before = plain.loglikelihood
+        scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
+    costs = {
+        j: sum(_WINDOW_COST + _SECOND_COST * (b - a) for some in w for a, b in some)
+        for j, w in found.items()
+    }
+    return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
+
+
+def _windows(
+    residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
+) -> tuple[tuple[Window, ...], ...]:
+    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    masks = [
+        inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
+        for k, t in enumerate(traces)
+    ]
+    sd = robust_sd(np.concatenate(rows), np.concatenate(masks))
+    return tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
+
+
+def _share(given: tuple[tuple[Window, ...], ...], traces: Sequence[Trace]) -> float:
+    inside_s = sum(b - a for some in given for a, b in some)
+    return inside_s / sum(float(t.t[-1] - t.t[0]) for t in traces)
+
+
+def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
+    wider = tuple((a - 0.1, b + 0.3) for a, b in given)
+    return replace(trace, used=trace.used & ~inside(trace.t, wider))
+
+
+def _motions(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    residuals: Array,
+    joint: int,
+    siblings: Sequence[int],
+) -> list[Motion]:
+    motions = []
+    for r, trace in enumerate(joints[joint]):
+        counts = trace.used.copy()
+        counts[: batch.lags] = False
+        others = [
+            _angle(residuals[i], joints[i], r)
+            for i in siblings
+            if r < len(joints[i]) and joints[i][r].t.size == trace.t.size
+        ]
+        motions.append(
+            Motion(
+                trace.t,
+                trace.command,
+                _angle(residuals[joint], joints[joint], r),
+                residuals[joint][r, : trace.t.size],
+                counts,
+                np.array(others).reshape(len(others), trace.t.size),
+            )
+        )
+    return motions
+
+
+def _angle(residual: Array, traces: Sequence[Trace], r: int) -> Array:
+    """Simulated angles of a recording; where none was measured, between its neighbours."""
+    trace = traces[r]
+    used = np.flatnonzero(trace.used)
+    angle = residual[r, used] + trace.position[used]
+    return np.asarray(np.interp(trace.t, trace.t[used], angle))
+
+
+def _servo(batch: Batch, plain: Fits, joint: int) -> Servo:
+    kp, kd, latency = (float(x) for x in plain.servos.theta[joint, :3])
+    first = batch.first_signal[joint]
+    load = batch.load[first : first + batch.recordings[joint]]
+    return Servo(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)

@@ -1,0 +1,324 @@
+"""Many least-squares problems of many joints at once: rollouts to whitened normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim2real.servo import whitening
+from sim2real.servo.kernel import simulate_servos
+from sim2real.servo.parameters import BASE, CELLS, COLUMNS
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, active_effects, to_warp
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int32]
+
+MEMORY_S = 0.5
+"""Time over which the autoregression of the noise reaches back."""
+FEWEST_LAGS, MOST_LAGS = 4, 25
+WANDER_S, WANDER_SHARE = 4.0, 2.5
+"""Slowest and largest wander of a sensor: its time constant, and its size relative to the noise.
+
+Without such a bound an autoregression takes any constant error for noise.
+"""
+STEPS_PER_RADIAN = 16.0
+"""Sub-steps per radian of the fastest mode: an error of 1e-4 rad, mostly taken up by the gains."""
+_BYTES = {"cpu": 100e6, "cuda": 16e9}
+"""Angles held at once by one thread of the processor or by the device."""
+_INERTIA = BASE.index("inertia_kgm2")
+
+
+@dataclass(frozen=True)
+class Problems:
+    """Servos to simulate, each on all recordings of one joint, with variants of each.
+
+    Attributes:
+        joint: Which joint of the batch, shape (N,).
+        theta: Parameters of each servo and then of its variants, shape (N, V, P); loads are taken
+            from the recordings.
+        scale: What the difference of each variant is multiplied with, shape (N, V); 0 for a
+            variant that is not there.
+    """
+
+    joint: Whole
+    theta: Array
+    scale: Array
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Whitened normal equations.
+
+    Attributes:
+        gram: Inner products of the residual (index 0) and of the first variants' differences with
+            those of all, for each block of the recordings, shape (N, blocks, deep, V), in rad2.
+        square: Inner products of each with itself, over all blocks, shape (N, V).
+        count: Samples that count, shape (N,).
+        autoregression: Coefficients of the noise model, shape (N, lags).
+        residual: Simulated minus measured angles, before whitening, shape (N, R, T), where asked
+            for.
+        whitened: Innovations of the residual, likewise.
+    """
+
+    gram: Array
+    square: Array
+    count: Array
+    autoregression: Array
+    residual: Array | None = None
+    whitened: Array | None = None
+
+
+class Batch:
+    """Recordings of joints, on a device, ready for problems of any number.
+
+    Args:
+        joints: For each joint its traces.
+        device: Warp device.
+        threads: CPU threads.
+        bounded: Whether the noise is that of a sensor, whose slow wander is bounded; else it may
+            be anything, as what no model explains must be.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[Sequence[Trace]],
+        device: str = "cpu",
+        threads: int = 2,
+        *,
+        bounded: bool = True,
+    ) -> None:
+        every = [trace for traces in joints for trace in traces]
+        longest = max(trace.t.size for trace in every)
+        period = float(np.median(np.concatenate([np.diff(trace.t) for trace in every[:64]])))
+        self.device, self.threads = device, threads
+        bound = float(np.sqrt(period / (2 * WANDER_S)) / WANDER_SHARE)
+        self.least_gain = bound if bounded else 0.0
+        self.lags = int(np.clip(round(MEMORY_S / period), FEWEST_LAGS, MOST_LAGS))
+        self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
+        self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
+        self.length = np.array([trace.t.size for trace in every], dtype=np.int32)
+        self.load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in every])
+        t, command, position = (np.zeros((len(every), longest)) for _ in range(3))
+        counts = np.zeros((len(every), longest), dtype=np.int32)
+        for s, trace in enumerate(every):
+            part = np.s_[s, : trace.t.size]
+            t[part], command[part] = trace.t, trace.command
+            position[part] = np.where(trace.used, trace.position, np.nan)
+            counts[part] = _counting(trace, self.lags)
+        self.samples = counts.sum(axis=1)
+        self._signals = [to_warp(x, device) for x in (t, command, self.length)]
+        self._position, self._counts = (to_warp(x, device) for x in (position, counts))
+        self._length, self._load = self._signals[2], to_warp(self.load, device)
+
+    def count(self, joint: Whole) -> Array:
+        """Samples that count for each of these joints, shape (N,)."""
+        per_joint = np.add.reduceat(self.samples, self.first_signal).astype(np.float64)
+        return np.asarray(per_joint[joint])
+
+    def evaluate(
+        self,
+        problems: Problems,
+        *,
+        blocks: int = 1,
+        deep: int | None = None,
+        autoregression: Array | None = None,
+        keep: bool = False,
+    ) -> Normal:
+        """Simulate, whiten and multiply.
+
+        Args:
+            problems: What to simulate.
+            blocks: Blocks into which each recording is cut.
+            deep: Inner products with the first ``deep`` variants only (and of each with itself);
+                with all of them where None.
+            autoregression: Noise model of each problem, shape (N, lags); by least squares on each
+                problem's own residual where None.
+            keep: Whether to return residuals and innovations as well.
+        """
+        N, V, _ = problems.theta.shape
+        room = next(v for k, v in _BYTES.items() if self.device.startswith(k))
+        per_problem = self.recordings.max() * V * self.length.max() * 8
+        size = max(1, int(room / per_problem))
+        if self.device == "cpu":
+            size = min(size, max(1, -(-N // (4 * self.threads))))
+        parts = [slice(k, min(k + size, N)) for k in range(0, N, size)]
+
+        def one(part: slice) -> tuple[Array, ...]:
+            given = None if autoregression is None else autoregression[part]
+            piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
+            return self._evaluate(piece, (blocks, deep or V), given, keep)
+
+        if self.device == "cpu" and len(parts) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                done = list(pool.map(one, parts))
+        else:
+            done = [one(part) for part in parts]
+        gram, square, model, *kept = (np.concatenate(x) for x in zip(*done, strict=True))
+        return Normal(gram, square, self.count(problems.joint), model, *kept)
+
+    def _evaluate(
+        self, problems: Problems, size: tuple[int, int], given: Array | None, keep: bool
+    ) -> tuple[Array, ...]:
+        N, V, _ = problems.theta.shape
+        recordings = self.recordings[problems.joint]
+        most = int(recordings.max())
+        # One row for each problem, recording and variant that is there.
+        there = np.zeros((N, most, V), dtype=bool)
+        there[np.arange(most) < recordings[:, None]] = True
+        there &= (np.arange(V) == 0) | (problems.scale[:, None] != 0)
+        number = there.sum(axis=2)[:, 0].astype(np.int32)
+        problem, recording, variant = np.nonzero(there)
+        signal = (self.first_signal[problems.joint][problem] + recording).astype(np.int32)
+        first = np.concatenate([[0], np.cumsum(number * recordings)[:-1]]).astype(np.int32)
+        within = np.cumsum(there, axis=2)[problem, recording, variant] - 1
+        rows = np.arange(problem.size)
+        base = (rows - within).astype(np.int32)
+        order = np.argsort(~there[:, 0], axis=1, kind="stable")  # variants that are there first
+        active = active_effects(problems.theta.reshape(N * V, -1)).reshape(N, V)
+        steps = self._substep(problems)[problem, recording]
+        dev = self.device
+
+        def put(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs
+            return to_warp(values, dev)
+
+        table = put(problems.theta.reshape(N * V, -1))
+        theta = wp.empty((rows.size, len(COLUMNS)), dtype=wp.float64, device=dev)
+        signals = put(signal)
+        which = put((problem * V + variant).astype(np.int32))
+        wp.launch(
+            whitening.expand,
+            dim=rows.size,
+            inputs=[table, which, signals, self._load, _INERTIA],
+            outputs=[theta],
+            device=dev,
+        )
+        angle = wp.empty((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
+        memory = wp.zeros((rows.size, CELLS), dtype=wp.float64, device=dev)
+        masks = put(active[problem, variant])
+        wp.launch(
+            simulate_servos,
+            dim=rows.size,
+            inputs=[theta, masks, memory, signals, *self._signals, 0.0, put(steps)],
+            outputs=[angle],
+            device=dev,
+        )
+        bases, scale = put(base), put(problems.scale[problem, variant])
+        shared = [bases, signals, self._length]
+        wp.launch(whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev)
+        wp.launch(
+            whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
+        )
+        kept = [self._fetch(angle, first, number, recordings)] if keep else []
+        layout = [put(first), put(recordings.astype(np.int32)), put(number), signals, self._length]
+        model = given
+        if model is None:
+            products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
+            wp.launch(
+                whitening.lag_products,
+                dim=products.shape,
+                inputs=[*layout, self._counts, angle],
+                outputs=[products],
+                device=dev,
+            )
+            model = _autoregression(products.numpy(), self.least_gain)
+        wp.launch(
+            whitening.whiten,
+            dim=rows.size,
+            inputs=[
+                put(problem.astype(np.int32)),
+                signals,
+                self._length,
+                self._counts,
+                put(model),
+                angle,
+            ],
+            device=dev,
+        )
+        if keep:
+            kept.append(self._fetch(angle, first, number, recordings))
+        packed = wp.zeros((N, most * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
+        wp.launch(
+            whitening.gram,
+            dim=packed.shape,
+            inputs=[*layout, *size, angle],
+            outputs=[packed],
+            device=dev,
+        )
+        return (*_unpacked(packed.numpy(), size[1], number, order), model, *kept)
+
+    def _fetch(self, angle: Any, first: Whole, number: Whole, recordings: Whole) -> Array:  # noqa: ANN401
+        """The residual rows of all problems, shape (N, R, T)."""
+        everything = angle.numpy()
+        out = np.zeros((first.size, int(self.recordings.max()), everything.shape[1]))
+        for r in range(int(recordings.max())):
+            has = recordings > r
+            out[has, r] = everything[first[has] + r * number[has]]
+        return out
+
+    def _substep(self, problems: Problems) -> Array:
+        """One sub-step for all variants on one recording, in s, shape (N, R)."""
+        column = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
+        kp, kd, more = (problems.theta[:, 0, k] for k in (0, 1, column))
+        recording = np.minimum(np.arange(self.recordings.max()), self.recordings.max() - 1)
+        signal = self.first_signal[problems.joint][:, None] + recording
+        inertia = self.load[np.minimum(signal, len(self.load) - 1), 0] + more[:, None]
+        fastest = np.maximum(np.sqrt(kp[:, None] / inertia), 0.5 * kd[:, None] / inertia)
+        return np.minimum(LONGEST_SUBSTEP_S, 1 / np.maximum(STEPS_PER_RADIAN * fastest, 1e-9))
+
+
+def _counting(trace: Trace, lags: int) -> NDArray[np.bool_]:
+    """Samples that are used, as are the ``lags`` before them, shape (T,)."""
+    missing = np.cumsum(np.concatenate([np.zeros(lags + 1), ~trace.used]))
+    whole = missing[lags + 1 :] == missing[: -lags - 1]
+    whole[:lags] = False
+    return np.asarray(whole)
+
+
+def _autoregression(products: Array, least_gain: float) -> Array:
+    """Coefficients by least squares from lag products (N, p + 1, p + 1), shape (N, p).
+
+    They add up to at most ``1 - least_gain``, the whitening filter's gain at frequency 0.
+    """
+    past, now = products[:, 1:, 1:].copy(), products[:, 1:, 0]
+    size = np.einsum("nii->n", past) / past.shape[1]
+    past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
+    free, ones = np.moveaxis(
+        np.linalg.solve(past, np.stack([now, np.ones_like(now)], axis=2)), 2, 0
+    )
+    excess = np.maximum(free.sum(axis=1) - (1 - least_gain), 0.0)
+    return np.ascontiguousarray(free - (excess / ones.sum(axis=1))[:, None] * ones)
+
+
+def _unpacked(
+    packed: Array, deep: int, number: Whole, order: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Inner products by the places of the variants, 0 for those that are not there."""
+    N, B, _ = packed.shape
+    V = order.shape[1]
+    table = packed.reshape(N, B, deep + 1, V)
+    gram, square = table[:, :, :deep], table[:, :, deep].sum(axis=1)
+    upper = np.triu(np.ones((deep, deep), dtype=bool), 1)
+    low, high = np.nonzero(upper)
+    gram[:, :, high, low] = gram[:, :, low, high]
+    if (number == V).all():
+        return gram, square
+    full, whole = np.zeros_like(gram), np.zeros_like(square)
+    for size in np.unique(number):
+        some = np.flatnonzero(number == size)
+        place = order[some, :size]
+        inside = np.minimum(size, deep)
+        full[
+            some[:, None, None, None],
+            np.arange(B)[None, :, None, None],
+            place[:, None, :inside, None],
+            place[:, None, None, :],
+        ] = gram[some, :, :inside, :size]
+        whole[some[:, None], place] = square[some, :size]
+    return full, whole

@@ -1,0 +1,135 @@
+"""Warp kernels from many rollouts to whitened normal equations, one problem a handful of threads.
+
+A problem is one joint with one set of effects: its rollouts are rows of ``angle``, for each of its
+recordings the servo itself and then V - 1 variants of it. Noise that is correlated in time is
+whitened by an autoregression whose coefficients are the problem's own.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sim2real.servo.law import Row
+
+Rows = wp.array(dtype=wp.int32)
+Table = wp.array2d(dtype=wp.float64)
+
+
+@wp.kernel(enable_backward=False)
+def expand(
+    theta: Table, variant: Rows, signal: Rows, load: Table, inertia: int, out: Table
+) -> None:
+    """Give each row the parameters of its variant and the load of its recording."""
+    row = wp.tid()
+    for k in range(out.shape[1]):
+        out[row, k] = theta[variant[row], k]
+    out[row, inertia] = load[signal[row], 0]
+    out[row, inertia + 1] = load[signal[row], 1]
+
+
+@wp.kernel(enable_backward=False)
+def difference(base: Rows, signal: Rows, length: Rows, scale: Row, angle: Table) -> None:
+    """Turn the angles of variants into differences from their servo, scaled."""
+    row = wp.tid()
+    if base[row] != row:
+        for k in range(length[signal[row]]):
+            angle[row, k] = (angle[row, k] - angle[base[row], k]) * scale[row]
+
+
+@wp.kernel(enable_backward=False)
+def residual(base: Rows, signal: Rows, length: Rows, position: Table, angle: Table) -> None:
+    """Turn the angles of servos into simulated minus measured angles, 0 where none was measured."""
+    row = wp.tid()
+    if base[row] == row:
+        for k in range(length[signal[row]]):
+            measured = position[signal[row], k]
+            if wp.isnan(measured):
+                angle[row, k] = wp.float64(0.0)
+            else:
+                angle[row, k] = angle[row, k] - measured
+
+
+@wp.kernel(enable_backward=False)
+def lag_products(
+    first: Rows,
+    recordings: Rows,
+    variants: Rows,
+    signal: Rows,
+    length: Rows,
+    counts: wp.array2d(dtype=wp.int32),
+    angle: Table,
+    out: wp.array3d(dtype=wp.float64),
+) -> None:
+    """Sums of products of each problem's residual at two lags, over samples that count."""
+    problem, i, j = wp.tid()
+    if j > i:
+        return
+    total = wp.float64(0.0)
+    for r in range(recordings[problem]):
+        row = first[problem] + r * variants[problem]
+        s = signal[row]
+        for k in range(out.shape[1] - 1, length[s]):
+            if counts[s, k] != 0:
+                total += angle[row, k - i] * angle[row, k - j]
+    out[problem, i, j] = total
+    out[problem, j, i] = total
+
+
+@wp.kernel(enable_backward=False)
+def whiten(
+    problem: Rows,
+    signal: Rows,
+    length: Rows,
+    counts: wp.array2d(dtype=wp.int32),
+    autoregression: Table,
+    angle: Table,
+) -> None:
+    """Subtract from every sample what the samples before it foretell; 0 where none counts."""
+    row = wp.tid()
+    s = signal[row]
+    order = autoregression.shape[1]
+    for back in range(length[s]):
+        k = length[s] - 1 - back
+        if k < order or counts[s, k] == 0:
+            angle[row, k] = wp.float64(0.0)
+        else:
+            value = angle[row, k]
+            for i in range(order):
+                value -= autoregression[problem[row], i] * angle[row, k - 1 - i]
+            angle[row, k] = value
+
+
+@wp.kernel(enable_backward=False)
+def gram(
+    first: Rows,
+    recordings: Rows,
+    variants: Rows,
+    signal: Rows,
+    length: Rows,
+    blocks: int,
+    deep: int,
+    angle: Table,
+    out: wp.array3d(dtype=wp.float64),
+) -> None:
+    """Inner products of each problem's whitened rows, block by block of its recordings.
+
+    ``out[problem, recording * blocks + block]`` holds the products of row j < deep with row i at
+    ``j * V + i``, and those of each row i with itself at ``deep * V + i``.
+    """
+    problem, block, pair = wp.tid()
+    across = variants[problem]
+    most = out.shape[2] / (deep + 1)
+    j = pair / most
+    i = pair - j * most
+    if j == deep:
+        j = i
+    r = block / blocks
+    if i >= across or j > i or r >= recordings[problem]:
+        return
+    row = first[problem] + r * across
+    count = length[signal[row]]
+    part = block - r * blocks
+    total = wp.float64(0.0)
+    for k in range(part * count / blocks, (part + 1) * count / blocks):
+        total += angle[row + i, k] * angle[row + j, k]
+    out[problem, block, pair] = total
