@@ -13,6 +13,9 @@ from sim2real.diagnose.arrival_noise import Stretch, whiten
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+NEGLIGIBLE = 1e-5
+"""Share of the squares of all responses that may be left where they are cut off."""
+
 
 @dataclass(frozen=True)
 class Normal:
@@ -45,7 +48,7 @@ class Normal:
             band = self.gram[d, :-d]
             out[d:] += band * amount[:-d]
             out[:-d] += band * amount[d:]
-        return out
+        return np.asarray(out)
 
 
 def normals(
@@ -58,8 +61,7 @@ def normals(
         tables: For each its responses, laid out as in ``Response``, shape (K, W).
         autoregression: Coefficients, shape (p,).
     """
-    longest = max(table.shape[1] for table in tables) + autoregression.size
-    white = [_whiten_table(table, autoregression, longest) for table in tables]
+    white = _cut([_whiten_table(table, autoregression) for table in tables])
     columns = [
         whiten(np.column_stack([s.residual, s.response.refit]), autoregression) for s in stretches
     ]
@@ -75,13 +77,22 @@ def normals(
     return moving, rest
 
 
-def _whiten_table(table: Array, autoregression: Array, longest: int) -> Array:
-    """Innovations of responses (K, W), each 0 before and after, shape (K, longest)."""
+def _whiten_table(table: Array, autoregression: Array) -> Array:
+    """Innovations of responses (K, W), each 0 before and after, shape (K, W + p)."""
     W, p = table.shape[1], autoregression.size
-    filtering = np.zeros((W, longest))
+    filtering = np.zeros((W, W + p))
     for m in range(W):
         filtering[m, m : m + p + 1] = np.concatenate([[1.0], -autoregression])
     return np.asarray(table @ filtering)
+
+
+def _cut(tables: Sequence[Array]) -> list[Array]:
+    """The tables with as many columns as matter, the same number for all."""
+    longest = max(table.shape[1] for table in tables)
+    wide = [np.pad(table, ((0, 0), (0, longest - table.shape[1]))) for table in tables]
+    after = np.cumsum(sum(np.sum(table**2, axis=0) for table in wide)[::-1])[::-1]
+    kept = max(int(np.sum(after > NEGLIGIBLE * after[0])), 1)
+    return [table[:, :kept] for table in wide]
 
 
 def _normal(table: Array, columns: Array, part: Mask, first: int) -> Normal:

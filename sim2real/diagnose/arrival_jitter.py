@@ -17,12 +17,13 @@ from sim2real.diagnose.arrival_response import EARLIEST_S, spread
 
 Array = NDArray[np.float64]
 
-HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
+HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 7)
 """Halfwidths from which the search starts."""
 _ROUNDS = 5
 _WORTH = 0.3
-"""Gain below which another round can find nothing, and growth of the gain that ends them."""
+"""Gain below which another round can find nothing, and change of the gain that ends them."""
 _STEPS = 8
+_GRID = 48
 _DRAWS = 4
 _OVERSTEP = 1.5
 """Steps of expectation maximisation are short; it climbs as long as this is below 2."""
@@ -96,7 +97,8 @@ def latency_jitter(joints: Sequence[Heard]) -> Jitter:
     Args:
         joints: The joints. Delays of one set-point at several joints count as independent.
     """
-    noises, about = [heard.noise for heard in joints], list(joints)
+    noises = [heard.noise for heard in joints]
+    moved, about = list(joints), list(joints)
     sights = [_sight(*pair) for pair in zip(joints, noises, strict=True)]
     trials = np.array([_total(sights, h / np.sqrt(3)) for h in HALFWIDTHS_S])
     sd_s = HALFWIDTHS_S[int(trials.argmax())] / np.sqrt(3)
@@ -111,15 +113,16 @@ def latency_jitter(joints: Sequence[Heard]) -> Jitter:
         values = [_value(sight, sd_s) for sight in sights]
         gain = sum(value.loglikelihood for value in values) - least
         if gain > max(best.gain, _WORTH):
-            explained = _explained(joints, about, values)
+            explained = _explained(moved, about, values)
             widest = halfwidth(sd_s, _period(joints))
             best = Jitter(gain, widest, error * widest / sd_s, explained)
-        if gain < before + _WORTH:
+        if gain < _WORTH or abs(gain - before) < _WORTH:
             break
         before = gain
         sd_s = float(np.exp(np.mean([np.log(value.sd_s) for value in values])))
         noises = [_renewed(*pair) for pair in zip(sights, values, strict=True)]
-        about = [_about(*pair) for pair in zip(joints, values, strict=True)]
+        moved = [h.moved(value.noise.refit) for h, value in zip(moved, values, strict=True)]
+        about = [_about(*pair) for pair in zip(moved, values, strict=True)]
         sights = [_sight(*pair) for pair in zip(about, noises, strict=True)]
     return best
 
@@ -128,30 +131,43 @@ def halfwidth(sd_s: float, period_s: float) -> float:
     """Halfwidth of uniform delays in s, from their standard deviation once none overtakes.
 
     Args:
-        sd_s: Standard deviation of the delays in s.
+        sd_s: Standard deviation in s that independent delays would need to do the same.
         period_s: Time between set-points.
     """
     widths, sds = _ordered_delays()
-    ratio = float(np.interp(sd_s / period_s, sds, widths / sds))
-    return sd_s * ratio
+    return sd_s * float(np.interp(sd_s / period_s, sds, widths / sds))
 
 
 @lru_cache
 def _ordered_delays() -> tuple[Array, Array]:
-    """Halfwidths and standard deviations of delays none of which overtakes, in periods.
+    """Halfwidths of delays before and standard deviations after none overtakes, in periods.
 
-    A set-point is as late as the latest of those before it: P(D <= x) is the product over j of
-    F(x + j periods), where F is the uniform distribution.
+    A set-point is as late as the latest of those before it, D_k = max over j of xi_(k-j) - j, so
+    that P(D_k <= x) = H(x) is the product over j of F(x + j), F the uniform distribution. By
+    Hoeffding's formula cov(D_k, D_(k+m)) is the double integral of P(D_k <= x, D_(k+m) <= y) -
+    H(x) H(y), and P(D_k <= x, D_(k+m) <= y) = H(min(x, y + m)) H(y) / H(y + m). Neighbours add up
+    in the angle, so the standard deviation is that of the sum of many, each taken for independent.
     """
-    widths = np.geomspace(0.25, 30, 60)
-    sds = []
+    widths, sds = np.geomspace(0.5, 20, 14), []
     for width in widths:
-        x = np.linspace(-width, width, 1001)
-        older = np.arange(np.ceil(2 * width) + 1)[:, None]
-        share = np.clip((x + older + width) / (2 * width), 0, 1).prod(axis=0)
-        middle, weight = (x[1:] + x[:-1]) / 2, np.diff(share)
-        sds.append(np.sqrt(weight @ middle**2 - (weight @ middle) ** 2))
-    return widths, np.array(sds)
+        x = (np.arange(_GRID) + 0.5) / _GRID * 2 * width - width
+        variance = 0.0
+        for m in range(int(2 * width) + 1):
+            early, late = _below(x, width), _below(x + m, width)
+            both = _below(np.minimum(x[:, None], x + m), width)
+            share = _below(x, width) / np.maximum(late, 1e-300)
+            covariance = np.sum((both - early[:, None] * late) * share) * (2 * width / _GRID) ** 2
+            variance += covariance if m == 0 else 2 * covariance
+        sds.append(np.sqrt(variance))
+    return np.concatenate([[0.01], widths]), np.concatenate([[0.01 / np.sqrt(3)], sds])
+
+
+def _below(x: Array, width: float) -> Array:
+    """H of ``_ordered_delays`` at ``x``, of any shape."""
+    share = np.ones_like(x)
+    for older in range(int(2 * width) + 1):
+        share *= np.clip((x + older + width) / (2 * width), 0, 1)
+    return share
 
 
 def _period(joints: Sequence[Heard]) -> float:

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, xlogy
 
 from sim2real.diagnose.arrival_banded import Normal, normals
-from sim2real.diagnose.arrival_noise import Heard, Noise, ratio_of, regress, whiten
+from sim2real.diagnose.arrival_noise import LEAST_SD_RAD, Heard, Noise, ratio_of, regress, whiten
 from sim2real.diagnose.arrival_response import spread
 
 Array = NDArray[np.float64]
@@ -21,14 +21,19 @@ START = 0.02
 """Probability with which the search starts."""
 LIMITS = (1e-4, 0.5)
 """Smallest and largest probability."""
-ROUNDS = 3
-_INNER = 4
-_SWEEPS = 60
+_ROUNDS, _INNER, _SWEEPS = 6, 4, 60
+_WORTH = 0.3
+"""Change of the gain that ends the rounds."""
+_VISIBLE = 3.0
+"""Log-likelihood ratio by which an arrival shows."""
+_NORMAL = 1.4826
+"""Standard deviation of a normal distribution over the median of its size."""
 _RUN = 3
+"""Set-points in a row whose fates are weighed together."""
 _TAIL = 3
+"""Lost set-points after those that are followed up."""
 _PATTERNS = np.array([[b >> i & 1 for i in range(_RUN)] for b in range(2**_RUN)], dtype=bool)
-"""What may happen to so many set-points in a row, shape (8, 3)."""
-VERBOSE = False
+"""What may happen to them, shape (8, 3)."""
 
 
 @dataclass(frozen=True)
@@ -156,62 +161,56 @@ class _Link:
     first: Mask
 
     def improved(self, log_odds: float) -> _Link:
-        """The likeliest losses that can be reached in steps of up to three in a row."""
+        """The likeliest losses that can be reached by changing three in a row at a time."""
         lost = self.lost.copy()
+        # So far apart that one change hardly alters what another is worth.
+        reach = max(len(sight.normal.gram) for sight in self.sights) // 3 + _RUN
         for _ in range(_SWEEPS):
             gain = self._gain(lost, log_odds)
-            pattern = gain.argmax(axis=0)
-            best = gain.max(axis=0)
-            # So far apart that one does not change what another is worth.
-            reach = max(len(sight.normal.gram) for sight in self.sights) + _RUN + _TAIL
+            pattern, best = gain.argmax(axis=0), gain.max(axis=0)
             chosen = (best > 1e-6) & (best >= maximum_filter1d(best, 2 * reach + 1))
             if not chosen.any():
                 break
-            if VERBOSE:
-                tot0 = self.total(lost, log_odds)
             for k in np.flatnonzero(chosen):
                 lost[k : k + _RUN] = _PATTERNS[pattern[k], : lost.size - k]
-            if VERBOSE:
-                tot = self.total(lost, log_odds)
-                if tot - tot0 - best[chosen].sum() < -0.01 * abs(tot - tot0):
-                    print("   promise", best[chosen].sum(), "got", tot - tot0)
         return replace(self, lost=lost)
 
-    def total(self, lost, log_odds):
-        t = log_odds * lost.sum()
-        for s in self.sights:
-            b = s.below(lost)
-            sq = s.normal.square
-            x = np.concatenate([[1.0], -s.noise.refit])
-            t -= (
-                0.5
-                * (x @ sq @ x - 2 * b @ (s.normal.cross @ x) + b @ s.normal.times(b))
-                / s.noise.variance
-            )
-        return t
-
-    def _gain(self, lost: Mask, log_odds: float) -> Array:
-        """Gain of each pattern at each set-point, paid for, shape (8, K)."""
-        now = sum(_ahead(lost, i).astype(int) for i in range(_RUN))
-        gain = log_odds * (_PATTERNS.sum(axis=1)[:, None] - now)
-        for sight in self.sights:
-            gain = gain + sight.change_in_fit(lost)
-        never = [_ahead(self.first, i, beyond=True) for i in range(_RUN)]
-        forbidden = sum(p[:, None] & ahead for p, ahead in zip(_PATTERNS.T, never, strict=True))
-        return np.where(forbidden, -np.inf, gain)
+    def refitted(self) -> _Link:
+        """The same with the noise refitted to what the losses leave."""
+        fits = [sight.fitted(sight.below(self.lost))[0] for sight in self.sights]
+        pairs = zip(self.sights, fits, strict=True)
+        return replace(self, sights=tuple(replace(sight, noise=noise) for sight, noise in pairs))
 
     def evidence(self) -> Array:
         """Log-likelihood ratio of loss and arrival of each set-point, the others given, (K,)."""
         every = self._gain(self.lost, 0.0)
-        weight = 2 ** np.arange(1, _RUN)
-        rest = sum(w * _ahead(self.lost, i) for i, w in enumerate(weight, start=1))
-        other = every[rest + ~self.lost, np.arange(self.lost.size)]
-        return np.where(self.lost, -other, other)
+        after = sum(2**i * _ahead(self.lost, i) for i in range(1, _RUN))
+        other = every[after + ~self.lost, np.arange(self.lost.size)]
+        return np.asarray(np.where(self.lost, -other, other))
 
+    def shares(self, log_odds: float) -> Array:
+        """Probability that each set-point is lost, the others given, shape (K,)."""
+        return np.where(self.first, 0.0, expit(self.evidence() + log_odds))
 
-def _ahead(mask: Mask, i: int, beyond: bool = False) -> Mask:
-    """The mask ``i`` set-points further on, shape (K,)."""
-    return np.concatenate([mask[i:], np.full(min(i, mask.size), beyond)])
+    def bound(self, shares: Array, p: float) -> float:
+        """Lower bound of the log-likelihood for independent losses of probability ``p``.
+
+        Args:
+            shares: Probability that each set-point is lost, anything, shape (K,).
+            p: See above.
+        """
+        q = shares[~self.first]
+        paid = float(np.sum(xlogy(q, q / p) + xlogy(1 - q, (1 - q) / (1 - p))))
+        return sum(sight.fitted(*sight.moments(shares))[1] for sight in self.sights) - paid
+
+    def _gain(self, lost: Mask, log_odds: float) -> Array:
+        """Gain of each pattern from each set-point on, paid for, shape (8, K)."""
+        now = sum(_ahead(lost, i).astype(np.intp) for i in range(_RUN))
+        gain = log_odds * (_PATTERNS.sum(axis=1)[:, None] - now)
+        for sight in self.sights:
+            gain = gain + sight.change_in_fit(lost)
+        fixed = np.stack([_ahead(self.first, i, beyond=True) for i in range(_RUN)])
+        return np.where(_PATTERNS.astype(np.intp) @ fixed, -np.inf, gain)
 
 
 def packet_loss(joints: Sequence[Heard], *, broadcast: bool = False) -> Loss:
@@ -221,62 +220,77 @@ def packet_loss(joints: Sequence[Heard], *, broadcast: bool = False) -> Loss:
     it every set-point is given its own probability of being lost, which makes a lower bound of the
     marginal likelihood (Jordan, Ghahramani, Jaakkola, Saul, Machine Learning 37 (1999) 183-233):
     expected log-likelihood, less the divergence from independent losses of probability p. So the
-    choice is paid for, and no gain is claimed that is not there.
+    choice of the losses is paid for.
 
     Args:
         joints: The joints on the link.
-        broadcast: Whether the set-points of all joints are lost together. They must then have
-            the same recordings.
+        broadcast: Whether a set-point is lost for all joints at once. They must then have the same
+            recordings.
 
     Raises:
         ValueError: If joints of a broadcast have different numbers of set-points.
     """
-    groups = [list(range(len(joints)))] if broadcast else [[j] for j in range(len(joints))]
-    noises = [heard.noise for heard in joints]
-    lost: list[Mask | None] = [None] * len(groups)
-    p, least, best = START, -np.inf, None
-    for _ in range(ROUNDS):
-        links = [
-            _link([joints[j] for j in g], [noises[j] for j in g], z)
-            for g, z in zip(groups, lost, strict=True)
-        ]
-        least = max(least, sum(s.heard.alone(s.noise) for x in links for s in x.sights))
+    groups = [list(joints)] if broadcast else [[heard] for heard in joints]
+    noises = [[_typical(heard) for heard in group] for group in groups]
+    links = [_link(*pair) for pair in zip(groups, noises, strict=True)]
+    least = sum(heard.alone(heard.noise) for heard in joints)
+    best, p, before = None, START, 0.0
+    for _ in range(_ROUNDS):
         links, p = _search(links, p)
-        lost = [link.lost for link in links]
-        if not any(z.any() for z in lost):
+        if not any(link.lost.any() for link in links):
             break
-        found = _bound(links, p)
-        if VERBOSE:
-            print(
-                "gain",
-                found[0] - least,
-                "p",
-                found[1],
-                [z.sum() for z in lost],
-                [(s.noise.ratio, s.noise.variance**0.5 * 1e3) for x in links for s in x.sights],
+        value, shares = _best_bound(links, p)
+        noise = [s.noise for link in links for s in link.sights]
+        least = max(least, sum(h.alone(x) for h, x in zip(_flat(groups), noise, strict=True)))
+        if value - least > (best.gain if best else 0.0):
+            best = _loss(links, shares, value - least, p)
+        if abs(value - least - before) < _WORTH:
+            break
+        before = value - least
+        noises = [
+            [_renewed(s, share) for s in link.sights]
+            for link, share in zip(links, shares, strict=True)
+        ]
+        links = [
+            replace(
+                _link([s.heard.moved(s.noise.refit) for s in link.sights], noise), lost=link.lost
             )
-        if best is None or found[0] > best[0]:
-            best = found
-        p = found[1]
-        flat = [(s, share) for x, share in zip(links, found[2]) for s in x.sights]
-        for g, pairs in zip(
-            groups, [[(s, share) for s in x.sights] for x, share in zip(links, found[2])]
-        ):
-            for j, (s, share) in zip(g, pairs):
-                noises[j] = _renewed(s, share)
-    if best is None or best[0] <= least:
-        return 0.0, 0.0, []
-    return best[0] - least, best[1], [np.flatnonzero(q > 0.5) for q in best[2]]
+            for noise, link in zip(noises, links, strict=True)
+        ]
+    if best:
+        return best
+    none = [np.zeros(link.lost.size) for link in links]
+    return replace(_loss(links, none, 0.0, LIMITS[0]), probability=0.0, sd=_limit(links))
 
 
-def _link(joints: Sequence[Heard], noises: Sequence[Noise], lost: Mask | None) -> _Link:
-    sights = tuple(_sight(*pair) for pair in zip(joints, noises, strict=True))
-    sizes = {tuple(s.residual.size for s in heard.stretches) for heard in joints}
+def _typical(heard: Heard) -> Noise:
+    """The noise with the variance of most samples, not of those that losses disturb."""
+    noise = heard.noise
+    sizes = [
+        np.abs(whiten(s.left(noise.refit), noise.autoregression) * s.weight(noise.ratio))[s.counts]
+        for s in heard.stretches
+    ]
+    median = float(np.median(np.concatenate(sizes)))
+    return replace(noise, variance=max((_NORMAL * median) ** 2, LEAST_SD_RAD**2))
+
+
+def _flat(groups: Sequence[Sequence[Heard]]) -> list[Heard]:
+    return [heard for group in groups for heard in group]
+
+
+def _ahead(mask: Mask, i: int, *, beyond: bool = False) -> Mask:
+    """The mask ``i`` set-points further on, shape (K,)."""
+    return np.concatenate([mask[i:], np.full(min(i, mask.size), beyond)])
+
+
+def _link(joints: Sequence[Heard], noises: Sequence[Noise]) -> _Link:
+    sizes = sorted({tuple(s.residual.size for s in heard.stretches) for heard in joints})
     if len(sizes) > 1:
-        raise ValueError(f"joints of a broadcast have {sorted(sizes)} set-points")
-    first = np.zeros(sights[0].change.size, dtype=bool)
-    first[np.cumsum([0, *sizes.pop()])[:-1]] = True
-    return _Link(sights, np.zeros_like(first) if lost is None else lost, first)
+        raise ValueError(f"joints of a broadcast have {sizes} set-points; expected the same")
+    first = np.zeros(sum(sizes[0]), dtype=bool)
+    first[np.cumsum([0, *sizes[0]])[:-1]] = True
+    sights = tuple(_sight(*pair) for pair in zip(joints, noises, strict=True))
+    return _Link(sights, np.zeros_like(first), first)
 
 
 def _sight(heard: Heard, noise: Noise) -> _Sight:
@@ -287,60 +301,62 @@ def _sight(heard: Heard, noise: Noise) -> _Sight:
 
 
 def _search(links: list[_Link], p: float) -> tuple[list[_Link], float]:
-    """Improve losses, noises and probability in turn."""
+    """Losses, noise and probability, improved in turn."""
     for _ in range(_INNER):
         before = [link.lost for link in links]
-        links = [link.improved(float(np.log(p / (1 - p)))) for link in links]
-        links = [
-            replace(
-                x, sights=tuple(replace(s, noise=s.fitted(s.below(x.lost))[0]) for s in x.sights)
-            )
-            for x in links
-        ]
-        p = _probability([x.evidence()[~x.first] for x in links], p)
-        if all((a == x.lost).all() for a, x in zip(before, links, strict=True)):
+        links = [link.improved(float(np.log(p / (1 - p)))).refitted() for link in links]
+        evidence = np.concatenate([link.evidence()[~link.first] for link in links])
+        for _ in range(20):
+            p = float(np.clip(expit(evidence + np.log(p / (1 - p))).mean(), *LIMITS))
+        if all((old == link.lost).all() for old, link in zip(before, links, strict=True)):
             break
     return links, p
 
 
-def _probability(evidence: Sequence[Array], p: float) -> float:
-    """Likeliest probability, given the log-likelihood ratios of all set-points."""
-    every = np.concatenate(evidence)
-    for _ in range(20):
-        p = float(np.clip(expit(every + np.log(p / (1 - p))).mean(), *LIMITS))
-    return p
+def _best_bound(links: Sequence[_Link], p: float) -> tuple[float, list[Array]]:
+    """The better of two bounds, with losses that are sure or that are not, and their shares."""
+    log_odds = float(np.log(p / (1 - p)))
+    unsure = [link.shares(log_odds) for link in links]
+    sure = [link.lost.astype(np.float64) for link in links]
+    bounds = [
+        sum(link.bound(share, p) for link, share in zip(links, shares, strict=True))
+        for shares in (unsure, sure)
+    ]
+    return (bounds[0], unsure) if bounds[0] > bounds[1] else (bounds[1], sure)
 
 
-def _bound(links: Sequence[_Link], p: float) -> tuple[float, float, list[Array]]:
-    """Lower bound of the log-likelihood, the probability, and shares"""
-    best = (-np.inf, p, [])
-    for soft in (True, False):
-        total, shares = 0.0, []
-        for link in links:
-            share = expit(link.evidence() + np.log(p / (1 - p))) if soft else link.lost * 1.0
-            share[link.first] = 0
-            shares.append(share)
-            free = share[~link.first]
-            total -= float(np.sum(xlogy(free, free / p) + xlogy(1 - free, (1 - free) / (1 - p))))
-            for s in link.sights:
-                total += s.fitted(*s.moments(share))[1]
-        if VERBOSE:
-            print("   soft" if soft else "   hard", total)
-        if total > best[0]:
-            best = (total, p, shares)
-    return best
+def _renewed(sight: _Sight, shares: Array) -> Noise:
+    """The noise refitted to what the mean of the losses leaves."""
+    mean, scatter = sight.moments(shares)
+    noise, _ = sight.fitted(mean, scatter)
+    angles = _angles(sight, mean)
+    pairs = list(zip(sight.heard.stretches, angles, strict=True))
+    left = [s.left(noise.refit) - angle for s, angle in pairs]
+    noise = sight.heard.refitted(noise, [[x] for x in left])
+    innovations = [whiten(x, noise.autoregression) for x in left]
+    return replace(noise, ratio=ratio_of(sight.heard, innovations))
 
 
-def _renewed(sight: _Sight, share: Array) -> Noise:
-    mean, spare = sight.moments(share)
-    noise, _ = sight.fitted(mean, spare)
-    series, start = [], 0
-    for s in sight.heard.stretches:
-        part = mean[start : start + s.residual.size]
-        start += s.residual.size
-        series.append(
-            s.left(noise.refit) - spread(s.response.missing * part[:, None], s.response.first)
-        )
-    noise = sight.heard.refitted(noise, [[x] for x in series])
-    e = [whiten(x, noise.autoregression) for x in series]
-    return replace(noise, ratio=ratio_of(sight.heard, e))
+def _angles(sight: _Sight, below: Array) -> tuple[Array, ...]:
+    """Simulated minus measured angle by set-points ``below`` (K,) those sent, one a recording."""
+    parts = sight.heard.by_recording(below)
+    return tuple(
+        spread(s.response.missing * part[:, None], s.response.first)
+        for s, part in zip(sight.heard.stretches, parts, strict=True)
+    )
+
+
+def _loss(links: Sequence[_Link], shares: Sequence[Array], gain: float, p: float) -> Loss:
+    """The finding; the standard deviation is from the observed information."""
+    every = np.concatenate([x[~link.first] for link, x in zip(links, shares, strict=True)])
+    information = float(np.sum((every / p - (1 - every) / (1 - p)) ** 2))
+    pairs = [(s, x) for link, x in zip(links, shares, strict=True) for s in link.sights]
+    lost = [tuple(np.flatnonzero(x > 0.5) for x in s.heard.by_recording(x)) for s, x in pairs]
+    explained = [_angles(s, s.moments(x)[0]) for s, x in pairs]
+    return Loss(gain, p, information**-0.5, tuple(lost), tuple(explained))
+
+
+def _limit(links: Sequence[_Link]) -> float:
+    """One over the set-points that are seen to arrive; infinite if there are none."""
+    seen = sum(int(np.sum(link.evidence()[~link.first] < -_VISIBLE)) for link in links)
+    return 1 / seen if seen else np.inf

@@ -20,6 +20,8 @@ RATIOS = (0.1, 10.0)
 LEAST_SD_RAD = 1e-9
 _REST_SHARES = np.linspace(0.1, 0.8, 8)
 """Shares of the samples, the slowest, that may be called at rest."""
+_NEAR = np.array([2e-4, 0.01, 0.01])
+"""Changes of latency in s and of the logarithms of kd and kp that are linear in their effect."""
 _FEWEST = 100
 """Samples on which a size of noise is founded."""
 _ITERATIONS = 20
@@ -30,12 +32,14 @@ class Stretch:
     """One recording of one joint, as the likelihoods need it.
 
     Attributes:
+        given: The recording.
         response: What single set-points do.
         residual: Simulated minus measured angle in rad, 0 where not used, shape (T,).
         counts: Samples that count: used, as are the p before them, shape (T,).
         rests: Samples at rest, shape (T,).
     """
 
+    given: Residual
     response: Response
     residual: Array
     counts: Mask
@@ -58,7 +62,7 @@ class Noise:
         autoregression: Coefficients, shape (p,).
         ratio: Standard deviation of the innovations at rest, relative to those in motion.
         variance: Of the innovations in motion, in rad2.
-        refit: Change of latency in s and of the logarithms of kd and kp, shape (3,).
+        refit: How far the latency in s and the logarithms of kd and kp are too large, shape (3,).
     """
 
     autoregression: Array
@@ -114,6 +118,21 @@ class Heard:
     def alone(self, noise: Noise) -> float:
         """Log-likelihood of the residual as noise, its variance and ``refit`` at their best."""
         return self.loglikelihood(_weighted(self, noise)[1], noise.ratio)
+
+    def moved(self, refit: Array) -> Heard:
+        """The joint about the latency, kd and kp that leave nothing of ``refit``.
+
+        Args:
+            refit: See ``Noise``; nothing is done for so little that it acts linearly.
+        """
+        if (np.abs(refit) < _NEAR).all():
+            return self
+        stretches = []
+        for s in self.stretches:
+            given = s.given.moved(-refit)
+            residual = np.where(given.used, given.residual, 0.0)
+            stretches.append(Stretch(given, response(given), residual, s.counts, s.rests))
+        return replace(self, stretches=tuple(stretches))
 
     def refitted(self, noise: Noise, series: Sequence[Sequence[Array]]) -> Noise:
         """The noise with its autoregression refitted to ``series``, as ``fit_autoregression``."""
@@ -215,7 +234,7 @@ def _stretch(given: Residual, lags: int) -> Stretch:
     counts = missing[lags + 1 :] == missing[: -lags - 1]
     counts[:lags] = False
     residual = np.where(given.used, given.residual, 0.0)
-    return Stretch(response(given), residual, counts, np.zeros(counts.size, dtype=bool))
+    return Stretch(given, response(given), residual, counts, np.zeros(counts.size, dtype=bool))
 
 
 def _with_rest(heard: Heard) -> tuple[Stretch, ...]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,9 @@ LONGEST = 80
 """Samples after which a response is cut off at the latest."""
 EARLIEST_S = 0.04
 """Most that a set-point's response is followed ahead of the latency."""
+LARGEST_MOVE = np.array([0.01, 0.5, 0.5])
+"""Largest change of latency in s and of the logarithms of kd and kp at a time."""
+_FORGOTTEN = 1e-4
 _APART = 0.03
 """Least distance of the two poles, relative to their size."""
 
@@ -45,6 +50,22 @@ class Residual:
     inertia_kgm2: float
     gravity_Nm: float = 0.0
 
+    def moved(self, refit: Array) -> Residual:
+        """The residual of a servo with another latency, kd and kp.
+
+        Args:
+            refit: Change of the latency in s and of the logarithms of kd and kp, shape (3,); at
+                most a step that can be trusted is made.
+        """
+        late, kd, kp = np.clip(refit, -LARGEST_MOVE, LARGEST_MOVE)
+        after = replace(
+            self,
+            latency_s=max(self.latency_s + float(late), 0.0),
+            kd=self.kd * float(np.exp(kd)),
+            kp=self.kp * float(np.exp(kp)),
+        )
+        return replace(after, residual=self.residual + _simulated(after) - _simulated(self))
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -62,26 +83,34 @@ class Modes:
 
     def impulse(self, x: Array) -> Array:
         """Response to an impulse ``x`` s ago, 0 before it."""
-        p, r, y = self.fast, self.slow, np.maximum(x, 0.0)
-        return np.asarray(self.gain * ((np.exp(p * y) - np.exp(r * y)) / (p - r)).real)
+        _, a, b = self._decays(x)
+        return np.asarray(self.gain * ((a - b) / (self.fast - self.slow)).real)
 
     def step(self, x: Array) -> Array:
         """Response to a step ``x`` s ago: the integral of ``impulse``."""
-        p, r, y = self.fast, self.slow, np.maximum(x, 0.0)
-        rise = 1 + (r * np.exp(p * y) - p * np.exp(r * y)) / (p - r)
-        return np.asarray(self.gain * (rise / (p * r)).real)
+        p, r = self.fast, self.slow
+        _, a, b = self._decays(x)
+        return np.asarray(self.gain * ((1 + (r * a - p * b) / (p - r)) / (p * r)).real)
 
     def twice(self, x: Array) -> tuple[Array, Array]:
         """Inverse Laplace transform of 1 / ((s - fast) (s - slow))2 at ``x``, and its derivative.
 
         By partial fractions with two double poles.
         """
-        p, r, y = self.fast, self.slow, np.maximum(x, 0.0)
-        a, b = np.exp(p * y), np.exp(r * y)
+        p, r = self.fast, self.slow
+        y, a, b = self._decays(x)
         value = y * (a + b) - 2 * (a - b) / (p - r)
         slope = (a + b) + y * (p * a + r * b) - 2 * (p * a - r * b) / (p - r)
         size = (p - r) ** 2
         return np.asarray((value / size).real), np.asarray((slope / size).real * (x > 0))
+
+    def _decays(self, x: Array) -> tuple[Array, Any, Any]:
+        """Positive part of ``x``, and what is left of the fast and the slow mode then."""
+        y = np.maximum(x, 0.0)
+        if self.fast.imag == 0:
+            return y, np.exp(self.fast.real * y), np.exp(self.slow.real * y)
+        a = np.exp(self.fast * y)
+        return y, a, a.conj()
 
 
 @dataclass(frozen=True)
@@ -122,8 +151,12 @@ class Response:
             Angles in rad, shape (T,), and a table like ``late``.
         """
         change, then = self.change[:, None], self.since - delay[:, None]
-        gap = (self.modes.step(self.since) - self.modes.step(then)) * change
+        gap = (self._on_time - self.modes.step(then)) * change
         return spread(gap, self.first), self.modes.impulse(then) * change
+
+    @cached_property
+    def _on_time(self) -> Array:
+        return self.modes.step(self.since)
 
     @property
     def speed(self) -> Array:
@@ -176,6 +209,20 @@ def _modes(given: Residual) -> Modes:
     if abs(root) < _APART * half:
         root = complex(_APART * half)
     return Modes(-half - root, -half + root, given.kp / given.inertia_kgm2)
+
+
+def _simulated(given: Residual) -> Array:
+    """Angle of the linear servo in rad, from rest on its first set-point, shape (T,)."""
+    modes, t, u = _modes(given), given.t, given.command
+    period = float(np.median(np.diff(t)))
+    lasting = np.log(_FORGOTTEN) / max(modes.slow.real, modes.fast.real)
+    W = int(np.ceil((lasting + given.latency_s) / period)) + 1
+    older = np.arange(t.size)[:, None] - np.arange(W)
+    sent = np.maximum(older, 0)
+    change = np.diff(u, prepend=u[0])[sent] * (older > 0)
+    moved = np.sum(modes.step(t[:, None] - t[sent] - given.latency_s) * change, axis=1)
+    settled = modes.gain / (modes.fast * modes.slow).real
+    return np.asarray(settled * u[np.maximum(older[:, -1] - 1, 0)] + moved)
 
 
 def _gains(given: Residual, modes: Modes, since: Array, change: Array) -> tuple[Array, Array]:

@@ -21,6 +21,8 @@ ROUNDING = "encoder_quantization"
 """Seen in the recorded numbers themselves."""
 
 _STRENGTHS = (0.3, 1.0, 3.0, 10.0)
+_WEAKER = (30.0,)
+"""Further ones of limits, which are weak where they are large."""
 _SHAPES = (0.4, 1.0, 2.5)
 _STARTS: dict[str, tuple[float, ...]] = {
     "asymmetric_friction.asymmetry": (-0.6, 0.6),
@@ -90,4 +92,5 @@ def _choices(effect: Effect, k: int, unit: float, signed: bool) -> tuple[float, 
         return tuple(x * unit for x in _SHAPES)
     if signed:
         return tuple(sign * x * unit for x in (0.3, 2.0) for sign in (-1, 1))
-    return tuple(x * unit for x in _STRENGTHS)
+    weaker = _WEAKER if "limit" in name else ()
+    return tuple(x * unit for x in (*_STRENGTHS, *weaker))

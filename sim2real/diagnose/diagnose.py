@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.check import all_findings, check
 from sim2real.diagnose.extras import Extras, extras
 from sim2real.diagnose.heldout import Unseen, held_out
 from sim2real.diagnose.investigate import Finding, investigate
@@ -18,13 +17,15 @@ from sim2real.diagnose.rounding import coarse_step
 from sim2real.diagnose.search import Hypothesis, joined
 from sim2real.diagnose.unknown import WANDER_SHARE, residual_angles
 from sim2real.diagnose.where import mismatch
+from sim2real.effects import named
 from sim2real.errors import InputError
-from sim2real.model import JointModel, Model
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.batch import Batch
+from sim2real.servo.minimise import minimise
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
@@ -118,6 +119,8 @@ def diagnose_all(
     before, after = (
         residual_angles(batch, joined([h.fit for h in some])) for some in (plain, rich)
     )
+    ordinary = minimise(batch, joined([h.fit for h in plain]).servos, iterations=10, white=True)
+    simple = list(ordinary.servos.theta)
     unseen_plain = held_out(data, [h.fit.servos for h in plain], device=device)
     progress(0.85)
     unseen_rich = held_out(data, [h.fit.servos for h in rich], white=False, device=device)
@@ -126,10 +129,13 @@ def diagnose_all(
     for case, joints, robot in zip(cases, prepared, robots, strict=True):
         part = _Part(
             joints,
-            *(
-                [some[j] for j in robot]
-                for some in (findings, rich, before, after, unseen_plain, unseen_rich)
-            ),
+            [findings[j] for j in robot],
+            [rich[j] for j in robot],
+            [before[j] for j in robot],
+            [after[j] for j in robot],
+            [simple[j] for j in robot],
+            [unseen_plain[j] for j in robot],
+            [unseen_rich[j] for j in robot],
         )
         results.append(_diagnosis(case, part, seed, rng, thorough=thorough))
     progress(1.0)
@@ -145,6 +151,7 @@ class _Part:
     rich: list[Hypothesis]
     before: list[Array]
     after: list[Array]
+    least_squares: list[Array]
     unseen_plain: list[Unseen | None]
     unseen_rich: list[Unseen | None]
 
@@ -236,8 +243,9 @@ def _diagnosis(
         ladders={},
         detection_limits=(),
         next_experiment=None,
-        gate=_gate(case),
+        gate=_gate(case) if thorough else (),
         model=_model(case, part, origin),
+        baseline=_baseline(part),
         provenance=origin,
     )
     if not thorough:
@@ -275,6 +283,8 @@ def _diagnosis(
 
 
 def _gate(case: Case) -> tuple[str, ...]:
+    from sim2real.check import all_findings, check
+
     sentences: dict[str, None] = {}
     for recording in case.recordings:
         for sentence in all_findings(check(recording, case.robot)):
@@ -335,19 +345,42 @@ def _verdict(
 
 
 def _model(case: Case, part: _Part, origin: Mapping[str, object]) -> Model:
-    joints = {}
-    for k, joint in enumerate(part.joints):
-        theta = part.rich[k].fit.servos.theta[0]
-        load = joint.traces[0].load
-        joints[joint.name] = JointModel(
-            *(float(x) for x in theta[:3]),
-            inertia_kgm2=load.inertia_kgm2,
-            per_inertia=load is PER_INERTIA,
-            load=None if load is PER_INERTIA else load,
-            effects=fitted_effects(part.rich[k], joint.step_rad),
-        )
+    """The enriched simulator."""
+    joints = {
+        joint.name: _servo(joint, part.rich[k].fit.servos.theta[0], part.rich[k])
+        for k, joint in enumerate(part.joints)
+    }
     fit = {
         f"{j.name}.position_rad": _fit(part, k, enriched=True) for k, j in enumerate(part.joints)
     }
     body = case.model.body if case.model else {}
-    return Model(joints=joints, body=body, fit=fit, provenance=dict(origin))
+    uneven = {f.link.effect: f.link.value for f in part.findings if f.link is not None}
+    shared = tuple(
+        FittedEffect(effect, {named(effect).parameters[0].name: value})
+        for effect, value in uneven.items()
+    )
+    return Model(joints=joints, body=body, effects=shared, fit=fit, provenance=dict(origin))
+
+
+def _baseline(part: _Part) -> Model:
+    """The plain servos, by least squares where something is missing: so do they predict best."""
+    joints = {}
+    for k, joint in enumerate(part.joints):
+        plain, unseen = part.findings[k].book.plain, part.least_squares[k]
+        theta = unseen if part.findings[k].mismatch else plain.fit.servos.theta[0]
+        joints[joint.name] = _servo(joint, theta, plain)
+    return Model(joints=joints)
+
+
+def _servo(joint: _Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
+    load = joint.traces[0].load
+    kp, kd, latency = (float(x) for x in theta[:3])
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=load is PER_INERTIA,
+        load=None if load is PER_INERTIA else load,
+        effects=fitted_effects(hypothesis, joint.step_rad),
+    )

@@ -114,6 +114,12 @@ def smooth_function(motions: Sequence[Motion], servo: Servo, *, thorough: bool =
     return Smooth(state, level - plain, int(unknowns), jumps, shares)
 
 
+def smooth_function_of(given: tuple[Sequence[Motion], Servo, bool]) -> Smooth:
+    """``smooth_function`` of recordings, servo, and whether to be thorough."""
+    motions, servo, thorough = given
+    return smooth_function(motions, servo, thorough=thorough)
+
+
 def _families(
     motions: Sequence[Motion], servo: Servo
 ) -> Iterator[tuple[str, list[Array], list[Array]]]:
@@ -137,7 +143,7 @@ def _families(
 
 
 def _changing_gains(motions: Sequence[Motion], servo: Servo) -> list[Array]:
-    """Torques of gains and latency that drift with the time since the start, to the second order."""
+    """Torques of gains and latency that drift with time, to the second order."""
     drifting = []
     for motion in motions:
         passed = ((motion.t - motion.t[0]) / (motion.t[-1] - motion.t[0]))[:, None]

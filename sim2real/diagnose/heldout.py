@@ -63,7 +63,7 @@ def held_out(
     pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
     if not pairs:
         return [None for _ in joints]
-    training = Batch([fitted for _, (fitted, _) in pairs], device)
+    training = Batch([fitted for _, (fitted, _) in pairs], device, bounded=False)
     scoring = Batch([scored for _, (_, scored) in pairs], device)
     results: dict[int, tuple[list[Array], list[Array]]] = {}
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.arrival import NOTICED, Link, Listened, links
+from sim2real.diagnose.arrival_response import Residual
 from sim2real.diagnose.candidates import REFITTED, RIPPLE, ROUNDING
 from sim2real.diagnose.posterior import Group, Posterior, posterior
 from sim2real.diagnose.search import (
@@ -39,9 +41,17 @@ EXPLAINED = 0.5
 _NOTHING_LEFT = 1.15
 _NAMELESS_COST = 10.0
 _SOFTNESS = 5.0
+_FEW = 2
+"""Effects that one joint may well miss together."""
 _LAW_AT_FAULT = 0.7
-"""Highest probability of a lesser effect where the greatest one leaves structure behind."""
-_CERTAIN, _CERTAIN_STEP, _SHARED = 0.95, 0.99, 0.9
+"""Highest probability of effects beyond these, or beside one that leaves structure behind."""
+_TIE, _SHOWING = 5.0, 4.0
+_DEAFENING = 20.0
+"""Excess from which nothing can be heard of single set-points."""
+_CERTAIN, _SHARED = 0.95, 0.9
+MOST_CERTAIN = 0.96
+"""No effect is more probable: so many of those that looked certain were there, on cases made for it
+(``datasets/concealed``, seed 1), where laws are approximations."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +69,7 @@ class Finding:
         unknown: Probability that what is missing is not in the catalogue.
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
         step_rad: Step of an angle sensor that is coarser than stated, or None.
+        link: What is uneven on the link, or None.
     """
 
     book: Book
@@ -71,6 +82,7 @@ class Finding:
     unknown: float
     excess: float
     step_rad: float | None
+    link: Link | None = None
 
 
 def investigate(
@@ -106,8 +118,89 @@ def investigate(
         second = _pass(free, some, rng, lambda share: progress(0.7 + 0.3 * share))
         for j, finding in zip(again, second, strict=True):
             findings[j] = replace(finding, mismatch=True) if findings[j].mismatch else finding
+    findings = _with_links(batch, known, findings)
     progress(1.0)
     return findings
+
+
+def _with_links(batch: Batch, known: _Known, findings: Sequence[Finding]) -> list[Finding]:
+    """Findings that also say what is uneven on the link.
+
+    Set-points that come unevenly can pass for a weak effect. So a robot is heard twice: with what
+    was found on its joints and without.
+    """
+    plain = [finding.book.plain for finding in findings]
+    best = [finding.best for finding in findings]
+    robots = [[j for j in robot if findings[j].excess < _DEAFENING] for robot in known.robots]
+    robots = [robot for robot in robots if robot]
+    both = links(
+        [_listened(batch, known, robot, some) for some in (plain, best) for robot in robots]
+    )
+    alone, beside = both[: len(robots)], both[len(robots) :]
+    heard = list(findings)
+    for robot, without, withal in zip(robots, alone, beside, strict=True):
+        if not _heard_by_all(without, withal, [findings[j] for j in robot]):
+            continue
+        for k, j in enumerate(robot):
+            finding = findings[j]
+            known_gain = finding.best.evidence - finding.book.plain.evidence
+            instead = without.shares[k] > withal.shares[k] + known_gain - _TIE
+            link = without if instead and without.gain >= NOTICED else withal
+            if link.gain < NOTICED:
+                continue
+            sure = min(float(1 / (1 + np.exp(-link.gain / 2))), MOST_CERTAIN)
+            group = Group((link.effect,), sure, 1.0)
+            rest = () if instead else finding.groups
+            explains = link.shares[k] > finding.nameless.smooth.evidence(
+                float(finding.best.fit.count[0])
+            )
+            heard[j] = replace(
+                finding,
+                mismatch=True,
+                best=finding.book.plain if instead else finding.best,
+                left=finding.left and not explains,
+                unknown=0.0 if explains else finding.unknown,
+                groups=(*(r for r in rest if r.probability > 0), group),
+                link=link,
+            )
+    return heard
+
+
+def _heard_by_all(without: Link, withal: Link, findings: Sequence[Finding]) -> bool:
+    """Whether a link is uneven on more than the joints whose own effects could pass for it."""
+    if max(without.gain, withal.gain) < NOTICED:
+        return False
+    showing = [share > _SHOWING for share in withal.shares]
+    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.groups]
+    if free and not any(free):
+        return False
+    return len(showing) < 2 or sum(showing) > 1
+
+
+def _listened(
+    batch: Batch, known: _Known, robot: Sequence[int], fits: Sequence[Hypothesis]
+) -> Listened:
+    residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
+    joints = []
+    for j, residual in zip(robot, residuals, strict=True):
+        kp, kd, latency = (float(x) for x in fits[j].fit.servos.theta[0, :3])
+        joints.append(
+            tuple(
+                Residual(
+                    t.t,
+                    t.command,
+                    t.used,
+                    residual[r, : t.t.size],
+                    kp,
+                    kd,
+                    latency,
+                    t.load.inertia_kgm2,
+                    t.load.gravity_Nm,
+                )
+                for r, t in enumerate(known.joints[j])
+            )
+        )
+    return Listened(tuple(joints), batch.lags, batch.least_gain)
 
 
 @dataclass(frozen=True)
@@ -187,18 +280,19 @@ def _finding(
     left = excess_after > STRUCTURED or (
         best.effects in book.screens and remains(book, best.effects, level, rng)
     )
-    if excess_after > STRUCTURED:
-        groups = _lesser(book, best, groups)
+    groups = _lesser(book, groups, 1 if excess_after > STRUCTURED else _FEW)
     mismatch = (
         remains(book, book.base, level, rng)
         or any(group.probability > _CERTAIN for group in groups)
         or nameless.excess > STRUCTURED
         or strange > EXPLAINED
     )
-    groups = tuple(replace(g, probability=g.probability * (1 - strange)) for g in groups)
+    groups = tuple(
+        replace(g, probability=min(g.probability, MOST_CERTAIN) * (1 - strange)) for g in groups
+    )
     groups = tuple(sorted(groups, key=lambda g: -g.probability)) if mismatch else ()
     if step is not None:
-        groups = (*groups, Group((ROUNDING,), _CERTAIN_STEP, 1.0))
+        groups = (*groups, Group((ROUNDING,), MOST_CERTAIN, 1.0))
     return Finding(
         book,
         after,
@@ -227,19 +321,17 @@ def _strangeness(book: Book, best: Hypothesis, nameless: Unknown, excess_after: 
     return strange
 
 
-def _lesser(book: Book, best: Hypothesis, groups: tuple[Group, ...]) -> tuple[Group, ...]:
+def _lesser(book: Book, groups: tuple[Group, ...], sure: int) -> tuple[Group, ...]:
     """Doubt all effects but the greatest: where a law does not fit, others make up for it."""
 
     def alone(group: Group) -> float:
         sets = [book.base | {e} for e in group.members]
         return max((book.tried[s].evidence for s in sets if s in book.tried), default=-np.inf)
 
-    if len(groups) < 2:
-        return groups
-    greatest = max(groups, key=alone)
+    order = sorted(groups, key=alone, reverse=True)
     return tuple(
-        g if g is greatest else replace(g, probability=min(g.probability, _LAW_AT_FAULT))
-        for g in groups
+        g if k < sure else replace(g, probability=min(g.probability, _LAW_AT_FAULT))
+        for k, g in enumerate(order)
     )
 
 

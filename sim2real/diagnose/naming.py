@@ -41,15 +41,14 @@ def gathered(findings: Mapping[str, Finding]) -> list[Said]:
         for group in finding.groups:
             if group.probability < NAMED:
                 continue
-            place = named(group.members[0]).component
-            if place == "joint":
+            if named(group.members[0]).component == "joint":
                 said.append(Said(group, (joint,), joint))
             else:
                 shared.setdefault(group.members[0], []).append((joint, group))
     for effect, where in shared.items():
         likeliest = max((group for _, group in where), key=lambda group: group.probability)
         joints = tuple(joint for joint, _ in where)
-        place = named(effect).component if len(joints) > 1 else joints[0]
+        place: str = named(effect).component if len(joints) > 1 else joints[0]
         said.append(Said(likeliest, joints, place))
     return sorted(said, key=lambda one: -one.group.probability)
 
@@ -78,7 +77,7 @@ def _named(
     heldout: Mapping[str, Mapping[str, float | None]],
 ) -> NamedEffect:
     effect, joint = one.group.members[0], one.joints[0]
-    found = [estimates(models[j], effect, findings[j].step_rad) for j in one.joints]
+    found = [_estimates(models[j], effect, findings[j]) for j in one.joints]
     found = [entry for entry in found if entry]
     parameters = _combined(found)
     plain = findings[joint].book.plain.fit.servos.theta[0]
@@ -120,6 +119,14 @@ def rivals(findings: Mapping[str, Finding], said: Sequence[Said]) -> tuple[Rival
             if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
                 found.append(Rival(effect, joint, p))
     return tuple(sorted(found, key=lambda r: -r.probability)[:_RIVALS])
+
+
+def _estimates(model: Hypothesis, effect: str, finding: Finding) -> dict[str, Estimate]:
+    if finding.link is not None and finding.link.effect == effect:
+        mean, sd = finding.link.value, finding.link.sd
+        ends = max(mean - _Q95 * sd, 0.0), mean + _Q95 * sd
+        return {named(effect).parameters[0].name: Estimate(mean, sd, *ends)}
+    return estimates(model, effect, finding.step_rad)
 
 
 def estimates(model: Hypothesis, effect: str, step_rad: float | None) -> dict[str, Estimate]:

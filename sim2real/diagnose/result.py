@@ -198,6 +198,7 @@ class Diagnosis:
         next_experiment: What to record next, where a group has several members.
         gate: What the data gate found: timing, gaps, units; one sentence each.
         model: The enriched simulator.
+        baseline: The simulator as fitted before anything was added.
         evidence: For the report.
         provenance: As ``sim2real.output.provenance`` gives it.
     """
@@ -216,6 +217,7 @@ class Diagnosis:
     next_experiment: Experiment | None
     gate: tuple[str, ...]
     model: Model
+    baseline: Model | None = None
     evidence: tuple[Evidence, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

@@ -329,7 +329,14 @@ def _trimmed(fits: Fits, n: int) -> Fits:
     one = fits[np.array([n])]
     width = int(one.servos.free.sum())
     s = one.servos
-    servos = Servos(s.joint, s.theta, *(v[:, :width] for v in (s.columns, s.unit, s.low, s.high)))
+    servos = Servos(
+        s.joint,
+        s.theta,
+        s.columns[:, :width],
+        s.unit[:, :width],
+        s.low[:, :width],
+        s.high[:, :width],
+    )
     gram = one.gram[:, :, : 1 + width, : 1 + width]
     return Fits(servos, gram, one.count, one.autoregression)
 

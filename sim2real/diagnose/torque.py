@@ -37,8 +37,7 @@ def residual_torque(
     torque: Array = np.zeros(grid.size)
     taps: Array = np.zeros(length)
     for order, weight in zip((2, 1, 0), servo, strict=True):
-        given = {"window_length": length, "polyorder": ORDER, "deriv": order, "delta": step}
-        torque -= weight * savgol_filter(even, **given)
+        torque -= weight * savgol_filter(even, length, ORDER, deriv=order, delta=step)
         taps += weight * savgol_coeffs(length, ORDER, deriv=order, delta=step)
     sd = noise_rad * float(np.sqrt(np.sum(taps**2)))
     return np.interp(t, grid, torque), np.full(t.size, sd)

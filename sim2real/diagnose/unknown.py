@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.generic import Motion, Servo, Smooth, smooth_function
+from sim2real.diagnose.generic import Motion, Servo, Smooth, smooth_function_of
+from sim2real.diagnose.processes import spread
 from sim2real.diagnose.windows import Window, inside, robust_sd, windows
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.minimise import Fits, minimise
@@ -69,14 +70,19 @@ def unknown(
     suspects = [j for j in range(len(joints)) if excesses[j] > SUSPICIOUS]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    found = []
-    for j in range(len(joints)):
-        motions = _motions(batch, joints, residuals, j, siblings[j])
-        servo = _servo(batch, plain, j)
-        smooth = smooth_function(motions, servo, thorough=j in suspects)
-        where, evidence = separate.get(j, (None, -np.inf))
-        found.append(Unknown(excesses[j], smooth, where, evidence))
-    return found
+    smooth = spread(
+        smooth_function_of,
+        [
+            (
+                _motions(batch, joints, residuals, j, siblings[j]),
+                _servo(batch, plain, j),
+                j in suspects,
+            )
+            for j in range(len(joints))
+        ],
+    )
+    nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
+    return [Unknown(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))]
 
 
 def residual_angles(batch: Batch, fits: Fits) -> Array:

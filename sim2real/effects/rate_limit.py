@@ -40,6 +40,6 @@ EFFECT = Effect(
     says="the servo's own profile moves its set-point no faster than {limit_rad_s}",
     site="command",
     term=ramp,
-    parameters=(Parameter("limit_rad_s", low=0.0, high=50.0, typical=3.0),),
+    parameters=(Parameter("limit_rad_s", low=0.0, high=500.0, typical=3.0),),
     memory=2,
 )

@@ -102,7 +102,7 @@ def what_blocks(diagnosis: Diagnosis) -> list[Block]:
     if candidates:
         blocks.append(Text(_removed(diagnosis), heading="What is missing"))
         drawing = bar_figure({"": candidates}, "how sure we are of each candidate", full=1.0)
-        blocks.append(_figure(drawing, _PROBABILITIES))
+        blocks.append(figure(drawing, _PROBABILITIES))
     differing = {mismatch.signal for mismatch in diagnosis.mismatch}
     ladders = {name: x for name, x in diagnosis.ladders.items() if name in differing}
     if ladders:
@@ -149,18 +149,21 @@ def _candidates(diagnosis: Diagnosis) -> list[Bar]:
         if joint in differing and probability > 0.01
     ]
     rows.sort(key=lambda row: (not row[2], -row[0]))
-    return [Bar(label, p, _percent(p), strong) for p, label, strong in rows]
+    return [Bar(label, p, sure(p), strong) for p, label, strong in rows]
 
 
-def _percent(share: float) -> str:
-    return "over 99 %" if share > 0.995 else "under 1 %" if share < 0.01 else f"{100 * share:.0f} %"
+def sure(share: float) -> str:
+    """A probability in percent; never 0 or 100, as nothing is that sure."""
+    low, high = "less than 1 %", "more than 99 %"
+    return high if share > 0.99 else low if share < 0.01 else f"{100 * share:.0f} %"
 
 
 def _removed(diagnosis: Diagnosis) -> str:
     sentences = []
     for effect in diagnosis.effects:
         before, after, share = (
-            effect.heldout.get(name) for name in ("rmse_before", "rmse_after", "recoverable_removed")
+            effect.heldout.get(name)
+            for name in ("rmse_before", "rmse_after", "recoverable_removed")
         )
         if before is not None and after is not None:
             of_it = "" if share is None else f", {100 * share:.0f} % of what can be removed"
@@ -170,7 +173,7 @@ def _removed(diagnosis: Diagnosis) -> str:
             )
     rate = diagnosis.false_discovery_rate
     if rate > 0:
-        sentences.append(f"Tests with decoys put the share of wrong names at {_percent(rate)}.")
+        sentences.append(f"Tests with decoys put the share of wrong names at {sure(rate)}.")
     every = "Every effect in the catalogue was tried in turn, alone and with others."
     return " ".join([every, *dict.fromkeys(sentences)])
 
@@ -180,7 +183,7 @@ def _ladder_figure(ladders: Mapping[str, Ladder], *, named: bool) -> Figure:
     decoy = any(ladder.best_decoy is not None for ladder in ladders.values())
     floor = any(ladder.black_box is not None for ladder in ladders.values())
     caption = _LADDER.format(decoy=_DECOY if decoy else "", floor=_FLOOR if floor else "")
-    return _figure(bar_figure(panels, "held-out error of each predictor"), caption)
+    return figure(bar_figure(panels, "held-out error of each predictor"), caption)
 
 
 def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
@@ -242,5 +245,6 @@ def _shift(diagnosis: Diagnosis, joint: str, shift: Mapping[str, float]) -> str:
     return f"What the plain fit of {joint} had hidden: {', '.join(moves)}." if moves else ""
 
 
-def _figure(drawing: Drawing, caption: str) -> Figure:
+def figure(drawing: Drawing, caption: str) -> Figure:
+    """A drawing on the page, for a screen and for a phone."""
     return Figure(svg(drawing), caption, svg(drawing, width=NARROW))

@@ -227,7 +227,7 @@ class Batch:
                 outputs=[products],
                 device=dev,
             )
-            model = _autoregression(products.numpy(), self.least_gain)
+            model = _autoregression(_values(products), self.least_gain)
         wp.launch(
             whitening.whiten,
             dim=rows.size,
@@ -251,11 +251,11 @@ class Batch:
             outputs=[packed],
             device=dev,
         )
-        return (*_unpacked(packed.numpy(), size[1], number, order), model, *kept)
+        return (*_unpacked(_values(packed), size[1], number, order), model, *kept)
 
     def _fetch(self, angle: Any, first: Whole, number: Whole, recordings: Whole) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
-        everything = angle.numpy()
+        everything = _values(angle)
         out = np.zeros((first.size, int(self.recordings.max()), everything.shape[1]))
         for r in range(int(recordings.max())):
             has = recordings > r
@@ -270,7 +270,14 @@ class Batch:
         signal = self.first_signal[problems.joint][:, None] + recording
         inertia = self.load[np.minimum(signal, len(self.load) - 1), 0] + more[:, None]
         fastest = np.maximum(np.sqrt(kp[:, None] / inertia), 0.5 * kd[:, None] / inertia)
-        return np.minimum(LONGEST_SUBSTEP_S, 1 / np.maximum(STEPS_PER_RADIAN * fastest, 1e-9))
+        steps: Array = 1 / np.maximum(STEPS_PER_RADIAN * fastest, 1e-9)
+        return np.minimum(LONGEST_SUBSTEP_S, steps)
+
+
+def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
+    """A Warp array as a NumPy array."""
+    taken: Array = values.numpy()
+    return taken
 
 
 def _counting(trace: Trace, lags: int) -> NDArray[np.bool_]:

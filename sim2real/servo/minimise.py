@@ -196,4 +196,5 @@ def _step(servos: Servos, gram: Array, x: Array, damping: Array) -> tuple[Array,
     step = np.clip(x + step, low, high) - x
     change = 2 * np.einsum("nf,nf->n", slope, step)
     change += np.einsum("nf,nfg,ng->n", step, normal, step)
-    return step, np.asarray(-0.5 * change / np.maximum(error2, 1e-300))
+    gain: Array = -0.5 * change / np.maximum(error2, 1e-300)
+    return np.asarray(step, dtype=np.float64), gain

@@ -1,0 +1,232 @@
+"""The diagnosis part of a report: what the simulated servo lacks, where, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim2real.diagnose.result import Diagnosis, Evidence, Experiment, Mismatch, NamedEffect
+from sim2real.report.diagnosis_plots import (
+    command_figure,
+    mean_figure,
+    residual_figure,
+    torque_figure,
+)
+from sim2real.report.diagnosis_what import (
+    Bar,
+    bar_figure,
+    figure,
+    per_inertia,
+    plain,
+    size,
+    sure,
+    what_blocks,
+)
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import milliradians
+
+_LEAD = (
+    "Does the simulated servo lack something that the real one has? Where the two differ by more "
+    "than noise, each known effect is tried. “90 % sure” means: of ten such findings, nine "
+    "should be right."
+)
+_VERDICTS = {
+    "consistent": ("good", "The plain servo explains these recordings: nothing is missing."),
+    "explained": ("good", "Something was missing from the simulation, and it has a name now."),
+    "ambiguous": (
+        "info",
+        "Something is missing from the simulation; these recordings narrow it down but do not "
+        "tell which of a few effects it is.",
+    ),
+    "partly_explained": (
+        "warn",
+        "Something is missing from the simulation; a part of it has a name, the rest has none yet.",
+    ),
+    "unexplained": (
+        "warn",
+        "Something is missing from the simulation, and no effect in the catalogue explains it.",
+    ),
+}
+_STATES = {
+    "position": "position",
+    "speed": "speed",
+    "error": "distance from the command",
+    "time": "time since the start",
+    "sensor": "position, by way of the angle sensor",
+    "other_joint": "motion of another joint",
+    "shaking": "shaking at one frequency",
+    "jump": "a change at one instant",
+}
+_DRAWN_AGAINST = {"sensor": "position", "other_joint": "time", "shaking": "time", "jump": "time"}
+_STRIPS = 5
+_RESIDUAL = (
+    "What the simulation of {joint} misses, over time: measured minus simulated angle{which}. "
+    "The coloured band is what noise alone does (± 2 standard deviations){shade}."
+)
+_TORQUE = (
+    "The torque that the plain servo of {joint} lacks, moment by moment, at the speed and position "
+    "of that moment. A pattern is physics; a shapeless cloud inside the grey band is noise. The "
+    "rarest half percent may lie outside."
+)
+_DEPENDENCE = (
+    "How much of what {joint} lacks each of these explains by itself. Shares overlap, as a joint "
+    "in motion changes several of them together."
+)
+_MEAN = (
+    "Mean of the torque that the plain servo of {joint} lacks, with two standard errors, over the "
+    "state that it depends on most of those that can be drawn. The grey band is what noise does to "
+    "a single moment."
+)
+_LIMITS = (
+    "How weak an effect could be and still be noticed in these recordings nine times in ten; "
+    "a dash where it could not be noticed at any strength tried."
+)
+
+
+def diagnosis_section(diagnosis: Diagnosis) -> Section:
+    """What is missing, in words, numbers and figures."""
+    blocks: list[Block] = [_verdict(diagnosis), *map(_effect, diagnosis.effects)]
+    for mismatch in diagnosis.mismatch:
+        blocks += _where(diagnosis, mismatch)
+    blocks += _sound(diagnosis)
+    if diagnosis.mismatch:
+        blocks += what_blocks(diagnosis)
+        for mismatch in diagnosis.mismatch:
+            blocks += _guess(diagnosis, mismatch)
+    if diagnosis.next_experiment is not None:
+        blocks += _next(diagnosis.next_experiment)
+    blocks += _limits(diagnosis)
+    if diagnosis.gate:
+        text = "What the check of the recordings remarks on; it may bear on the diagnosis."
+        blocks += [Text(text, heading="Data"), *(Note("info", x) for x in diagnosis.gate)]
+    return Section("Diagnosis", _LEAD, blocks)
+
+
+def _verdict(diagnosis: Diagnosis) -> Note:
+    kind, sentence = _VERDICTS[diagnosis.verdict]
+    return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", sentence)
+
+
+def _effect(effect: NamedEffect) -> Note:
+    sentences = [effect.statement, f"{sure(effect.probability).capitalize()} sure."]
+    if len(effect.group) > 1 and "cannot tell" not in effect.statement:
+        first, *others = map(plain, effect.group)
+        sentences.append(f"These recordings cannot tell {first} from {' or '.join(others)}.")
+    return Note("info", " ".join(sentences))
+
+
+def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
+    joint = mismatch.signal.rpartition(".")[0] or mismatch.component
+    sentence = (
+        f"On data not used for the fit, the plain servo is off by {milliradians(mismatch.rmse)} "
+        f"(root mean square); the sensor's noise is {milliradians(mismatch.noise)}. "
+        f"{100 * mismatch.share:.0f} % of the squared error is not noise. "
+        f"Where it shows: {mismatch.where or 'not known'}."
+    )
+    blocks: list[Block] = [Text(sentence, heading=f"Where {joint} differs")]
+    evidence = _evidence(diagnosis, joint)
+    if evidence:
+        blocks.append(_residuals(diagnosis, mismatch, joint, evidence))
+        drawing = torque_figure(evidence, _unit(diagnosis, joint))
+        blocks.append(figure(drawing, _TORQUE.format(joint=joint)))
+    if mismatch.dependence:
+        ranked = sorted(mismatch.dependence.items(), key=lambda entry: -entry[1])
+        bars = [
+            Bar(_STATES.get(name, name), x, f"{100 * x:.0f} %", strong=k == 0)
+            for k, (name, x) in enumerate(ranked)
+        ]
+        drawing = bar_figure({"": bars}, f"{joint}: what the missing torque depends on", full=0.2)
+        blocks.append(figure(drawing, _DEPENDENCE.format(joint=joint)))
+    return blocks
+
+
+def _residuals(
+    diagnosis: Diagnosis, mismatch: Mismatch, joint: str, evidence: Sequence[Evidence]
+) -> Block:
+    named = any(not np.array_equal(one.baseline, one.enriched) for one in evidence)
+    shown = sorted(evidence, key=lambda one: -_error(one))[:_STRIPS]
+    which = ", of the plain servo and with what is named here" if named else ""
+    if len(shown) < len(evidence):
+        which += f", in the {len(shown)} of {len(evidence)} recordings where it misses most"
+    shade = "; where it stands out, the time is shaded" if any(mismatch.windows_s.values()) else ""
+    drawing = residual_figure(shown, mismatch.noise, mismatch.windows_s, enriched=named)
+    return figure(drawing, _RESIDUAL.format(joint=joint, which=which, shade=shade))
+
+
+def _error(one: Evidence) -> float:
+    left = one.position - one.baseline
+    known = left[np.isfinite(left)]
+    return float(np.mean(known**2)) if known.size else 0.0
+
+
+def _evidence(diagnosis: Diagnosis, joint: str) -> list[Evidence]:
+    return [x for x in diagnosis.evidence if x.joint == joint and np.isfinite(x.position).any()]
+
+
+def _unit(diagnosis: Diagnosis, joint: str) -> str:
+    return "missing torque, N m" + ("/(kg m²)" if per_inertia(diagnosis, joint) else "")
+
+
+def _sound(diagnosis: Diagnosis) -> list[Block]:
+    differing = {mismatch.component for mismatch in diagnosis.mismatch}
+    sound = [name for name in diagnosis.model.joints if name not in differing]
+    if not sound or not differing:
+        return []
+    names = " and ".join(filter(None, (", ".join(sound[:-1]), sound[-1])))
+    follow = "follow" if len(sound) > 1 else "follows"
+    return [Note("good", f"{names} {follow} the plain servo down to the noise.")]
+
+
+def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
+    joint = mismatch.component
+    formula = diagnosis.hypothesis.get(joint, "")
+    unknown = diagnosis.unknown.get(joint, 0.0)
+    if not formula and unknown <= 0.5 and diagnosis.verdict != "unexplained":
+        return []
+    text = f"No effect in the catalogue explains what {joint} does; {sure(unknown)} sure of that."
+    blocks: list[Block] = [Text(text, heading=f"What {joint} does without a name")]
+    evidence = _evidence(diagnosis, joint)
+    if evidence:
+        states = {_DRAWN_AGAINST.get(k, k): v for k, v in reversed(mismatch.dependence.items())}
+        state = max(states, key=lambda name: states[name], default="position")
+        drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
+        blocks.append(figure(drawing, _MEAN.format(joint=joint)))
+    if formula:
+        blocks.append(Note("warn", f"A guess, not a finding: {formula}"))
+    return blocks
+
+
+def _next(experiment: Experiment) -> list[Block]:
+    apart = (
+        f"It takes {experiment.duration_s:.0f} s and sets the two closest candidates "
+        f"{experiment.separation:.0f} noise levels apart."
+    )
+    where = f" The command to play is in {experiment.file}." if experiment.file else ""
+    text = f"{experiment.statement} {apart}{where}"
+    blocks: list[Block] = [Text(text, heading="What to record next")]
+    t, signal = experiment.t, experiment.signal
+    if t is not None and signal is not None and t.size and t.size == signal.size:
+        caption = f"The command to play on {experiment.component}: {experiment.command}."
+        blocks.append(figure(command_figure(experiment), caption))
+    return blocks
+
+
+def _limits(diagnosis: Diagnosis) -> list[Block]:
+    cells: dict[str, dict[str, str]] = {}
+    for limit in diagnosis.detection_limits:
+        bare = per_inertia(diagnosis, limit.component)
+        texts = [size(n, x, per_inertia=bare) for n, x in limit.smallest.items() if x is not None]
+        cells.setdefault(limit.effect, {})[limit.component] = "\n".join(texts)
+    places = tuple(dict.fromkeys(limit.component for limit in diagnosis.detection_limits))
+    rows = [
+        (plain(effect), *(by_place.get(place) or "–" for place in places))
+        for effect, by_place in cells.items()
+    ]
+    if not rows:
+        return []
+    text = "What is smaller than this could be there, and nobody would know."
+    return [
+        Text(text, heading="How small an effect could show"),
+        Table(("effect", *places), rows, _LIMITS),
+    ]

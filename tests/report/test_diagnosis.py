@@ -1,0 +1,287 @@
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim2real.diagnose.result import (
+    DetectionLimit,
+    Diagnosis,
+    Estimate,
+    Evidence,
+    Experiment,
+    Ladder,
+    Mismatch,
+    NamedEffect,
+    Rival,
+)
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.recording import Load
+from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report.diagnosis_plots import POINTS, binned, outline
+from sim2real.report.page import Figure, Note, Table, Text, render_page
+
+NOISE = 0.0015
+EVIL = "<script>alert(1)</script>"
+
+
+def joint(*effects):
+    load = Load(0.002)
+    return JointModel(1.76, 0.05, 0.066, 0.002, load=load, effects=effects)
+
+
+def evidence(recording, *, samples=1500, helps=True, seed=0):
+    """A joint that follows chirp-like commands and misses them just after reversals."""
+    rng = np.random.default_rng(seed)
+    t = 0.02 * np.arange(samples)
+    command = 0.6 * np.sin(2.1 * t) * np.sin(0.33 * t + seed)
+    speed = np.gradient(command, t)
+    lacking = -0.03 * np.tanh(20 * speed)
+    true = command + 0.15 * lacking
+    position = true + rng.normal(0, NOISE, t.size)
+    position[200:212] = np.nan
+    torque = lacking + rng.normal(0, 0.004, t.size)
+    enriched = true if helps else command
+    spread = np.full(t.size, 0.004)
+    return Evidence(
+        "j2", recording, t, command, position, command, enriched, speed, torque, spread
+    )
+
+
+MISMATCH = Mismatch(
+    signal="j2.position_rad",
+    component="j2",
+    rmse=0.0047,
+    noise=NOISE,
+    share=0.90,
+    windows_s={"steps": ((2.0, 4.5), (11.0, 12.5)), "chirp": ()},
+    where="it depends on the speed and its sign: just after reversals above all",
+    dependence={"speed": 0.61, "position": 0.22, "error": 0.18, "time": 0.01},
+)
+NAMED = NamedEffect(
+    effect="coulomb_friction",
+    component="j2",
+    probability=0.982,
+    group=("coulomb_friction",),
+    parameters={"torque_Nm": Estimate(0.0312, 0.0012, 0.0292, 0.0332)},
+    heldout={"rmse_before": 0.0047, "rmse_after": 0.0017, "recoverable_removed": 0.94},
+    baseline_shift={"kp_Nm_per_rad": -0.24, "kd_Nms_per_rad": 0.0001, "latency_s": 0.008},
+    stability=0.96,
+    statement="j2: dry friction of 0.0312 N m holds the shaft.",
+)
+CONSISTENT = Diagnosis(
+    verdict="consistent",
+    mismatch=(),
+    effects=(),
+    rivals=(),
+    unknown={"j1": 0.0, "j2": 0.0, "j3": 0.0},
+    hypothesis={},
+    false_discovery_rate=0.0,
+    baseline_fit={},
+    enriched_fit={},
+    ladders={},
+    detection_limits=(),
+    next_experiment=None,
+    gate=(),
+    model=Model({"j1": joint(), "j2": joint(), "j3": joint()}),
+)
+EXPLAINED = replace(
+    CONSISTENT,
+    verdict="explained",
+    mismatch=(MISMATCH,),
+    effects=(NAMED,),
+    rivals=(Rival("stribeck_friction", "j2", 0.012), Rival("backlash", "j2", 0.003)),
+    unknown={"j1": 0.0, "j2": 0.02, "j3": 0.0},
+    false_discovery_rate=0.03,
+    ladders={
+        "j1.position_rad": Ladder(0.0016, 0.0016, 0.0016, 0.0016, NOISE),
+        "j2.position_rad": Ladder(0.0047, 0.0017, 0.0044, 0.0016, NOISE),
+    },
+    detection_limits=tuple(
+        DetectionLimit(effect, name, {parameter: value})
+        for name in ("j1", "j2", "j3")
+        for effect, parameter, value in (
+            ("coulomb_friction", "torque_Nm", 0.0021),
+            ("backlash", "gap_rad", 0.0034),
+            ("thermal_derating", "loss", None if name == "j1" else 0.08),
+        )
+    ),
+    gate=("steps: 12 samples of j2 are missing from 4.0 s to 4.2 s.",),
+    model=Model({"j1": joint(), "j2": joint(FittedEffect("coulomb_friction", {})), "j3": joint()}),
+    evidence=(evidence("steps"), evidence("chirp", samples=9000, seed=1)),
+)
+AMBIGUOUS = replace(
+    EXPLAINED,
+    verdict="ambiguous",
+    effects=(
+        replace(
+            NAMED,
+            effect="backlash",
+            probability=0.998,
+            group=("backlash", "deadband"),
+            parameters={"gap_rad": Estimate(0.03, 0.001, 0.028, 0.032)},
+            statement="j2: the gears have 1.72° of play.",
+        ),
+    ),
+    next_experiment=Experiment(
+        component="j2",
+        separates=("backlash", "deadband"),
+        command="slow triangles of three amplitudes",
+        context="none",
+        separation=14.2,
+        duration_s=20.0,
+        statement="Record j2 under slow triangles: play shows at reversals, a dead band at rest.",
+        file="diagnosis.j2.csv",
+        t=0.02 * np.arange(1000),
+        signal=0.3 * np.abs(np.mod(0.01 * np.arange(1000), 2) - 1),
+    ),
+)
+UNEXPLAINED = replace(
+    EXPLAINED,
+    verdict="unexplained",
+    effects=(),
+    unknown={"j1": 0.0, "j2": 0.93, "j3": 0.0},
+    hypothesis={"j2": "torque ≈ −0.031 sign(speed) N m"},
+    evidence=(evidence("steps", helps=False),),
+)
+
+
+def said(diagnosis):
+    """Everything that the section says, as one text; and its blocks."""
+    section = diagnosis_section(diagnosis)
+    words = []
+    for block in section.blocks:
+        if isinstance(block, Text):
+            words += [block.heading, block.paragraph]
+        elif isinstance(block, Note):
+            words.append(block.text)
+        elif isinstance(block, Table):
+            words += [*block.header, *(cell for row in block.rows for cell in row), block.caption]
+        else:
+            words += [block.caption, *re.findall(r"<text[^>]*>([^<]*)", block.svg)]
+    return " ".join(words), section.blocks
+
+
+def test_consistent_says_so_and_nothing_more():
+    text, blocks = said(CONSISTENT)
+    assert blocks[0].kind == "good" and "nothing is missing" in text
+    assert not any(isinstance(block, Figure | Table) for block in blocks)
+
+
+def test_named_effect_is_told_with_its_probability_and_size():
+    text, blocks = said(EXPLAINED)
+    assert "dry friction of 0.0312 N m holds the shaft. 98 % sure." in text
+    assert "0.0312 N m" in text and "0.0292 N m – 0.0332 N m" in text
+    assert "from 4.7 mrad to 1.7 mrad, 94 % of what can be removed" in text
+    assert "cannot tell" not in " ".join(b.text for b in blocks if isinstance(b, Note))
+    assert "after reversals above all" in text
+    assert "12 samples of j2 are missing" in text
+    assert "Guess" not in text and "guess" not in text
+
+
+def test_what_the_plain_fit_had_hidden():
+    text, _ = said(EXPLAINED)
+    assert "What the plain fit of j2 had hidden: kp moves by −12 %, latency moves by +14 %." in text
+
+
+def test_joints_without_mismatch_get_one_sentence():
+    text, blocks = said(EXPLAINED)
+    assert "j1 and j3 follow the plain servo down to the noise." in text
+    assert [b.heading for b in blocks if isinstance(b, Text) and b.heading.startswith("Where")] == [
+        "Where j2 differs"
+    ]
+
+
+def test_detection_limits_are_one_row_an_effect():
+    _, blocks = said(EXPLAINED)
+    (table,) = [b for b in blocks if isinstance(b, Table) and "j1" in b.header]
+    assert table.header == ("effect", "j1", "j2", "j3")
+    assert table.rows[0] == ("dry friction", *["0.0021 N m"] * 3)
+    assert table.rows[2] == ("a motor that weakens as it warms", "–", "8 %", "8 %")
+
+
+def test_members_of_a_group_are_named_with_the_next_experiment():
+    text, _ = said(AMBIGUOUS)
+    assert "More than 99 % sure." in text
+    both = "cannot tell play in the gears from a dead band of the controller"
+    assert f"These recordings {both}." in text
+    assert "play in the gears or a dead band of the controller" in text
+    assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
+    told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
+    assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell play") == 1
+
+
+def test_a_guess_is_marked_as_a_guess():
+    text, blocks = said(UNEXPLAINED)
+    assert "A guess, not a finding: torque ≈" in text
+    assert blocks[0].kind == "warn" and "no effect in the catalogue explains it" in text
+    assert "with the findings" not in text and "with what is named" not in text
+
+
+def test_torque_without_a_known_load_is_per_inertia():
+    bare = replace(EXPLAINED.model.joints["j2"], per_inertia=True)
+    text, _ = said(replace(EXPLAINED, model=Model({"j2": bare})))
+    assert "0.0312 N m/(kg m²)" in text and "missing torque, N m/(kg m²)" in text
+
+
+@pytest.mark.parametrize("whole", [EXPLAINED, AMBIGUOUS, UNEXPLAINED])
+def test_empty_parts_do_no_harm(whole):
+    empty = replace(
+        whole,
+        mismatch=(replace(MISMATCH, windows_s={}, where="", dependence={}),),
+        effects=tuple(
+            replace(e, parameters={}, heldout={}, baseline_shift={}) for e in whole.effects
+        ),
+        rivals=(),
+        unknown={},
+        hypothesis={},
+        ladders={"j2.position_rad": Ladder(0.004, 0.004, None, None, NOISE)},
+        next_experiment=whole.next_experiment and replace(whole.next_experiment, t=None),
+        model=Model({}),
+    )
+    unmeasured = replace(EXPLAINED.evidence[0], position=np.full(1500, np.nan))
+    still = np.full(1500, 0.1)
+    resting = replace(
+        EXPLAINED.evidence[0], position=still, speed=0 * still, torque=0 * still, torque_sd=0 * still
+    )
+    for some in ((), (unmeasured,), (resting,)):
+        render_page("a", "", [diagnosis_section(replace(empty, evidence=some))], {})
+    diagnosis_section(replace(empty, mismatch=(), effects=()))
+
+
+def test_an_effect_that_joints_share_shifts_the_first():
+    shared = replace(NAMED, component="supply")
+    text, _ = said(replace(EXPLAINED, effects=(shared,)))
+    assert "What the plain fit of j2 had hidden" in text
+
+
+def test_hostile_names_are_escaped():
+    mismatch = replace(MISMATCH, signal=f"{EVIL}.position_rad", component=EVIL)
+    seen = tuple(replace(e, joint=EVIL, recording=EVIL) for e in EXPLAINED.evidence)
+    page = render_page(
+        "a", "", [diagnosis_section(replace(EXPLAINED, mismatch=(mismatch,), evidence=seen))], {}
+    )
+    assert "<script" not in page
+
+
+def test_lines_are_thinned_and_keep_gaps_and_extremes():
+    rng = np.random.default_rng(0)
+    t, values = 0.01 * np.arange(30000), rng.normal(size=30000)
+    values[1234], values[777] = 50.0, np.nan
+    for size in (30000, 2500, 100):
+        x, y = outline(t[:size], values[:size])
+        assert x.size <= POINTS and np.all(np.diff(x) > 0)
+        assert np.nanmax(y) == np.nanmax(values[:size])
+        assert np.isnan(y).any() == (size > 777)
+
+
+def test_error_of_a_mean_counts_independent_stretches():
+    """Smoothed noise: the bins' means lie within two standard errors of 0 about 95 % of the time."""
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(60000)
+    smooth = np.convolve(rng.normal(size=t.size + 17), np.ones(18) / 18, mode="valid")
+    inside = []
+    for wave in range(20):
+        _, means, errors = binned(np.sin((0.3 + 0.01 * wave) * t), smooth, t)
+        inside.append(np.mean(np.abs(means) < 2 * errors))
+    assert 0.85 < np.mean(inside) < 0.99
