@@ -1,375 +1,423 @@
-"""Compare what was said of a set with what is true of it.
+"""Grade the answers to a sealed set: every number of the proof, and a line for every case.
 
-python datasets/concealed/grade.py SET VERDICTS --out RESULTS.json
-
-SET is what ``make.py`` wrote, VERDICTS what ``solve.py`` wrote. Every measure is defined here,
-before any run; every case is listed in the results, failures and all.
+python datasets/concealed/grade.py SET VERDICTS --out RESULTS.json [--csv cases.csv] [--answered]
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
-from tqdm import tqdm
+import pandas as pd
+from scipy.stats import beta, binom
 
-from sim2real.model import read_model
-from sim2real.recording import read_recording
+from sim2real.model import Model, read_model
+from sim2real.output import write_json, write_whole
+from sim2real.recording import Recording, read_recording
 from sim2real.servo.predict import predict
 
-Json = dict[str, Any]
+Row = dict[str, Any]
 
-CONFIDENT, NAMED, DETECTABLE = 0.9, 0.5, 10.0
-BINS = 10
-_NULLS = ("null", "trap")
-_EVERYWHERE = ("supply", "link")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One case: its name, what is true of it and what was said, and its held-out errors."""
-
-    case: str
-    answer: Json
-    said: Json
-    heldout: dict[str, tuple[float, float, float]]
-
-    @property
-    def kind(self) -> str:
-        """``null``, ``single``, ``double`` or ``outside``; a trap is a null."""
-        return "null" if self.answer["kind"] in _NULLS else str(self.answer["kind"])
-
-    @property
-    def flagged(self) -> bool:
-        """Whether a mismatch was seen at all."""
-        return bool(self.said["verdict"] != "consistent")
-
-    @property
-    def llr(self) -> float:
-        """The oracle's log-likelihood ratio."""
-        return float(self.answer["oracle"].get("llr_total") or 0.0)
-
-    @property
-    def effects(self) -> list[Json]:
-        """What was named, likeliest first."""
-        return sorted(self.said["effects"], key=lambda e: -e["probability"])
-
-    def true_group(self, entry: Json) -> bool:
-        """Whether a named group has one of the true effects, at its place."""
-        return any(t["effect"] in entry["group"] and _placed(entry, t) for t in self.hidden)
-
-    @property
-    def hidden(self) -> list[Json]:
-        """Effects of the catalogue that are there."""
-        return [] if self.kind == "outside" else list(self.answer["effects"])
+DETECTABLE = 10.0
+"""Log-likelihood ratio from which on what is hidden ought to be found."""
+SURE, LIKELY, STATED = 0.9, 0.5, 0.05
+"""Probabilities: claimed; named at all; counted in the calibration."""
+SHARED = ("supply", "link")
+"""Components that show on any joint."""
+CHANCE = ("latency_jitter", "packet_loss")
+"""Effects whose dice nobody can predict on another recording."""
+RECOVERABLE = 1.05
+"""Held-out error over its floor from which on a share of it can be told."""
+HARM = 0.01
+NULLS = ("null", "trap")
 
 
-def main() -> None:
-    """Grade a set and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Grade and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
-    entries = list(read(options.set, options.verdicts))
-    options.out.write_text(json.dumps(grade(entries), indent=1) + "\n")
-    for name, measure in grade(entries)["measures"].items():
-        print(f"{name:45} {measure}")
+    parser.add_argument("--out", type=Path, required=True, metavar="RESULTS.json")
+    parser.add_argument("--csv", type=Path, metavar="CASES.csv")
+    parser.add_argument("--answered", action="store_true", help="leave out cases with no verdict")
+    options = parser.parse_args(arguments)
+    results = grade(options.set, options.verdicts, answered=options.answered)
+    write_json(options.out, results)
+    if options.csv:
+        write_whole(options.csv, table(results["cases"]))
+    for tier, found in results["tiers"].items():
+        print(tier)
+        for name, metric in found["metrics"].items():
+            print(f"  {name:32s} {shown(metric)}")
 
 
-def read(folder: Path, verdicts: Path) -> Iterator[Entry]:
-    """Every case of a set that was answered."""
-    answers = json.loads((folder / "answers.json").read_text())
-    for answer in tqdm(answers, desc="grade", disable=None):
-        said = verdicts / answer["case"] / "diagnosis.json"
-        if said.exists():
-            errors = _heldout(folder, said.parent, answer)
-            yield Entry(answer["case"], answer, json.loads(said.read_text()), errors)
+def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[str, Any]:
+    """All results of the cases of a set.
 
-
-def grade(entries: Sequence[Entry]) -> Json:
-    """All measures, and what each case contributed."""
-    nulls = [e for e in entries if e.kind == "null"]
-    outside = [e for e in entries if e.kind == "outside"]
-    hidden = [e for e in entries if e.kind in ("single", "double")]
-    seen = [e for e in hidden if e.llr >= DETECTABLE]
-    singles = [e for e in seen if e.kind == "single"]
-    doubles = [e for e in seen if e.kind == "double"]
-    claims = [(e, c) for e in entries for c in e.effects if c["probability"] >= CONFIDENT]
-    measures = {
-        "false_alarms": _share(nulls, lambda e: _best(e) >= CONFIDENT),
-        "nulls_flagged": _share(nulls, lambda e: e.flagged),
-        "detectable_flagged": _share(seen, lambda e: e.flagged),
-        "first_group_right": _share(singles, _first_group),
-        "first_name_right": _share(singles, _first_name),
-        "first_name_in_oracle_group": _share(
-            [e for e in singles if e.answer["oracle"].get("group")], _in_oracle_group
-        ),
-        "component_right": _share([e for e in singles if e.flagged], _component_right),
-        "confident_and_wrong": _share(claims, lambda pair: not pair[0].true_group(pair[1])),
-        "calibration": _calibration(entries),
-        "outside_abstains": _share(outside, _abstains),
-        "outside_confident_names": _share(outside, lambda e: _best(e) >= CONFIDENT),
-        "windows_iou": _windows([e for e in outside if any(e.answer["windows_s"].values())]),
-        "recoverable_removed": _removed(singles),
-        "null_harm": _harm(nulls),
-        "both_named": _share(doubles, _both),
-        "group_size": float(np.mean([len(x["group"]) for e in entries for x in e.effects] or [0])),
-        "parameter_error": _parameter_error(singles),
-    }
+    Args:
+        challenge: Folder with ``answers.json``, ``hashes.json`` and ``heldout``.
+        verdicts: Folder with a folder a case.
+        answered: Leave out cases with no verdict; else one that is missing is an error.
+    """
+    sealed = (challenge / "answers.json").read_bytes()
+    content = json.loads(sealed)
+    answers = content if isinstance(content, list) else content["cases"]
+    tier = "T1" if isinstance(content, list) else content.get("tier", "T1")
+    rows = []
+    for truth in answers:
+        folder = verdicts / truth["case"]
+        if answered and not (folder / "diagnosis.json").exists():
+            continue
+        row = judge(truth, folder, challenge / "heldout" / truth["case"])
+        rows.append({"tier": truth.get("tier", tier), **row})
+    path = challenge / "hashes.json"
+    published = json.loads(path.read_text()) if path.exists() else {}
+    digest = hashlib.sha256(sealed).hexdigest()
     return {
-        "measures": measures,
-        "counts": dict(Counter(e.kind for e in entries)),
-        "detectable": {"single": len(singles), "double": len(doubles)},
-        "by_effect": _by_effect(singles),
-        "confusion": _confusion(singles),
-        "by_outside_kind": _by_outside_kind(outside),
-        "power": _power(hidden),
-        "cases": [_row(e) for e in entries],
+        "schema": "sim2real.grade/1",
+        "set": challenge.name,
+        "verdicts": verdicts.name,
+        "answers_as_published": published.get("answers.json") == digest if published else None,
+        "grader": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(),
+        "hashes": published,
+        "tiers": {
+            name: summarize([row for row in rows if row["tier"] == name])
+            for name in sorted({str(row["tier"]) for row in rows})
+        },
+        "cases": rows,
     }
 
 
-def _placed(entry: Json, truth: Json) -> bool:
-    return entry["component"] == truth["component"] or truth["component"] in _EVERYWHERE
+def judge(truth: Row, folder: Path, held_out: Path) -> Row:
+    """What was said of one case beside what is true of it."""
+    said = json.loads((folder / "diagnosis.json").read_text())
+    hidden, oracle, kind = truth["effects"], truth.get("oracle") or {}, truth["kind"]
+    entries = [_entry(given, [] if kind == "outside" else hidden) for given in said["effects"]]
+    first = entries[0] if entries else None
+    likely = [entry for entry in entries if entry["probability"] >= LIKELY]
+    llr = oracle.get("llr_total", sum(oracle["llr"].values()) if "llr" in oracle else None)
+    row: Row = {
+        "case": truth["case"],
+        "kind": kind,
+        "truth": [f"{one['effect']}@{one['component']}" for one in hidden] or [truth.get("trap")],
+        "strength": hidden[0].get("strength") if len(hidden) == 1 else None,
+        "llr": llr,
+        "llr_least": min(oracle["llr_of_each"].values()) if "llr_of_each" in oracle else llr,
+        "oracle_group": oracle.get("group"),
+        "verdict": said["verdict"],
+        "flagged": said["verdict"] != "consistent",
+        "entries": entries,
+        "component_right": None,
+        "iou": _windows(truth, said) if hidden else [],
+        "heldout": _held_out(truth, folder, held_out),
+    }
+    parts = [entry["component"] for entry in entries[:1] or said.get("mismatch", [])[:1]]
+    if hidden:
+        row["component_right"] = any(_same(h["component"], p) for h in hidden for p in parts)
+    if kind == "single":
+        row["group_right"] = bool(first and first["right"])
+        row["exact"] = bool(first and first["right"] and first["effect"] == hidden[0]["effect"])
+        group = row["oracle_group"]
+        accepted = {**hidden[0], "effect": first["effect"]} if first and group else None
+        row["in_oracle_group"] = None
+        if group:
+            row["in_oracle_group"] = bool(
+                first and accepted and first["effect"] in group and _right([first["effect"]],
+                first["component"], accepted)
+            )  # fmt: skip
+        if row["exact"]:
+            row["parameters"] = _parameters(said["effects"][0], hidden[0]["parameters"])
+    if kind == "double":
+        row |= _both(hidden, likely)
+    if kind == "outside":
+        given_up = said["verdict"] in ("unexplained", "partly_explained")
+        row["abstains"] = given_up and not likely
+    return row | {"failures": _failures(row)}
 
 
-def _best(entry: Entry) -> float:
-    return max((e["probability"] for e in entry.said["effects"]), default=0.0)
+def _entry(given: Row, hidden: list[Row]) -> Row:
+    group = list(dict.fromkeys([*given.get("group", []), given["effect"]]))
+    right = any(_right(group, given["component"], one) for one in hidden)
+    kept = {name: given[name] for name in ("effect", "component", "probability")}
+    return {**kept, "group": group, "right": right}
 
 
-def _first_group(entry: Entry) -> bool:
-    return bool(entry.effects) and entry.true_group(entry.effects[0])
+def _right(group: list[str], component: str, true: Row) -> bool:
+    return true["effect"] in group and _same(true["component"], component)
 
 
-def _first_name(entry: Entry) -> bool:
-    return _first_group(entry) and entry.effects[0]["effect"] == entry.hidden[0]["effect"]
+def _same(true: str, named: str) -> bool:
+    return true in SHARED or true == named
 
 
-def _in_oracle_group(entry: Entry) -> bool:
-    group = entry.answer["oracle"]["group"]
-    return bool(entry.effects) and entry.effects[0]["effect"] in group
+def _both(hidden: list[Row], likely: list[Row]) -> Row:
+    """Whether each of several effects has an entry of its own, and what F1 needs."""
+
+    def met(order: Sequence[Row]) -> int:
+        pairs = zip(order, hidden, strict=False)
+        return sum(_right(entry["group"], entry["component"], one) for entry, one in pairs)
+
+    padded = likely + [{"group": [], "component": ""}] * len(hidden)
+    found = max(met(order) for order in permutations(padded[: len(hidden) + 4], len(hidden)))
+    wrong = sum(not entry["right"] for entry in likely)
+    return {"both": found == len(hidden), "found": found, "wrong": wrong, "of": len(hidden)}
 
 
-def _component_right(entry: Entry) -> bool:
-    said = entry.effects or entry.said["mismatch"]
-    return bool(said) and _placed(said[0], entry.answer["effects"][0])
+def _parameters(given: Row, true: dict[str, float]) -> list[Row]:
+    """Relative error of each parameter, and whether its 90 % interval holds the truth."""
+    found = []
+    for name, value in true.items():
+        estimate = given.get("parameters", {}).get(name)
+        if estimate is None or "phase" in name:
+            continue
+        size = value - 1.0 if name == "gain" else value
+        error = abs(estimate["mean"] - value) / max(abs(size), 1e-12)
+        covered = estimate["q05"] <= value <= estimate["q95"]
+        found.append({"parameter": name, "error": float(error), "covered": bool(covered)})
+    return found
 
 
-def _abstains(entry: Entry) -> bool:
-    return entry.flagged and not any(e["probability"] >= NAMED for e in entry.effects)
+def _windows(truth: Row, said: Row) -> list[float]:
+    """Intersection over union of true and stated windows, one number a recording that has any."""
+    shares = []
+    for recording, true in (truth.get("windows_s") or {}).items():
+        if not true or recording == "c":
+            continue
+        stated: list[Sequence[float]] = []
+        for one in said.get("mismatch", []):
+            if any(_same(hidden["component"], one["component"]) for hidden in truth["effects"]):
+                stated += one.get("windows_by_recording", {}).get(recording, [])
+        shares.append(overlap(true, stated))
+    return shares
 
 
-def _both(entry: Entry) -> bool:
-    named = [e for e in entry.effects if e["probability"] >= NAMED]
-    return all(
-        any(t["effect"] in e["group"] and _placed(e, t) for e in named) for t in entry.hidden
+def overlap(one: Iterable[Sequence[float]], other: Iterable[Sequence[float]]) -> float:
+    """Intersection over union of two sets of stretches."""
+    first, second = [list(map(tuple, stretches)) for stretches in (one, other)]
+    edges = np.unique([end for stretch in first + second for end in stretch])
+    both = either = 0.0
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        inside = [any(a <= start and stop <= b for a, b in each) for each in (first, second)]
+        both += float(stop - start) * all(inside)
+        either += float(stop - start) * any(inside)
+    return both / either if either else 0.0
+
+
+def _held_out(truth: Row, folder: Path, held_out: Path) -> Row | None:
+    """Error on recordings not given, rad: of the plain model, the enriched one, the best there is.
+
+    Over the joints that the hidden physics acts on; over all where there is none.
+    """
+    files = sorted(held_out.glob("*.csv"))
+    if not files or not (folder / "baseline.json").exists():
+        return None
+    models = [read_model(folder / f"{name}.json") for name in ("baseline", "enriched")]
+    squares: dict[str, list[float]] = defaultdict(list)
+    for path in files:
+        recording = read_recording(path)
+        parts = {one["component"] for one in truth["effects"]}
+        joints = [j for j in recording.joints if not parts or parts & {j, *SHARED}]
+        joints = [j for j in joints if all(j in model.joints for model in models)]
+        given = folder / f"enriched_{path.stem}.npz"  # of rivals that are no model
+        for name, model in zip(("base", "enriched"), models, strict=True):
+            angles = dict(np.load(given)) if name == "enriched" and given.exists() else None
+            squares[name] += _mean_squares(recording, model, joints, angles)
+        floors = [_floor(truth, joint, path.stem) for joint in joints]
+        squares["floor"] += [floor**2 for floor in floors if floor is not None]
+    if not squares["base"]:
+        return None
+    errors = {name: float(np.sqrt(np.mean(x))) if x else None for name, x in squares.items()}
+    base, rich, floor = errors["base"], errors["enriched"], errors.get("floor")
+    assert base is not None and rich is not None
+    if len(squares["floor"]) < len(squares["base"]):
+        floor = None
+    recoverable = floor is not None and base > RECOVERABLE * floor
+    eta = (base - rich) / (base - floor) if recoverable and floor is not None else None
+    return {"base": base, "enriched": rich, "floor": floor, "eta": eta, "drop": 1 - rich / base}
+
+
+def _mean_squares(
+    recording: Recording, model: Model, joints: list[str], angles: dict[str, Any] | None
+) -> list[float]:
+    column = {joint: recording.joints.index(joint) for joint in joints}
+    if angles is None:
+        command = {joint: recording.command[:, column[joint]] for joint in joints}
+        angles = predict(model, recording.t, command, recording.loads)
+    return [float(np.nanmean((angles[j] - recording.position[:, column[j]]) ** 2)) for j in joints]
+
+
+def _floor(truth: Row, joint: str, recording: str) -> float | None:
+    """Of the noise of a joint on a held-out recording, rad; None where nobody knows."""
+    known = (truth.get("oracle") or {}).get("heldout_floor_rad", {})
+    if joint in known and recording == "c":
+        return float(known[joint])
+    noise = truth.get("joints", {}).get(joint, {}).get("noise")
+    if noise is None:
+        return None
+    coarse = [e["parameters"] for e in truth["effects"] if e["effect"] == "encoder_quantization"]
+    step = max([noise["step_rad"], *(p["step_rad"] for p in coarse)])
+    return float(np.sqrt(noise["white_rad"] ** 2 + noise["wander_rad"] ** 2 + step**2 / 12))
+
+
+def detectable(row: Row) -> bool:
+    """Whether one who knows all would see it; True where that was not worked out."""
+    return row["llr"] is None or row["llr"] >= DETECTABLE
+
+
+def _failures(row: Row) -> list[str]:
+    """What a reader would want to know went wrong."""
+    kind, seen, held = row["kind"], detectable(row), row["heldout"] or {}
+    sure = [e for e in row["entries"] if e["probability"] >= SURE]
+    wrong = [
+        ("false alarm", kind in NULLS and bool(sure)),
+        ("flagged", kind in NULLS and row["flagged"] and not sure),
+        ("confidently wrong", kind not in NULLS and any(not e["right"] for e in sure)),
+        ("missed", kind not in NULLS and seen and not row["flagged"]),
+        ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
+        ("wrong component", kind == "single" and row["flagged"] and not row["component_right"]),
+        ("does not abstain", kind == "outside" and row["flagged"] and not row["abstains"]),
+        ("not both", kind == "double" and _each_seen(row) and not row["both"]),
+        ("windows", any(x < 0.5 for x in row["iou"])),
+        ("harm", kind in NULLS and bool(held) and held["drop"] < -HARM),
+        ("error left", kind == "single" and seen and (held.get("eta") or 1.0) < 0.8),
+    ]
+    return [name for name, failed in wrong if failed]
+
+
+def _each_seen(row: Row) -> bool:
+    return row["llr_least"] is None or row["llr_least"] >= DETECTABLE
+
+
+def summarize(rows: list[Row]) -> dict[str, Any]:
+    """All numbers of the cases of one tier."""
+    nulls, single, double, outside = (
+        [row for row in rows if row["kind"] in kinds]
+        for kinds in (NULLS, ("single",), ("double",), ("outside",))
     )
+    seen = [row for row in single if detectable(row)]
+    entries = [entry for row in rows for entry in row["entries"]]
+    sure = [entry for entry in entries if entry["probability"] >= SURE]
+    held = [r for r in seen if r["heldout"]]
+    recovered = [r for r in held if r["heldout"]["eta"] is not None]
+    fair = [r for r in recovered if r["truth"][0].partition("@")[0] not in CHANCE]
+    harmed = [-r["heldout"]["drop"] for r in nulls if r["heldout"]]
+    shown_doubles = [r for r in double if _each_seen(r)]
+    estimates = [p for r in single for p in r.get("parameters", [])]
+    stated = [r["in_oracle_group"] for r in seen if r["in_oracle_group"] is not None]
+    calibrated, bins = calibration(entries)
+    hits, misses = sum(r["found"] for r in double), sum(r["of"] - r["found"] for r in double)
+    f1 = hits / (hits + (misses + sum(r["wrong"] for r in double)) / 2) if double else None
+    etas, fair_etas = ([r["heldout"]["eta"] for r in some] for some in (recovered, fair))
+    metrics = {
+        "false_alarm": share(any(e["probability"] >= SURE for e in r["entries"]) for r in nulls),
+        "nulls_flagged": share(r["flagged"] for r in nulls),
+        "detection": share(r["flagged"] for r in seen + [d for d in double if detectable(d)]),
+        "detection_all": share(r["flagged"] for r in single + double),
+        "outside_flagged": share(r["flagged"] for r in outside),
+        "group_first": share(r["group_right"] for r in seen),
+        "group_first_all": share(r["group_right"] for r in single),
+        "first_in_oracle_group": share(stated),
+        "exact_first": share(r["exact"] for r in seen),
+        "group_size": plain([len(r["entries"][0]["group"]) for r in seen if r["entries"]]),
+        "component": share(r["component_right"] for r in single if r["flagged"]),
+        "confident_wrong": share(not entry["right"] for entry in sure),
+        **calibrated,
+        "outside_abstains": share(r["abstains"] for r in outside),
+        "outside_confident_wrong": share(
+            any(e["probability"] >= SURE for e in r["entries"]) for r in outside
+        ),
+        "window_iou": quantile([x for r in rows for x in r["iou"]], 0.5),
+        "recovered_median": quantile(etas, 0.5),
+        "recovered_p10": quantile(etas, 0.1),
+        "recovered_median_but_chance": quantile(fair_etas, 0.5),
+        "recovered_p10_but_chance": quantile(fair_etas, 0.1),
+        "heldout_drop_median": quantile([r["heldout"]["drop"] for r in held], 0.5),
+        "harm": share(change > HARM for change in harmed),
+        "harm_mean": plain(harmed),
+        "doubles_both": share(r["both"] for r in shown_doubles),
+        "doubles_both_all": share(r["both"] for r in double),
+        "doubles_f1": {"value": f1, "of": len(double)},
+        "parameter_error_median": quantile([p["error"] for p in estimates], 0.5),
+        "parameter_covered": share(p["covered"] for p in estimates),
+    }
+    counts = dict(Counter(row["kind"] for row in rows)) | {"detectable_singles": len(seen)}
+    return {"counts": counts, "metrics": metrics, "reliability": bins}
 
 
-def _share(things: Sequence[Any], holds: Callable[[Any], bool]) -> Json:
-    """A share with its 95 % interval (Clopper, Pearson, Biometrika 26 (1934) 404-413)."""
-    n, k = len(things), sum(bool(holds(thing)) for thing in things)
+def share(outcomes: Iterable[bool]) -> Row:
+    """A share with its 95 % interval (Clopper & Pearson, Biometrika 26 (1934) 404-413)."""
+    each = [bool(one) for one in outcomes]
+    k, n = sum(each), len(each)
     low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
     high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-    return {"share": k / n if n else None, "of": n, "count": k, "interval": [low, high]}
+    return {"value": k / n if n else None, "count": k, "of": n, "interval": [low, high]}
 
 
-def _calibration(entries: Sequence[Entry]) -> Json:
-    """Expected calibration error over equal bins of stated probability."""
-    pairs = [(x["probability"], e.true_group(x)) for e in entries for x in e.effects]
-    for e in entries:
-        taken = {(x["effect"], x["component"]) for x in e.effects}
-        for rival in e.said["rivals"]:
-            if (rival["effect"], rival["component"]) not in taken and rival["probability"] >= 0.05:
-                pairs.append(
-                    (rival["probability"], e.true_group(rival | {"group": [rival["effect"]]}))
-                )
-    p, right = np.array([x[0] for x in pairs]), np.array([x[1] for x in pairs], dtype=float)
-    place = np.minimum((p * BINS).astype(int), BINS - 1)
-    table = [
-        {
-            "stated": float(p[place == b].mean()),
-            "right": float(right[place == b].mean()),
-            "n": int(np.sum(place == b)),
-        }
-        for b in range(BINS)
-        if np.any(place == b)
-    ]
-    error = sum(row["n"] * abs(row["stated"] - row["right"]) for row in table) / max(p.size, 1)
-    return {"ece": float(error), "brier": float(np.mean((p - right) ** 2)), "table": table}
+def quantile(values: Sequence[float], q: float) -> Row:
+    """A quantile, with a distribution-free 95 % interval by order statistics."""
+    n, ranked = len(values), np.sort(np.asarray(values, dtype=float))
+    if not n:
+        return {"value": None, "of": 0, "interval": None}
+    ends = np.clip([binom.ppf(0.025, n, q) - 1, binom.ppf(0.975, n, q)], 0, n - 1).astype(int)
+    interval = [float(ranked[end]) for end in ends]
+    return {"value": float(np.quantile(ranked, q)), "of": n, "interval": interval}
 
 
-def _windows(entries: Sequence[Entry]) -> Json:
-    overlaps = []
-    for entry in entries:
-        joint = entry.answer["effects"][0]["component"]
-        said: dict[str, list[list[float]]] = {}
-        for mismatch in entry.said["mismatch"]:
-            if mismatch["component"] == joint:
-                said = mismatch["windows_by_recording"]
-        for recording in ("a", "b"):
-            true = entry.answer["windows_s"].get(recording) or []
-            if true:
-                overlaps.append(_overlap(true, said.get(recording) or []))
-    return {"median": float(np.median(overlaps)) if overlaps else None, "of": len(overlaps)}
+def plain(values: Sequence[float]) -> Row:
+    """A mean with no interval."""
+    return {"value": float(np.mean(values)) if values else None, "of": len(values)}
 
 
-def _overlap(true: Sequence[Sequence[float]], said: Sequence[Sequence[float]]) -> float:
-    """Intersection over union of two sets of stretches."""
-    grid = np.arange(0.0, 40.0, 0.01)
-    masks = [
-        np.any([(grid >= a) & (grid <= b) for a, b in some] or [np.zeros(grid.size, bool)], axis=0)
-        for some in (true, said)
-    ]
-    return float((masks[0] & masks[1]).sum() / max((masks[0] | masks[1]).sum(), 1))
+def calibration(entries: list[Row]) -> tuple[dict[str, Row], list[Row]]:
+    """Expected calibration error, Brier score, and the table behind them."""
+    given = [e for e in entries if e["probability"] >= STATED]
+    stated = np.array([min(e["probability"], 1.0) for e in given])
+    right = np.array([float(e["right"]) for e in given])
+    place = np.minimum((stated * 10).astype(int), 9)
+    bins = []
+    for k in range(10):
+        inside = place == k
+        bins.append({"low": k / 10, "high": (k + 1) / 10, **share(right[inside] > 0)})
+        bins[-1]["stated"] = float(stated[inside].mean()) if inside.any() else None
+    gaps = [b["of"] * abs(b["stated"] - b["value"]) for b in bins if b["of"]]
+    n = len(given)
+    ece = {"value": sum(gaps) / n if n else None, "of": n}
+    brier = {"value": float(np.mean((stated - right) ** 2)) if n else None, "of": n}
+    return {"ece": ece, "brier": brier}, bins
 
 
-def _heldout(folder: Path, verdict: Path, answer: Json) -> dict[str, tuple[float, float, float]]:
-    """Errors on the recording that only the grader has: baseline, enriched, floor; rad by joint."""
-    recording = read_recording(folder / "heldout" / answer["case"] / "c.csv")
-    models = [read_model(verdict / name) for name in ("baseline.json", "enriched.json")]
-    floors = answer["oracle"].get("heldout_floor_rad", {})
-    errors = {}
-    for j, joint in enumerate(recording.joints):
-        if not all(joint in model.joints for model in models):
-            continue
-        command = {joint: recording.command[:, j]}
-        seen = np.isfinite(recording.position[:, j])
-        rms = [
-            float(
-                np.sqrt(
-                    np.mean(
-                        (
-                            predict(m, recording.t, command, recording.loads)[joint]
-                            - recording.position[:, j]
-                        )[seen]
-                        ** 2
-                    )
-                )
-            )
-            for m in models
-        ]
-        errors[joint] = (rms[0], rms[1], float(floors.get(joint, 0.0)))
-    return errors
+def shown(metric: Row, digits: int = 3) -> str:
+    """A metric as text: value, count, interval."""
+    if metric.get("value") is None:
+        return "–"
+    counts = f"{metric['count']}/{metric['of']}" if "count" in metric else f"n={metric['of']}"
+    ends = metric.get("interval")
+    between = f" [{ends[0]:.{digits}f}, {ends[1]:.{digits}f}]" if ends else ""
+    return f"{metric['value']:.{digits}f}{between} ({counts})"
 
 
-def _removed(entries: Sequence[Entry]) -> Json:
-    """Share of the error above the noise that the enriched model removes, where there is one."""
-    shares = []
-    for entry in entries:
-        truth = entry.answer["effects"][0]
-        joints = (
-            [truth["component"]] if truth["component"] in entry.heldout else list(entry.heldout)
-        )
-        plain, rich, floor = (
-            float(np.sqrt(np.mean([entry.heldout[j][k] ** 2 for j in joints]))) for k in range(3)
-        )
-        if plain > 1.05 * floor:
-            shares.append((plain - rich) / (plain - floor))
-    if not shares:
-        return {"median": None, "p10": None, "of": 0}
-    return {
-        "median": float(np.median(shares)),
-        "p10": float(np.quantile(shares, 0.1)),
-        "of": len(shares),
-    }
+def table(rows: list[Row]) -> str:
+    """One line a case, as CSV."""
+    names = ("tier", "case", "kind", "strength", "llr", "verdict")
+    lines = []
+    for row in rows:
+        line = {name: row[name] for name in names} | (row["heldout"] or {})
+        line["truth"] = " ".join(filter(None, row["truth"]))
+        line["named"] = " ".join(map(spelled, row["entries"]))
+        lines.append(line | {"failures": "; ".join(row["failures"])})
+    return pd.DataFrame(lines).to_csv(index=False)
 
 
-def _harm(entries: Sequence[Entry]) -> Json:
-    changes = [rich / plain - 1 for e in entries for plain, rich, _ in e.heldout.values()]
-    return {
-        "mean_change": float(np.mean(changes)) if changes else None,
-        "worse_by_1_percent": float(np.mean(np.array(changes) > 0.01)) if changes else None,
-        "of": len(changes),
-    }
-
-
-def _parameter_error(entries: Sequence[Entry]) -> Json:
-    errors = []
-    for entry in filter(_first_name, entries):
-        truth, said = entry.answer["effects"][0]["parameters"], entry.effects[0]["parameters"]
-        name = next(iter(truth))
-        if name in said and truth[name]:
-            errors.append(abs(said[name]["mean"] / truth[name] - 1))
-    return {"median": float(np.median(errors)) if errors else None, "of": len(errors)}
-
-
-def _by_effect(entries: Sequence[Entry]) -> Json:
-    table: Json = {}
-    for entry in entries:
-        row = table.setdefault(
-            entry.hidden[0]["effect"], {"cases": 0, "flagged": 0, "group": 0, "name": 0}
-        )
-        row["cases"] += 1
-        row["flagged"] += entry.flagged
-        row["group"] += _first_group(entry)
-        row["name"] += _first_name(entry)
-    return table
-
-
-def _confusion(entries: Sequence[Entry]) -> Json:
-    table: dict[str, Counter[str]] = {}
-    for entry in entries:
-        said = (
-            entry.effects[0]["effect"]
-            if entry.effects
-            else ("unnamed" if entry.flagged else "consistent")
-        )
-        table.setdefault(entry.hidden[0]["effect"], Counter())[said] += 1
-    return {effect: dict(row) for effect, row in table.items()}
-
-
-def _by_outside_kind(entries: Sequence[Entry]) -> Json:
-    table: Json = {}
-    for entry in entries:
-        row = table.setdefault(
-            entry.answer["effects"][0]["effect"], {"cases": 0, "flagged": 0, "abstains": 0}
-        )
-        row["cases"] += 1
-        row["flagged"] += entry.flagged
-        row["abstains"] += _abstains(entry)
-    return table
-
-
-def _power(entries: Sequence[Entry]) -> list[Json]:
-    """Share flagged and named right, by the oracle's log-likelihood ratio."""
-    edges = [-np.inf, 3, 10, 30, 100, 300, 1000, 10000, np.inf]
-    table = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        some = [e for e in entries if e.kind == "single" and low <= e.llr < high]
-        if some:
-            table.append(
-                {
-                    "from": low if np.isfinite(low) else None,
-                    "cases": len(some),
-                    "flagged": float(np.mean([e.flagged for e in some])),
-                    "group": float(np.mean([_first_group(e) for e in some])),
-                }
-            )
-    return table
-
-
-def _row(entry: Entry) -> Json:
-    return {
-        "case": entry.case,
-        "kind": entry.answer["kind"],
-        "truth": [f"{e['effect']}@{e['component']}" for e in entry.answer["effects"]],
-        "llr": round(entry.llr, 1),
-        "verdict": entry.said["verdict"],
-        "said": [
-            f"{'|'.join(e['group'])}@{e['component']} {e['probability']:.2f}" for e in entry.effects
-        ],
-        "heldout_mrad": {
-            j: [round(1e3 * x, 3) for x in errors] for j, errors in entry.heldout.items()
-        },
-    }
+def spelled(entry: Row) -> str:
+    """What was named, where and how surely."""
+    return f"{'|'.join(entry['group'])}@{entry['component']}:{entry['probability']:.3f}"
 
 
 if __name__ == "__main__":

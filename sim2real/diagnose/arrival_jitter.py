@@ -116,7 +116,7 @@ def latency_jitter(joints: Sequence[Heard]) -> Jitter:
             explained = _explained(moved, about, values)
             widest = halfwidth(sd_s, _period(joints))
             best = Jitter(gain, widest, error * widest / sd_s, explained)
-        if gain < _WORTH or abs(gain - before) < _WORTH:
+        if gain < _WORTH or abs(gain - before) < max(_WORTH, 0.01 * gain):
             break
         before = gain
         sd_s = float(np.exp(np.mean([np.log(value.sd_s) for value in values])))

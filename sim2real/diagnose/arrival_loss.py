@@ -23,7 +23,9 @@ LIMITS = (1e-4, 0.5)
 """Smallest and largest probability."""
 _ROUNDS, _INNER, _SWEEPS = 6, 4, 60
 _WORTH = 0.3
-"""Change of the gain that ends the rounds."""
+"""Growth of the gain that ends the rounds."""
+_GAIN = 1e-3
+"""Gain for which a change is made."""
 _VISIBLE = 3.0
 """Log-likelihood ratio by which an arrival shows."""
 _NORMAL = 1.4826
@@ -95,34 +97,38 @@ class _Sight:
         value = self.heard.loglikelihood(error2, self.noise.ratio)
         return replace(self.noise, variance=variance, refit=refit), value
 
-    def change_in_fit(self, lost: Mask) -> Array:
-        """Gain in log-likelihood if, from each set-point on, each of ``_PATTERNS`` happened.
+    def change_in_fit(self, lost: Mask, at: NDArray[np.intp]) -> Array:
+        """Gain in log-likelihood if, from some set-points on, each of ``_PATTERNS`` happened.
 
         Args:
             lost: What happens now, shape (K,).
+            at: The set-points, shape (N,).
 
         Returns:
-            Gains in nats, shape (8, K).
+            Gains in nats, shape (8, N).
         """
-        K, N = lost.size, _RUN + _TAIL
+        reach = _RUN + _TAIL
         below = self.below(lost)
         left = self.normal.cross @ np.concatenate([[1.0], -self.noise.refit])
         left -= self.normal.times(below)
-        before = np.concatenate([[0.0], below[:-1]])
-        lost, below, change, left = (
-            np.concatenate([x, np.zeros(N, x.dtype)]) for x in (lost, below, self.change, left)
-        )
-        gram = np.pad(self.normal.gram[:N], ((0, max(N - len(self.normal.gram), 0)), (0, N)))
-        step, now = [], np.broadcast_to(before, (len(_PATTERNS), K))
-        for i in range(N):
-            gone = _PATTERNS[:, i : i + 1] if i < _RUN else lost[i : i + K]
-            now = np.where(gone, change[i : i + K] + now, 0.0)
-            step.append(now - below[i : i + K])
-        gain = np.zeros((len(_PATTERNS), K))
-        for i in range(N):
-            slope = left[i : i + K] - 0.5 * gram[0, i : i + K] * step[i]
-            for j in range(i + 1, N):
-                slope -= gram[j - i, i : i + K] * step[j]
+        before = np.concatenate([[0.0], below])[at]
+        ahead = at + np.arange(reach)[:, None]
+        beyond = ahead >= lost.size
+        ahead[beyond] = 0
+        gone, under, change, slopes = (x[ahead] for x in (lost, below, self.change, left))
+        gone[beyond] = False
+        under[beyond] = 0.0
+        gram = self.normal.gram[:reach, ahead]
+        step, now = [], np.broadcast_to(before, (len(_PATTERNS), at.size))
+        for i in range(reach):
+            fate = _PATTERNS[:, i : i + 1] if i < _RUN else gone[i]
+            now = np.where(fate, change[i] + now, 0.0)
+            step.append(now - under[i])
+        gain = np.zeros((len(_PATTERNS), at.size))
+        for i in range(reach):
+            slope = slopes[i] - 0.5 * gram[0, i] * step[i]
+            for j in range(i + 1, min(reach, i + len(gram))):
+                slope -= gram[j - i, i] * step[j]
             gain += slope * step[i]
         return gain / self.noise.variance
 
@@ -163,16 +169,18 @@ class _Link:
     def improved(self, log_odds: float) -> _Link:
         """The likeliest losses that can be reached by changing three in a row at a time."""
         lost = self.lost.copy()
-        # So far apart that one change hardly alters what another is worth.
-        reach = max(len(sight.normal.gram) for sight in self.sights) // 3 + _RUN
+        # So far apart that one change does not alter what another is worth.
+        reach = max(len(sight.normal.gram) for sight in self.sights) + _RUN + _TAIL
+        gain = self._gain(lost, log_odds, np.arange(lost.size))
         for _ in range(_SWEEPS):
-            gain = self._gain(lost, log_odds)
-            pattern, best = gain.argmax(axis=0), gain.max(axis=0)
-            chosen = (best > 1e-6) & (best >= maximum_filter1d(best, 2 * reach + 1))
+            best = gain.max(axis=0)
+            chosen = (best > _GAIN) & (best >= maximum_filter1d(best, 2 * reach + 1))
             if not chosen.any():
                 break
             for k in np.flatnonzero(chosen):
-                lost[k : k + _RUN] = _PATTERNS[pattern[k], : lost.size - k]
+                lost[k : k + _RUN] = _PATTERNS[gain[:, k].argmax(), : lost.size - k]
+            near = np.flatnonzero(maximum_filter1d(chosen, 2 * reach + 1))
+            gain[:, near] = self._gain(lost, log_odds, near)
         return replace(self, lost=lost)
 
     def refitted(self) -> _Link:
@@ -183,7 +191,7 @@ class _Link:
 
     def evidence(self) -> Array:
         """Log-likelihood ratio of loss and arrival of each set-point, the others given, (K,)."""
-        every = self._gain(self.lost, 0.0)
+        every = self._gain(self.lost, 0.0, np.arange(self.lost.size))
         after = sum(2**i * _ahead(self.lost, i) for i in range(1, _RUN))
         other = every[after + ~self.lost, np.arange(self.lost.size)]
         return np.asarray(np.where(self.lost, -other, other))
@@ -203,13 +211,13 @@ class _Link:
         paid = float(np.sum(xlogy(q, q / p) + xlogy(1 - q, (1 - q) / (1 - p))))
         return sum(sight.fitted(*sight.moments(shares))[1] for sight in self.sights) - paid
 
-    def _gain(self, lost: Mask, log_odds: float) -> Array:
-        """Gain of each pattern from each set-point on, paid for, shape (8, K)."""
-        now = sum(_ahead(lost, i).astype(np.intp) for i in range(_RUN))
+    def _gain(self, lost: Mask, log_odds: float, at: NDArray[np.intp]) -> Array:
+        """Gain of each pattern from each of the set-points ``at`` on, paid for, shape (8, N)."""
+        now = np.stack([_ahead(lost, i)[at] for i in range(_RUN)]).sum(axis=0)
         gain = log_odds * (_PATTERNS.sum(axis=1)[:, None] - now)
         for sight in self.sights:
-            gain = gain + sight.change_in_fit(lost)
-        fixed = np.stack([_ahead(self.first, i, beyond=True) for i in range(_RUN)])
+            gain = gain + sight.change_in_fit(lost, at)
+        fixed = np.stack([_ahead(self.first, i, beyond=True)[at] for i in range(_RUN)])
         return np.where(_PATTERNS.astype(np.intp) @ fixed, -np.inf, gain)
 
 
@@ -244,7 +252,7 @@ def packet_loss(joints: Sequence[Heard], *, broadcast: bool = False) -> Loss:
         least = max(least, sum(h.alone(x) for h, x in zip(_flat(groups), noise, strict=True)))
         if value - least > (best.gain if best else 0.0):
             best = _loss(links, shares, value - least, p)
-        if abs(value - least - before) < _WORTH:
+        if before > 0 and value - least < max(before + _WORTH, 1.01 * before):
             break
         before = value - least
         noises = [

@@ -188,7 +188,9 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     blocks: list[Block] = [Text(text, heading=f"What {joint} does without a name")]
     evidence = _evidence(diagnosis, joint)
     if evidence:
-        states = {_DRAWN_AGAINST.get(k, k): v for k, v in reversed(mismatch.dependence.items())}
+        states = {
+            _DRAWN_AGAINST.get(k, k): v for k, v in reversed(list(mismatch.dependence.items()))
+        }
         state = max(states, key=lambda name: states[name], default="position")
         drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
         blocks.append(figure(drawing, _MEAN.format(joint=joint)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def torque_figure(evidence: Sequence[Evidence], unit: str) -> Figure:
             panels[0].set_ylim(-reach, reach)
         handles, labels = panels[0].get_legend_handles_labels()
         shown = figure.legend(handles, labels, loc="outside upper left", ncols=2, markerscale=2)
-        for handle in shown.legend_handles:
+        for handle in filter(None, shown.legend_handles):
             handle.set_alpha(1.0)
     return figure
 
@@ -97,7 +97,7 @@ def mean_figure(evidence: Sequence[Evidence], state: str, unit: str) -> Figure:
         axes = figure.subplots()
         _band(axes, _joined(evidence, "torque_sd"))
         axes.axhline(0, color=FAINT, linewidth=0.8)
-        look = {"fmt": "o", "markersize": 5, "markeredgewidth": 0, "linewidth": 1.2}
+        look: Any = {"fmt": "o", "markersize": 5, "markeredgewidth": 0, "linewidth": 1.2}
         axes.errorbar(centres, means, yerr=2 * errors, color=ACCENT, ecolor=INK, **look)
         axes.margins(x=0.04)
         axes.set_title(unit)
@@ -162,7 +162,8 @@ def outline(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _line(axes: Axes, t: Array, values: Array, colour: str, label: str, **look: str) -> None:
-    axes.plot(*outline(t, values), color=colour, linewidth=0.9, label=label, **look)
+    looks: Any = look
+    axes.plot(*outline(t, values), color=colour, linewidth=0.9, label=label, **looks)
 
 
 def _joined(evidence: Sequence[Evidence], name: str) -> Array:

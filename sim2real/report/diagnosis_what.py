@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sim2real.diagnose.result import Diagnosis, Estimate, Ladder, NamedEffect
 from sim2real.report.drawing import svg
@@ -85,7 +85,7 @@ def _bars(axes: Axes, bars: Sequence[Bar]) -> None:
         y += _LINE * len(lines) + 4
         colour = ACCENT if bar.strong else FAINT
         axes.barh(y + 2, max(bar.value, 0.0), height=8, color=colour, linewidth=0)
-        look = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "size": 10}
+        look: Any = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "size": 10}
         axes.annotate(bar.text, (max(bar.value, 0.0), y + 2), color=INK, **look)
         y += _BAR - 4
     axes.set_ylim(y, 0)
