@@ -37,6 +37,7 @@ RECOVERABLE = 1.05
 """Held-out error over its floor from which on a share of it can be told."""
 HARM = 0.01
 NULLS = ("null", "trap")
+GIVEN_UP = ("unexplained", "partly_explained")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -59,13 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[str, Any]:
-    """All results of the cases of a set.
-
-    Args:
-        challenge: Folder with ``answers.json``, ``hashes.json`` and ``heldout``.
-        verdicts: Folder with a folder a case.
-        answered: Leave out cases with no verdict; else one that is missing is an error.
-    """
+    """All results of a set; only of the cases that have a verdict, where so wished."""
     sealed = (challenge / "answers.json").read_bytes()
     content = json.loads(sealed)
     answers = content if isinstance(content, list) else content["cases"]
@@ -73,10 +68,9 @@ def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[st
     rows = []
     for truth in answers:
         folder = verdicts / truth["case"]
-        if answered and not (folder / "diagnosis.json").exists():
-            continue
-        row = judge(truth, folder, challenge / "heldout" / truth["case"])
-        rows.append({"tier": truth.get("tier", tier), **row})
+        if (folder / "diagnosis.json").exists() or not answered:
+            row = judge(truth, folder, challenge / "heldout" / truth["case"])
+            rows.append({"tier": truth.get("tier", tier), **row})
     path = challenge / "hashes.json"
     published = json.loads(path.read_text()) if path.exists() else {}
     digest = hashlib.sha256(sealed).hexdigest()
@@ -115,7 +109,7 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
         "flagged": said["verdict"] != "consistent",
         "entries": entries,
         "component_right": None,
-        "iou": _windows(truth, said) if hidden else [],
+        "iou": _windows(truth, said, held_out) if hidden else [],
         "heldout": _held_out(truth, folder, held_out),
     }
     parts = [entry["component"] for entry in entries[:1] or said.get("mismatch", [])[:1]]
@@ -125,20 +119,15 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
         row["group_right"] = bool(first and first["right"])
         row["exact"] = bool(first and first["right"] and first["effect"] == hidden[0]["effect"])
         group = row["oracle_group"]
-        accepted = {**hidden[0], "effect": first["effect"]} if first and group else None
-        row["in_oracle_group"] = None
-        if group:
-            row["in_oracle_group"] = bool(
-                first and accepted and first["effect"] in group and _right([first["effect"]],
-                first["component"], accepted)
-            )  # fmt: skip
+        placed = bool(first and _same(hidden[0]["component"], first["component"]))
+        inside = placed and bool(first and first["effect"] in (group or []))
+        row["in_oracle_group"] = inside if group else None
         if row["exact"]:
             row["parameters"] = _parameters(said["effects"][0], hidden[0]["parameters"])
     if kind == "double":
         row |= _both(hidden, likely)
     if kind == "outside":
-        given_up = said["verdict"] in ("unexplained", "partly_explained")
-        row["abstains"] = given_up and not likely
+        row["abstains"] = said["verdict"] in GIVEN_UP and not likely
     return row | {"failures": _failures(row)}
 
 
@@ -177,18 +166,17 @@ def _parameters(given: Row, true: dict[str, float]) -> list[Row]:
         estimate = given.get("parameters", {}).get(name)
         if estimate is None or "phase" in name:
             continue
-        size = value - 1.0 if name == "gain" else value
-        error = abs(estimate["mean"] - value) / max(abs(size), 1e-12)
+        error = abs(estimate["mean"] - value) / max(abs(value - (name == "gain")), 1e-12)
         covered = estimate["q05"] <= value <= estimate["q95"]
         found.append({"parameter": name, "error": float(error), "covered": bool(covered)})
     return found
 
 
-def _windows(truth: Row, said: Row) -> list[float]:
+def _windows(truth: Row, said: Row, held_out: Path) -> list[float]:
     """Intersection over union of true and stated windows, one number a recording that has any."""
     shares = []
     for recording, true in (truth.get("windows_s") or {}).items():
-        if not true or recording == "c":
+        if not true or (held_out / f"{recording}.csv").exists():
             continue
         stated: list[Sequence[float]] = []
         for one in said.get("mismatch", []):
@@ -266,15 +254,15 @@ def _floor(truth: Row, joint: str, recording: str) -> float | None:
     return float(np.sqrt(noise["white_rad"] ** 2 + noise["wander_rad"] ** 2 + step**2 / 12))
 
 
-def detectable(row: Row) -> bool:
+def detectable(row: Row, by: str = "llr") -> bool:
     """Whether one who knows all would see it; True where that was not worked out."""
-    return row["llr"] is None or row["llr"] >= DETECTABLE
+    return row[by] is None or row[by] >= DETECTABLE
 
 
 def _failures(row: Row) -> list[str]:
     """What a reader would want to know went wrong."""
     kind, seen, held = row["kind"], detectable(row), row["heldout"] or {}
-    sure = [e for e in row["entries"] if e["probability"] >= SURE]
+    eta, sure = held.get("eta"), _sure(row)
     wrong = [
         ("false alarm", kind in NULLS and bool(sure)),
         ("flagged", kind in NULLS and row["flagged"] and not sure),
@@ -283,40 +271,36 @@ def _failures(row: Row) -> list[str]:
         ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
         ("wrong component", kind == "single" and row["flagged"] and not row["component_right"]),
         ("does not abstain", kind == "outside" and row["flagged"] and not row["abstains"]),
-        ("not both", kind == "double" and _each_seen(row) and not row["both"]),
+        ("not both", kind == "double" and detectable(row, "llr_least") and not row["both"]),
         ("windows", any(x < 0.5 for x in row["iou"])),
         ("harm", kind in NULLS and bool(held) and held["drop"] < -HARM),
-        ("error left", kind == "single" and seen and (held.get("eta") or 1.0) < 0.8),
+        ("error left", kind == "single" and seen and eta is not None and eta < 0.8),
     ]
     return [name for name, failed in wrong if failed]
 
 
-def _each_seen(row: Row) -> bool:
-    return row["llr_least"] is None or row["llr_least"] >= DETECTABLE
+def _sure(row: Row) -> list[Row]:
+    return [entry for entry in row["entries"] if entry["probability"] >= SURE]
 
 
 def summarize(rows: list[Row]) -> dict[str, Any]:
     """All numbers of the cases of one tier."""
-    nulls, single, double, outside = (
-        [row for row in rows if row["kind"] in kinds]
-        for kinds in (NULLS, ("single",), ("double",), ("outside",))
-    )
+    kinds = NULLS, ("single",), ("double",), ("outside",)
+    nulls, single, double, outside = ([r for r in rows if r["kind"] in kind] for kind in kinds)
     seen = [row for row in single if detectable(row)]
-    entries = [entry for row in rows for entry in row["entries"]]
-    sure = [entry for entry in entries if entry["probability"] >= SURE]
     held = [r for r in seen if r["heldout"]]
     recovered = [r for r in held if r["heldout"]["eta"] is not None]
     fair = [r for r in recovered if r["truth"][0].partition("@")[0] not in CHANCE]
+    etas, but_chance = ([r["heldout"]["eta"] for r in some] for some in (recovered, fair))
     harmed = [-r["heldout"]["drop"] for r in nulls if r["heldout"]]
-    shown_doubles = [r for r in double if _each_seen(r)]
+    shown_doubles = [r for r in double if detectable(r, "llr_least")]
     estimates = [p for r in single for p in r.get("parameters", [])]
     stated = [r["in_oracle_group"] for r in seen if r["in_oracle_group"] is not None]
-    calibrated, bins = calibration(entries)
+    calibrated, bins = calibration([entry for r in rows for entry in r["entries"]])
     hits, misses = sum(r["found"] for r in double), sum(r["of"] - r["found"] for r in double)
     f1 = hits / (hits + (misses + sum(r["wrong"] for r in double)) / 2) if double else None
-    etas, fair_etas = ([r["heldout"]["eta"] for r in some] for some in (recovered, fair))
     metrics = {
-        "false_alarm": share(any(e["probability"] >= SURE for e in r["entries"]) for r in nulls),
+        "false_alarm": share(bool(_sure(r)) for r in nulls),
         "nulls_flagged": share(r["flagged"] for r in nulls),
         "detection": share(r["flagged"] for r in seen + [d for d in double if detectable(d)]),
         "detection_all": share(r["flagged"] for r in single + double),
@@ -327,17 +311,14 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
         "exact_first": share(r["exact"] for r in seen),
         "group_size": plain([len(r["entries"][0]["group"]) for r in seen if r["entries"]]),
         "component": share(r["component_right"] for r in single if r["flagged"]),
-        "confident_wrong": share(not entry["right"] for entry in sure),
+        "confident_wrong": share(not entry["right"] for r in rows for entry in _sure(r)),
         **calibrated,
         "outside_abstains": share(r["abstains"] for r in outside),
-        "outside_confident_wrong": share(
-            any(e["probability"] >= SURE for e in r["entries"]) for r in outside
-        ),
+        "outside_confident_wrong": share(bool(_sure(r)) for r in outside),
         "window_iou": quantile([x for r in rows for x in r["iou"]], 0.5),
         "recovered_median": quantile(etas, 0.5),
         "recovered_p10": quantile(etas, 0.1),
-        "recovered_median_but_chance": quantile(fair_etas, 0.5),
-        "recovered_p10_but_chance": quantile(fair_etas, 0.1),
+        "recovered_p10_but_chance": quantile(but_chance, 0.1),
         "heldout_drop_median": quantile([r["heldout"]["drop"] for r in held], 0.5),
         "harm": share(change > HARM for change in harmed),
         "harm_mean": plain(harmed),
@@ -366,8 +347,7 @@ def quantile(values: Sequence[float], q: float) -> Row:
     if not n:
         return {"value": None, "of": 0, "interval": None}
     ends = np.clip([binom.ppf(0.025, n, q) - 1, binom.ppf(0.975, n, q)], 0, n - 1).astype(int)
-    interval = [float(ranked[end]) for end in ends]
-    return {"value": float(np.quantile(ranked, q)), "of": n, "interval": interval}
+    return {"value": float(np.quantile(ranked, q)), "of": n, "interval": ranked[ends].tolist()}
 
 
 def plain(values: Sequence[float]) -> Row:
@@ -387,10 +367,8 @@ def calibration(entries: list[Row]) -> tuple[dict[str, Row], list[Row]]:
         bins.append({"low": k / 10, "high": (k + 1) / 10, **share(right[inside] > 0)})
         bins[-1]["stated"] = float(stated[inside].mean()) if inside.any() else None
     gaps = [b["of"] * abs(b["stated"] - b["value"]) for b in bins if b["of"]]
-    n = len(given)
-    ece = {"value": sum(gaps) / n if n else None, "of": n}
-    brier = {"value": float(np.mean((stated - right) ** 2)) if n else None, "of": n}
-    return {"ece": ece, "brier": brier}, bins
+    ece = {"value": sum(gaps) / len(given) if given else None, "of": len(given)}
+    return {"ece": ece, "brier": plain(((stated - right) ** 2).tolist())}, bins
 
 
 def shown(metric: Row, digits: int = 3) -> str:
@@ -410,14 +388,10 @@ def table(rows: list[Row]) -> str:
     for row in rows:
         line = {name: row[name] for name in names} | (row["heldout"] or {})
         line["truth"] = " ".join(filter(None, row["truth"]))
-        line["named"] = " ".join(map(spelled, row["entries"]))
+        said = [(e["group"], e["component"], e["probability"]) for e in row["entries"]]
+        line["named"] = " ".join(f"{'|'.join(group)}@{at}:{p:.3f}" for group, at, p in said)
         lines.append(line | {"failures": "; ".join(row["failures"])})
     return pd.DataFrame(lines).to_csv(index=False)
-
-
-def spelled(entry: Row) -> str:
-    """What was named, where and how surely."""
-    return f"{'|'.join(entry['group'])}@{entry['component']}:{entry['probability']:.3f}"
 
 
 if __name__ == "__main__":

@@ -8,11 +8,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from sim2real.check import check
+from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling
+from sim2real.diagnose.diagnose import diagnose
 from sim2real.errors import InputError
 from sim2real.model import write_model
 from sim2real.output import check_writable
-from sim2real.recording import read_recording
+from sim2real.recording import Recording, read_recording
+from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.identification import Fit, identification_section
 from sim2real.report.page import write_page
 from sim2real.report.recordings import recordings_section
@@ -22,6 +25,7 @@ from sim2real.servo.identify import identify
 from sim2real.servo.replay import Replay, replay
 
 STAGES = ("check", "identify", "diagnose", "calibrate", "ranges", "train", "ablate")
+_TELLING = ("chirp", "steps")
 _SHOWN = "square"
 """Recording that the page shows beside the one held out: the paper's own test signal."""
 
@@ -39,6 +43,9 @@ def run(options: argparse.Namespace) -> int:
         checks = [check(recording, robot) for recording in recordings]
     with _stage("identify", "gains and latency of each servo"):
         model = identify(recordings, robot, seed=options.seed)
+    with _stage("diagnose", "which physics the servos leave out"):
+        found = diagnose(_two(recordings), robot, seed=options.seed)
+    write_diagnosis(found, options.out / "diagnosis.json")
     with _stage("replay", "the model beside what was recorded"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
@@ -50,14 +57,21 @@ def run(options: argparse.Namespace) -> int:
             [
                 recordings_section(recordings, checks),
                 identification_section(model, _shown(replays)),
+                diagnosis_section(found),
             ],
             model.provenance,
             stages=[("recordings", True)]
-            + [(name, name in ("check", "identify")) for name in STAGES],
+            + [(name, name in ("check", "identify", "diagnose")) for name in STAGES],
         )
     print("\n" + fit_report(model))
     print(f"\nreport: {page}")
     return 0
+
+
+def _two(recordings: Sequence[Recording]) -> list[Recording]:
+    """Two recordings of different kinds: enough, and quick."""
+    telling = [one for one in recordings if one.name in _TELLING]
+    return telling or list(recordings[:2])
 
 
 def _shown(replays: Sequence[Replay]) -> list[Fit]:

@@ -100,6 +100,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         return found
     path = out.with_name(f"{out.stem}.next.csv")
     load = found.model.joints[plan.component].load
+    load = None if load is None else _loaded(load, plan.context)
     recording = Recording(
         name=path.stem,
         kind="servo",
@@ -148,15 +149,22 @@ def _triangle(turns: Array) -> Array:
 
 def _staged(trace: Trace, plan: _Plan) -> Trace:
     """The experiment as if recorded, with all angles 0."""
-    load = trace.load
-    if plan.context == "added_inertia":
-        load = replace(load, inertia_kgm2=2 * load.inertia_kgm2)
-    elif plan.context == "added_weight":
-        mass, arm = _WEIGHT
-        load = Load(load.inertia_kgm2 + mass * arm**2, mass, arm)
+    load = _loaded(trace.load, plan.context)
     everywhere = np.ones(plan.t.size, dtype=bool)
     still = np.zeros(plan.t.size)
     return Trace("next", "next", plan.t, plan.command, still, load, everywhere)
+
+
+def _loaded(load: Load, context: str) -> Load:
+    """What the shaft turns in a context."""
+    if context == "added_inertia":
+        return replace(load, inertia_kgm2=2 * load.inertia_kgm2)
+    if context == "added_weight":
+        mass, arm = _WEIGHT
+        moment = load.pendulum_mass_kg * load.pendulum_length_m + mass * arm
+        total = load.pendulum_mass_kg + mass
+        return Load(load.inertia_kgm2 + mass * arm**2, total, moment / total)
+    return load
 
 
 def _separations(

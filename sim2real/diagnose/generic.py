@@ -134,7 +134,7 @@ def _families(
     yield "error", _splines(error), none
     yield "sensor", none, _splines([m.angle for m in motions])
     yield "time", _changing_gains(motions, servo), none
-    if motions[0].others.size:
+    if len({len(m.others) for m in motions}) == 1 and motions[0].others.size:
         yield (
             "other_joint",
             [np.stack([_acceleration(q, m.t) for q in m.others], axis=1) for m in motions],

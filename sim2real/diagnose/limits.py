@@ -21,7 +21,7 @@ _NINE_IN_TEN = 1.28
 def detection_limits(
     seen: Screen, candidates: Sequence[Candidate], component: str
 ) -> list[DetectionLimit]:
-    """The smallest strength of each effect that is noticed nine times in ten.
+    """The smallest strength of each effect that could be noticed.
 
     The score of an effect grows with its strength; between the strengths that were simulated it is
     interpolated, both on logarithmic scales.

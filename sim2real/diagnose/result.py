@@ -93,7 +93,11 @@ class Rival:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """How small an effect these recordings could have shown, nine times in ten."""
+    """How small an effect these recordings could have shown, at best.
+
+    The noise model, fitted anew, takes up a part of a weak effect: one is noticed nine times in ten
+    only from several times this size.
+    """
 
     effect: str
     component: str

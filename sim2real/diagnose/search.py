@@ -118,7 +118,9 @@ def _servos(joint: NDArray[np.int64], theta: Array, batch: Batch) -> Servos:
             for row, i in zip(theta, inertia, strict=True)
         ]
     )
-    high = np.stack([1.6e5 * inertia, 1.6e3 * inertia, np.full(inertia.size, 0.5)], axis=1)
+    # Samples cannot tell what rings faster than half their rate from what is slower.
+    fastest2 = min(1.6e5, (np.pi / batch.period) ** 2)
+    high = np.stack([fastest2 * inertia, 1.6e3 * inertia, np.full(inertia.size, 0.5)], axis=1)
     low = np.stack([1e-3 * inertia, np.zeros(inertia.size), np.zeros(inertia.size)], axis=1)
     columns = np.tile(np.arange(3, dtype=np.int32), (joint.size, 1))
     return Servos(joint.astype(np.int32), theta, columns, unit, low, high)

@@ -191,9 +191,10 @@ def _motions(
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            _angle(residuals[i], joints[i], r)
+            _angle(residuals[i], joints[i], k)
             for i in siblings
-            if r < len(joints[i]) and joints[i][r].t.size == trace.t.size
+            for k, same in enumerate(joints[i])
+            if same.file == trace.file and same.t.size == trace.t.size
         ]
         motions.append(
             Motion(

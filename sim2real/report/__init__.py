@@ -3,6 +3,7 @@
 Importing this package loads neither Matplotlib nor Jinja; a figure or a page does.
 """
 
+from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.identification import identification_section
 from sim2real.report.page import Figure, Note, Section, Table, Text, write_page
 from sim2real.report.plots import fit_figure, parameter_figure, save_png, svg, timing_figure
@@ -14,6 +15,7 @@ __all__ = [
     "Section",
     "Table",
     "Text",
+    "diagnosis_section",
     "fit_figure",
     "fit_report",
     "identification_section",

@@ -7,22 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.diagnose.result import Diagnosis, Evidence, Experiment, Mismatch, NamedEffect
+from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_plots import (
     command_figure,
     mean_figure,
     residual_figure,
     torque_figure,
 )
-from sim2real.report.diagnosis_what import (
-    Bar,
-    bar_figure,
-    figure,
-    per_inertia,
-    plain,
-    size,
-    sure,
-    what_blocks,
-)
+from sim2real.report.diagnosis_what import figure, what_blocks
+from sim2real.report.diagnosis_words import how_sure, listed, per_inertia, plain, size, sure
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import milliradians
 
@@ -62,7 +55,7 @@ _DRAWN_AGAINST = {"sensor": "position", "other_joint": "time", "shaking": "time"
 _STRIPS = 5
 _RESIDUAL = (
     "What the simulation of {joint} misses, over time: measured minus simulated angle{which}. "
-    "The coloured band is what noise alone does (± 2 standard deviations){shade}."
+    "Noise alone mostly stays between the dashed lines (±\u00a02 standard deviations){shade}."
 )
 _TORQUE = (
     "The torque that the plain servo of {joint} lacks, moment by moment, at the speed and position "
@@ -79,7 +72,7 @@ _MEAN = (
     "a single moment."
 )
 _LIMITS = (
-    "How weak an effect could be and still be noticed in these recordings nine times in ten; "
+    "How weak an effect could at best be and still be noticed; to be sure, take several times this; "
     "a dash where it could not be noticed at any strength tried."
 )
 
@@ -109,10 +102,13 @@ def _verdict(diagnosis: Diagnosis) -> Note:
 
 
 def _effect(effect: NamedEffect) -> Note:
-    sentences = [effect.statement, f"{sure(effect.probability).capitalize()} sure."]
-    if len(effect.group) > 1 and "cannot tell" not in effect.statement:
+    if len(effect.group) < 2:
+        return Note("info", f"{effect.statement} {how_sure(effect.probability)}")
+    sentences = [effect.statement]
+    if "cannot tell" not in effect.statement:
         first, *others = map(plain, effect.group)
-        sentences.append(f"These recordings cannot tell {first} from {' or '.join(others)}.")
+        sentences.append(f"These recordings cannot tell {first} from {listed(others, 'or')}.")
+    sentences.append(how_sure(effect.probability, of="that it is one of them"))
     return Note("info", " ".join(sentences))
 
 
@@ -171,11 +167,24 @@ def _unit(diagnosis: Diagnosis, joint: str) -> str:
 def _sound(diagnosis: Diagnosis) -> list[Block]:
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
     sound = [name for name in diagnosis.model.joints if name not in differing]
-    if not sound or not differing:
+    if not sound:
         return []
-    names = " and ".join(filter(None, (", ".join(sound[:-1]), sound[-1])))
     follow = "follow" if len(sound) > 1 else "follows"
-    return [Note("good", f"{names} {follow} the plain servo down to the noise.")]
+    sentence = f"{listed(sound)} {follow} the plain servo down to the noise"
+    errors = [text for name in sound if (text := _error_and_noise(diagnosis, name))]
+    return [Note("good", f"{sentence}: {'; '.join(errors)}." if errors else f"{sentence}.")]
+
+
+def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:
+    """``"j1 is off by 1.6 mrad, with 1.5 mrad of noise"``; nothing where no error is known."""
+    signal = f"{joint}.position_rad"
+    ladder, fit = diagnosis.ladders.get(signal), diagnosis.baseline_fit.get(signal, {})
+    if ladder is not None:
+        error, noise = milliradians(ladder.baseline), milliradians(ladder.noise)
+        return f"{joint} is off by {error}, with {noise} of noise"
+    heldout, train = fit.get("heldout"), fit.get("train")
+    known = train if heldout is None else heldout
+    return "" if known is None else f"{joint} is off by {milliradians(known)}"
 
 
 def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
@@ -184,7 +193,8 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     unknown = diagnosis.unknown.get(joint, 0.0)
     if not formula and unknown <= 0.5 and diagnosis.verdict != "unexplained":
         return []
-    text = f"No effect in the catalogue explains what {joint} does; {sure(unknown)} sure of that."
+    text = f"No effect in the catalogue explains what {joint} does."
+    text += f" We are {sure(unknown)} sure of that." if unknown > 0.5 else ""
     blocks: list[Block] = [Text(text, heading=f"What {joint} does without a name")]
     evidence = _evidence(diagnosis, joint)
     if evidence:
@@ -195,7 +205,7 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
         blocks.append(figure(drawing, _MEAN.format(joint=joint)))
     if formula:
-        blocks.append(Note("warn", f"A guess, not a finding: {formula}"))
+        blocks.append(Note("warn", f"A hypothesis, that is a guess and not a finding: {formula}"))
     return blocks
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim2real.diagnose.result import Array, Evidence, Experiment
-from sim2real.diagnose.torque import WINDOW_S
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
@@ -45,7 +44,7 @@ def residual_figure(
         for axes, one in zip(strips, evidence, strict=True):
             for start, stop in windows_s.get(one.recording, ()):
                 axes.axvspan(start, stop, color=RULE, alpha=0.6, linewidth=0, zorder=0)
-            axes.axhspan(-2e3 * noise_rad, 2e3 * noise_rad, color=ACCENT, alpha=0.16, linewidth=0)
+            _noise(axes, 2e3 * noise_rad)
             _line(axes, one.t, 1e3 * (one.position - one.baseline), INK, "plain servo")
             if enriched:
                 left = 1e3 * (one.position - one.enriched)
@@ -74,7 +73,7 @@ def torque_figure(evidence: Sequence[Evidence], unit: str) -> Figure:
                 label = "turning up" if up else "turning down"
                 axes.plot(x[some], torque[some], "o", label=label, **look)
             axes.set_xlabel(AXES[name])
-            axes.locator_params(axis="x", nbins=5)
+            axes.locator_params(axis="x", nbins=3)
         panels[0].set_title(unit)
         if kept.size:
             reach = 1.3 * float(np.percentile(np.abs(torque[kept]), _INSIDE)) or 1.0
@@ -113,6 +112,8 @@ def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     """
     if not x.size:
         return x, y, x
+    from sim2real.diagnose.torque import WINDOW_S  # it loads scipy.signal
+
     low, high = np.percentile(x, [0.5, _INSIDE])
     edges = np.linspace(low, high, _BINS + 1)
     found = []
@@ -164,6 +165,13 @@ def outline(t: Array, values: Array) -> tuple[Array, Array]:
 def _line(axes: Axes, t: Array, values: Array, colour: str, label: str, **look: str) -> None:
     looks: Any = look
     axes.plot(*outline(t, values), color=colour, linewidth=0.9, label=label, **looks)
+
+
+def _noise(axes: Axes, reach: float) -> None:
+    """A band, and its edges in front of what is drawn: dense lines would hide it."""
+    axes.axhspan(-reach, reach, color=ACCENT, alpha=0.16, linewidth=0)
+    for edge in (-reach, reach):
+        axes.axhline(edge, color=INK, linewidth=0.9, linestyle=(0, (5, 4)), zorder=4)
 
 
 def _joined(evidence: Sequence[Evidence], name: str) -> Array:

@@ -2,160 +2,89 @@
 
 from __future__ import annotations
 
-import re
-import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from sim2real.diagnose.result import Diagnosis, Estimate, Ladder, NamedEffect
+from sim2real.model import JointModel
+from sim2real.report.diagnosis_bars import Bar, bar_figure
+from sim2real.report.diagnosis_words import per_inertia, plain, size, spoken, sure
 from sim2real.report.drawing import svg
-from sim2real.report.page import Block, Figure, Note, Table, Text
-from sim2real.report.quantity import milliradians, printable, short_name
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, NARROW, house_style, new_figure
+from sim2real.report.page import Block, Figure, Table, Text
+from sim2real.report.quantity import milliradians, quantities
+from sim2real.report.style import NARROW
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-_COLUMNS = 52
-_LINE, _BAR = 17.0, 20.0
 _MOVED = 0.01
-"""Change of a parameter, as a share of it, from which it is worth a word."""
-_UNIT = re.compile(r"_(rad_per_Nm|Nm_per_rad_s|Nm_per_rad|rad_s2|rad_s|rad|Nms2|Nm|kgm2|s)$")
-_PROBABILITIES = (
-    "How sure we are of each candidate. In colour what is named above, in grey what was considered "
-    "as well. Candidates joined by “or” share one bar, as these recordings cannot tell them apart."
-)
+"""Change of a parameter, as a share of it, from which it is worth a table."""
+_SERVO = {"kp_Nm_per_rad": 1.0, "kd_Nms_per_rad": 1.0, "latency_s": 1e3}
+"""Parameters of the plain servo, with the size of the unit that ``quantities`` shows them in."""
+_NOT_LISTED = 0.01
+_PROBABILITIES = "How sure we are of each candidate.{named}{shared}"
+_COLOURS = " In colour what is named above, in grey what was considered as well."
+_SHARED = " What stands in a bracket shares one bar, as these recordings cannot tell it apart."
 _LADDER = (
-    "Error (root mean square) on recordings, or parts of them, that the fit has not seen. What is "
-    "named is worth having where its bar is clearly shorter than that of the plain servo{decoy}. "
+    "Error (root mean square) on recordings, or parts of them, that the fit has not seen.{named} "
     "{floor}No simulation gets below the sensor's noise."
+)
+_WORTH = (
+    " What is named is worth having where its bar is clearly shorter than that of the plain servo"
+    "{decoy}."
 )
 _DECOY = " and than that of a decoy, a made-up effect that means nothing"
 _FLOOR = "A torque that may be any smooth function of the motion shows how far one could get. "
 _PARAMETERS = "How large each effect is; below it the range that holds the truth nine times in ten."
-
-
-@dataclass(frozen=True)
-class Bar:
-    """One bar: what it is, how long, the number beside it, and whether it stands out."""
-
-    label: str
-    value: float
-    text: str
-    strong: bool = False
-
-
-def bar_figure(panels: Mapping[str, Sequence[Bar]], label: str, *, full: float = 0.0) -> Drawing:
-    """Draw horizontal bars under their labels, one panel above the other.
-
-    Args:
-        panels: The bars by title of the panel.
-        label: What a screen reader says.
-        full: Length of a full bar; as long as the longest one if that is longer.
-    """
-    bars = [bar for some in panels.values() for bar in some]
-    reach = max([full, *(bar.value for bar in bars)]) or 1.0
-    heights = [sum(map(_height, some)) for some in panels.values()]
-    with house_style():
-        total = sum(heights) + sum(36 if title else 16 for title in panels)
-        figure = new_figure(total, printable(label))
-        grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
-        for axes, (title, some) in zip(grid, panels.items(), strict=True):
-            _bars(axes, some)
-            axes.set_xlim(0, 1.2 * reach)
-            axes.set_title(printable(title), color=INK)
-    return figure
-
-
-def _wrapped(bar: Bar) -> list[str]:
-    return textwrap.wrap(printable(bar.label), _COLUMNS) or [""]
-
-
-def _height(bar: Bar) -> float:
-    return _LINE * len(_wrapped(bar)) + _BAR
-
-
-def _bars(axes: Axes, bars: Sequence[Bar]) -> None:
-    y = 0.0
-    for bar in bars:
-        lines = _wrapped(bar)
-        axes.text(0, y, "\n".join(lines), va="top", color=INK if bar.strong else MUTED)
-        y += _LINE * len(lines) + 4
-        colour = ACCENT if bar.strong else FAINT
-        axes.barh(y + 2, max(bar.value, 0.0), height=8, color=colour, linewidth=0)
-        look: Any = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "size": 10}
-        axes.annotate(bar.text, (max(bar.value, 0.0), y + 2), color=INK, **look)
-        y += _BAR - 4
-    axes.set_ylim(y, 0)
-    axes.grid(visible=False)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines["bottom"].set_visible(False)
+_SHIFTS = (
+    "What the plain fit had been hiding: without the missing effect, its stiffness (kp), damping "
+    "(kd) and latency were bent to make up for it. How far each moved once the effect was there, "
+    "and below it the values before and after."
+)
 
 
 def what_blocks(diagnosis: Diagnosis) -> list[Block]:
-    """Probabilities, held-out errors, sizes, and what the plain fit had hidden."""
+    """Probabilities, held-out errors, sizes, and what the plain fit had been hiding."""
     blocks: list[Block] = []
     candidates = _candidates(diagnosis)
     if candidates:
         blocks.append(Text(_removed(diagnosis), heading="What is missing"))
         drawing = bar_figure({"": candidates}, "how sure we are of each candidate", full=1.0)
-        blocks.append(figure(drawing, _PROBABILITIES))
-    differing = {mismatch.signal for mismatch in diagnosis.mismatch}
-    ladders = {name: x for name, x in diagnosis.ladders.items() if name in differing}
-    if ladders:
-        blocks.append(_ladder_figure(ladders, named=bool(diagnosis.effects)))
+        named = _COLOURS if diagnosis.effects else ""
+        shared = _SHARED if any(bar.members for bar in candidates) else ""
+        blocks.append(figure(drawing, _PROBABILITIES.format(named=named, shared=shared)))
+    blocks += _ladders(diagnosis)
     rows = [row for effect in diagnosis.effects for row in _parameter_rows(diagnosis, effect)]
     if rows:
         blocks.append(Table(("effect", "number", "estimate"), rows, _PARAMETERS))
-    blocks += [Note("info", sentence) for sentence in _shifts(diagnosis)]
-    return blocks
+    return blocks + _shifts(diagnosis)
 
 
-def plain(effect: str) -> str:
-    """An effect in plain words."""
-    from sim2real.effects import named
-
-    return named(effect).plain
-
-
-def size(parameter: str, value: float, *, per_inertia: bool) -> str:
-    """A parameter's value with its unit; per unit of inertia where the load is not known."""
-    from sim2real.effects.effect import readable
-
-    text = readable(parameter, value)
-    return text.replace("N m", "N m/(kg m²)") if per_inertia else text
-
-
-def per_inertia(diagnosis: Diagnosis, component: str) -> bool:
-    """Whether the torques of a component are per unit of inertia."""
-    joints = diagnosis.model.joints
-    some = [joints[component]] if component in joints else list(joints.values())
-    return any(joint.per_inertia for joint in some)
+def figure(drawing: Drawing, caption: str) -> Figure:
+    """A drawing on the page, for a screen and for a phone."""
+    return Figure(svg(drawing), caption, svg(drawing, width=NARROW))
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Bar]:
-    rows: list[tuple[float, str, bool]] = [
-        (e.probability, f"{e.component}: {' or '.join(map(plain, e.group or (e.effect,)))}", True)
-        for e in diagnosis.effects
-    ]
-    rows += [(r.probability, f"{r.component}: {plain(r.effect)}", False) for r in diagnosis.rivals]
+    named = [_named(effect) for effect in diagnosis.effects]
+    others = [(r.probability, f"{r.component}: {plain(r.effect)}") for r in diagnosis.rivals]
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
-    rows += [
-        (probability, f"{joint}: something that is not in the catalogue", False)
+    others += [
+        (probability, f"{joint}: something that is not in the catalogue")
         for joint, probability in diagnosis.unknown.items()
-        if joint in differing and probability > 0.01
+        if joint in differing and probability > _NOT_LISTED
     ]
-    rows.sort(key=lambda row: (not row[2], -row[0]))
-    return [Bar(label, p, sure(p), strong) for p, label, strong in rows]
+    others.sort(key=lambda row: -row[0])
+    named.sort(key=lambda bar: -bar.value)
+    return named + [Bar(label, p, sure(p)) for p, label in others]
 
 
-def sure(share: float) -> str:
-    """A probability in percent; never 0 or 100, as nothing is that sure."""
-    low, high = "less than 1 %", "more than 99 %"
-    return high if share > 0.99 else low if share < 0.01 else f"{100 * share:.0f} %"
+def _named(effect: NamedEffect) -> Bar:
+    p, members = effect.probability, tuple(map(plain, effect.group or (effect.effect,)))
+    if len(members) > 1:
+        label = f"{effect.component}: one of these"
+        return Bar(label, p, sure(p), strong=True, members=members)
+    return Bar(f"{effect.component}: {members[0]}", p, sure(p), strong=True)
 
 
 def _removed(diagnosis: Diagnosis) -> str:
@@ -178,19 +107,32 @@ def _removed(diagnosis: Diagnosis) -> str:
     return " ".join([every, *dict.fromkeys(sentences)])
 
 
-def _ladder_figure(ladders: Mapping[str, Ladder], *, named: bool) -> Figure:
-    panels = {signal.partition(".")[0]: _rungs(x, named=named) for signal, x in ladders.items()}
+def _ladders(diagnosis: Diagnosis) -> list[Block]:
+    differing = {mismatch.signal for mismatch in diagnosis.mismatch}
+    ladders = {name: x for name, x in diagnosis.ladders.items() if name in differing}
+    if not ladders:
+        return []
+    panels, anything = {}, False
+    for signal, ladder in ladders.items():
+        joint = signal.rpartition(".")[0]
+        named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
+        anything |= named
+        panels[joint] = _rungs(ladder, named=named)
+    return [figure(bar_figure(panels, "held-out error"), _ladder_caption(ladders, named=anything))]
+
+
+def _ladder_caption(ladders: Mapping[str, Ladder], *, named: bool) -> str:
     decoy = any(ladder.best_decoy is not None for ladder in ladders.values())
     floor = any(ladder.black_box is not None for ladder in ladders.values())
-    caption = _LADDER.format(decoy=_DECOY if decoy else "", floor=_FLOOR if floor else "")
-    return figure(bar_figure(panels, "held-out error of each predictor"), caption)
+    worth = _WORTH.format(decoy=_DECOY if decoy else "") if named else ""
+    return _LADDER.format(named=worth, floor=_FLOOR if floor else "")
 
 
 def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
     rungs: list[tuple[str, float | None, bool]] = [
         ("plain servo", ladder.baseline, False),
-        ("with the best decoy", ladder.best_decoy, False),
         ("with what is named", ladder.enriched if named else None, True),
+        ("with the best decoy", ladder.best_decoy, False),
         ("with any smooth torque", ladder.black_box, False),
         ("noise of the sensor", ladder.noise, False),
     ]
@@ -201,13 +143,9 @@ def _parameter_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str
     bare = per_inertia(diagnosis, effect.component)
     title = f"{plain(effect.effect)}\n{effect.component}"
     return [
-        ("" if k else title, _spoken(name), _interval(name, estimate, bare))
+        ("" if k else title, spoken(name), _interval(name, estimate, bare))
         for k, (name, estimate) in enumerate(effect.parameters.items())
     ]
-
-
-def _spoken(parameter: str) -> str:
-    return "drift" if parameter == "s_per_s" else _UNIT.sub("", parameter).replace("_", " ")
 
 
 def _interval(name: str, estimate: Estimate, bare: bool) -> str:
@@ -217,13 +155,16 @@ def _interval(name: str, estimate: Estimate, bare: bool) -> str:
     return value if low == high else f"{value}\n{low} – {high}"
 
 
-def _shifts(diagnosis: Diagnosis) -> list[str]:
+def _shifts(diagnosis: Diagnosis) -> list[Block]:
     by_joint: dict[str, Mapping[str, float]] = {}
     for effect in diagnosis.effects:
         joint = _joint(diagnosis, effect)
         if joint is not None:
             by_joint.setdefault(joint, effect.baseline_shift)
-    return [sentence for joint, x in by_joint.items() if (sentence := _shift(diagnosis, joint, x))]
+    joints = diagnosis.model.joints
+    moved = {name: x for name, x in by_joint.items() if _moved(joints[name], x)}
+    rows = [(name, *_moves(joints[name], shift)) for name, shift in moved.items()]
+    return [Table(("servo", "kp", "kd", "latency"), rows, _SHIFTS)] if rows else []
 
 
 def _joint(diagnosis: Diagnosis, effect: NamedEffect) -> str | None:
@@ -235,16 +176,21 @@ def _joint(diagnosis: Diagnosis, effect: NamedEffect) -> str | None:
     return next(holders, None)
 
 
-def _shift(diagnosis: Diagnosis, joint: str, shift: Mapping[str, float]) -> str:
-    moves = []
-    for name, change in shift.items():
-        before = getattr(diagnosis.model.joints[joint], name) - change
-        if before > 0 and abs(change) > _MOVED * before:
-            sign = "+" if change > 0 else "−"
-            moves.append(f"{short_name(name)} moves by {sign}{abs(100 * change / before):.0f} %")
-    return f"What the plain fit of {joint} had hidden: {', '.join(moves)}." if moves else ""
+def _moved(joint: JointModel, shift: Mapping[str, float]) -> bool:
+    values = {name: getattr(joint, name) for name in _SERVO}
+    return any(
+        abs(shift.get(name, 0.0)) > _MOVED * abs(x - shift.get(name, 0.0))
+        for name, x in values.items()
+    )
 
 
-def figure(drawing: Drawing, caption: str) -> Figure:
-    """A drawing on the page, for a screen and for a phone."""
-    return Figure(svg(drawing), caption, svg(drawing, width=NARROW))
+def _moves(joint: JointModel, shift: Mapping[str, float]) -> list[str]:
+    """A cell for each parameter of the servo: change in percent; before and after."""
+    cells = []
+    for (name, scale), shown in zip(_SERVO.items(), quantities(joint)[:3], strict=True):
+        change = scale * shift.get(name, 0.0)
+        before = shown.value - change
+        percent = f"{100 * change / before:+.0f} %".replace("-", "−") if before > 0 else "–"
+        percent = "0 %" if percent in ("+0 %", "−0 %") else percent
+        cells.append(f"{percent}\n{before:.3g} to {shown.value:.3g} {shown.unit}")
+    return cells

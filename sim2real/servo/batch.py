@@ -97,7 +97,7 @@ class Batch:
         every = [trace for traces in joints for trace in traces]
         longest = max(trace.t.size for trace in every)
         period = float(np.median(np.concatenate([np.diff(trace.t) for trace in every[:64]])))
-        self.device, self.threads = device, threads
+        self.device, self.threads, self.period = device, threads, period
         bound = float(np.sqrt(period / (2 * WANDER_S)) / WANDER_SHARE)
         self.least_gain = bound if bounded else 0.0
         self.lags = int(np.clip(round(MEMORY_S / period), FEWEST_LAGS, MOST_LAGS))
@@ -168,7 +168,7 @@ class Batch:
     ) -> tuple[Array, ...]:
         N, V, _ = problems.theta.shape
         recordings = self.recordings[problems.joint]
-        most = int(recordings.max())
+        most = int(self.recordings.max())
         # One row for each problem, recording and variant that is there.
         there = np.zeros((N, most, V), dtype=bool)
         there[np.arange(most) < recordings[:, None]] = True

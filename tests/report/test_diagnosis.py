@@ -17,8 +17,9 @@ from sim2real.diagnose.result import (
 )
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report import diagnosis_section
 from sim2real.report.diagnosis_plots import POINTS, binned, outline
+from sim2real.report.diagnosis_words import how_sure, plain, size, spoken
 from sim2real.report.page import Figure, Note, Table, Text, render_page
 
 NOISE = 0.0015
@@ -43,9 +44,7 @@ def evidence(recording, *, samples=1500, helps=True, seed=0):
     torque = lacking + rng.normal(0, 0.004, t.size)
     enriched = true if helps else command
     spread = np.full(t.size, 0.004)
-    return Evidence(
-        "j2", recording, t, command, position, command, enriched, speed, torque, spread
-    )
+    return Evidence("j2", recording, t, command, position, command, enriched, speed, torque, spread)
 
 
 MISMATCH = Mismatch(
@@ -159,7 +158,7 @@ def said(diagnosis):
             words += [*block.header, *(cell for row in block.rows for cell in row), block.caption]
         else:
             words += [block.caption, *re.findall(r"<text[^>]*>([^<]*)", block.svg)]
-    return " ".join(words), section.blocks
+    return " ".join(words).replace("\u00a0", " "), section.blocks
 
 
 def test_consistent_says_so_and_nothing_more():
@@ -170,7 +169,7 @@ def test_consistent_says_so_and_nothing_more():
 
 def test_named_effect_is_told_with_its_probability_and_size():
     text, blocks = said(EXPLAINED)
-    assert "dry friction of 0.0312 N m holds the shaft. 98 % sure." in text
+    assert "dry friction of 0.0312 N m holds the shaft. Almost certain: 98 % sure." in text
     assert "0.0312 N m" in text and "0.0292 N m – 0.0332 N m" in text
     assert "from 4.7 mrad to 1.7 mrad, 94 % of what can be removed" in text
     assert "cannot tell" not in " ".join(b.text for b in blocks if isinstance(b, Note))
@@ -179,17 +178,43 @@ def test_named_effect_is_told_with_its_probability_and_size():
     assert "Guess" not in text and "guess" not in text
 
 
-def test_what_the_plain_fit_had_hidden():
-    text, _ = said(EXPLAINED)
-    assert "What the plain fit of j2 had hidden: kp moves by −12 %, latency moves by +14 %." in text
+def table(blocks, first):
+    (found,) = [b for b in blocks if isinstance(b, Table) and b.header[0] == first]
+    return found
+
+
+def test_what_the_plain_fit_had_been_hiding():
+    _, blocks = said(EXPLAINED)
+    shifts = table(blocks, "servo")
+    assert "What the plain fit had been hiding" in shifts.caption
+    (row,) = shifts.rows
+    assert row[:2] == ("j2", "−12 %\n2 to 1.76 N m/rad")
+    assert row[2].startswith("0 %\n") and row[3] == "+14 %\n58 to 66 ms"
+
+
+def test_parameters_that_stay_need_no_table():
+    still = replace(NAMED, baseline_shift={"kp_Nm_per_rad": 0.001, "latency_s": 0.0})
+    _, blocks = said(replace(EXPLAINED, effects=(still,)))
+    assert not [b for b in blocks if isinstance(b, Table) and b.header[0] == "servo"]
 
 
 def test_joints_without_mismatch_get_one_sentence():
     text, blocks = said(EXPLAINED)
-    assert "j1 and j3 follow the plain servo down to the noise." in text
+    errors = "j1 is off by 1.6 mrad, with 1.5 mrad of noise"
+    assert f"j1 and j3 follow the plain servo down to the noise: {errors}." in text
     assert [b.heading for b in blocks if isinstance(b, Text) and b.heading.startswith("Where")] == [
         "Where j2 differs"
     ]
+
+
+def test_consistent_joints_are_told_with_error_and_noise():
+    ladder = Ladder(0.0016, 0.0016, None, None, NOISE)
+    ladders = {f"{name}.position_rad": ladder for name in CONSISTENT.model.joints}
+    text, _ = said(replace(CONSISTENT, ladders=ladders))
+    assert "j1, j2 and j3 follow the plain servo down to the noise" in text
+    assert text.count("is off by 1.6 mrad, with 1.5 mrad of noise") == 3
+    fits = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
+    assert "noise: j3 is off by 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=fits))[0]
 
 
 def test_detection_limits_are_one_row_an_effect():
@@ -202,10 +227,11 @@ def test_detection_limits_are_one_row_an_effect():
 
 def test_members_of_a_group_are_named_with_the_next_experiment():
     text, _ = said(AMBIGUOUS)
-    assert "More than 99 % sure." in text
+    assert "Practically certain: more than 99 % sure that it is one of them." in text
     both = "cannot tell play in the gears from a dead band of the controller"
     assert f"These recordings {both}." in text
-    assert "play in the gears or a dead band of the controller" in text
+    assert "j2: one of these" in text and "in a bracket shares one bar" in text
+    assert "in a bracket" not in said(EXPLAINED)[0]
     assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
     told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
     assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell play") == 1
@@ -213,7 +239,9 @@ def test_members_of_a_group_are_named_with_the_next_experiment():
 
 def test_a_guess_is_marked_as_a_guess():
     text, blocks = said(UNEXPLAINED)
-    assert "A guess, not a finding: torque ≈" in text
+    assert "A hypothesis, that is a guess and not a finding: torque ≈" in text
+    assert "We are 93 % sure of that." in text
+    assert "In colour" not in text and "What is named is worth" not in text
     assert blocks[0].kind == "warn" and "no effect in the catalogue explains it" in text
     assert "with the findings" not in text and "with what is named" not in text
 
@@ -242,7 +270,11 @@ def test_empty_parts_do_no_harm(whole):
     unmeasured = replace(EXPLAINED.evidence[0], position=np.full(1500, np.nan))
     still = np.full(1500, 0.1)
     resting = replace(
-        EXPLAINED.evidence[0], position=still, speed=0 * still, torque=0 * still, torque_sd=0 * still
+        EXPLAINED.evidence[0],
+        position=still,
+        speed=0 * still,
+        torque=0 * still,
+        torque_sd=0 * still,
     )
     for some in ((), (unmeasured,), (resting,)):
         render_page("a", "", [diagnosis_section(replace(empty, evidence=some))], {})
@@ -251,8 +283,48 @@ def test_empty_parts_do_no_harm(whole):
 
 def test_an_effect_that_joints_share_shifts_the_first():
     shared = replace(NAMED, component="supply")
-    text, _ = said(replace(EXPLAINED, effects=(shared,)))
-    assert "What the plain fit of j2 had hidden" in text
+    _, blocks = said(replace(EXPLAINED, effects=(shared,)))
+    assert [row[0] for row in table(blocks, "servo").rows] == ["j2"]
+
+
+def test_only_joints_with_a_finding_show_what_it_is_worth():
+    other = replace(MISMATCH, signal="j1.position_rad", component="j1")
+    _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
+    (drawn,) = [b for b in blocks if isinstance(b, Figure) and "has not seen" in b.caption]
+    assert drawn.svg.count("with what is named") == 1
+    assert drawn.svg.count("with the best decoy") == 2
+
+
+@pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])
+def test_effects_beyond_the_servo_do_no_harm(effect):
+    speed = {"u_m_s": Estimate(0.1, 0.01, 0.08, 0.12)}
+    found = replace(NAMED, effect=effect, group=(effect,), component="body", parameters=speed)
+    section = diagnosis_section(replace(EXPLAINED, effects=(found,)))
+    page = render_page("a", "", [section], {})
+    assert "<script" not in page and "0.1 m/s" in page
+
+
+def test_effects_have_plain_names():
+    beyond = ("skin_elasticity", "pool_current", "com_offset", "pose_filter", "dropped_frames")
+    for effect in ("backlash", "voltage_sag", "clock_drift", *beyond):
+        assert plain(effect) != effect.replace("_", " ")
+    assert plain("backlash") == "play in the gears"
+
+
+def test_units_of_bodies_and_servos():
+    assert size("u_m_s", 0.1, per_inertia=False) == "0.1 m/s"
+    assert size("x_m", 0.012, per_inertia=False) == "12 mm"
+    assert size("damping_Nms_per_rad", 0.02, per_inertia=False) == "0.02 N m s/rad"
+    assert size("time_constant_s", 0.03, per_inertia=False) == "30 ms"
+    names = [spoken(name) for name in ("gap_rad", "x_m", "s_per_s", "ratio")]
+    assert names == ["gap", "x", "drift", "ratio"]
+
+
+def test_probabilities_in_words():
+    shares = (0.999, 0.98, 0.9, 0.7, 0.5, 0.3, 0.1, 0.001)
+    words = [how_sure(share).partition(":")[0] for share in shares]
+    assert words[0] == "Practically certain" and words[-1] == "Very unlikely"
+    assert len(set(words)) == len(words)
 
 
 def test_hostile_names_are_escaped():
@@ -276,7 +348,7 @@ def test_lines_are_thinned_and_keep_gaps_and_extremes():
 
 
 def test_error_of_a_mean_counts_independent_stretches():
-    """Smoothed noise: the bins' means lie within two standard errors of 0 about 95 % of the time."""
+    """Smoothed noise: means lie within two standard errors of 0 about 95 % of the time."""
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(60000)
     smooth = np.convolve(rng.normal(size=t.size + 17), np.ones(18) / 18, mode="valid")

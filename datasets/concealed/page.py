@@ -1,0 +1,395 @@
+"""One page of all results: what was to be reached, what was, and every case that failed.
+
+python datasets/concealed/page.py RESULTS.json... [--rivals RESULTS.json...] --out PAGE.html
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grade import NULLS, SURE, Row, detectable, share, summarize
+
+from sim2real.output import provenance
+from sim2real.report.drawing import svg
+from sim2real.report.page import Block, Figure, Section, Table, Text, write_page
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
+
+STRENGTHS = np.geomspace(0.1, 3.0, 8)
+RATIOS = np.array([1.0, 3.0, 10.0, 30.0, 1e2, 3e2, 1e3, 1e4, 1e5])
+ONE_CASE = -1.0
+"""Stands for a bar of at most one case."""
+
+BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
+    ("An effect named at 0.9 where nothing is missing", "false_alarm", "≤", (0.01, 0.02, ONE_CASE)),
+    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90)),
+    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85)),
+    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None)),
+    ("Right component", "component", "≥", (0.98, 0.95, 0.90)),
+    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE)),
+    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None)),
+    ("Says unlisted of physics outside the catalogue", "outside_abstains", "≥", (0.90, 0.85, None)),
+    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75)),
+    ("Recoverable held-out error removed, median", "recovered_median", "≥", (0.95, 0.90, None)),
+    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25)),
+    ("Over 1 % worse held out where nothing is missing", "harm", "≤", (0.01, 0.01, None)),
+    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None)),
+)
+"""What is measured, and the bars of the three tiers; None is only reported."""
+ALSO = (
+    ("Nulls with any verdict but consistent", "nulls_flagged"),
+    ("Noticed, the undetectable too", "detection_all"),
+    ("First group right, the undetectable too", "group_first_all"),
+    ("First name in the oracle's group", "first_in_oracle_group"),
+    ("Mean size of the first group", "group_size"),
+    ("Brier score", "brier"),
+    ("Outside: a name at 0.9", "outside_confident_wrong"),
+    ("Recoverable error removed, tenth percentile", "recovered_p10"),
+    ("The same without jitter and loss", "recovered_p10_but_chance"),
+    ("Mean held-out change where nothing is missing", "harm_mean"),
+    ("Two effects, the undetectable too: both named", "doubles_both_all"),
+    ("Two effects: F1", "doubles_f1"),
+    ("Parameters of exact names: median relative error", "parameter_error_median"),
+    ("90 % intervals that hold the truth", "parameter_covered"),
+)
+IN_FULL = ("window_iou", "recovered_median", "recovered_p10", "recovered_p10_but_chance")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description="All results on one page.")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULTS.json")
+    parser.add_argument("--rivals", type=Path, nargs="*", default=[], metavar="RESULTS.json")
+    parser.add_argument("--out", type=Path, default=Path("reports/missing_physics.html"))
+    options = parser.parse_args(arguments)
+    found, rivals = ([json.loads(p.read_text()) for p in some] for some in
+                     (options.results, options.rivals))  # fmt: skip
+    sections = [_done(found)]
+    for one in found:
+        for tier in one["tiers"]:
+            rows = [row for row in one["cases"] if row["tier"] == tier]
+            label = tier if len(found) == 1 else f"{tier}, {one['set']}"
+            sections += _of_tier(label, one["tiers"][tier], rows)
+    if rivals:
+        sections.append(_rivals(found, rivals))
+    sections += [_failures(found), _hashes(found)]
+    write_page(
+        options.out,
+        "Find the missing physics",
+        "Sealed cases, graded by script: what was to be reached, what was, and what failed.",
+        sections,
+        provenance([*options.results, *options.rivals], None),
+    )
+
+
+def _done(found: list[Row]) -> Section:
+    blocks: list[Block] = []
+    met = missed = 0
+    for one in found:
+        for tier, results in one["tiers"].items():
+            rows = [_bar_row(*bar, tier, results["metrics"]) for bar in BARS]
+            met += sum(row[3] == "met" for row in rows)
+            missed += sum(row[3] == "MISSED" for row in rows)
+            cases = ", ".join(f"{n} {kind}" for kind, n in results["counts"].items())
+            caption = f"{tier}, {one['set']}: {cases.replace('_', ' ')}. "
+            caption += "Intervals are 95 %; of shares by Clopper and Pearson."
+            blocks.append(Table(("", "bar", "measured", ""), rows, caption))
+            also = [(label, _value(results["metrics"][name], name)) for label, name in ALSO]
+            blocks.append(Table(("also measured", ""), also))
+    lead = f"{met} of {met + missed} bars are met" + (f", {missed} missed." if missed else ".")
+    return Section("Done when", lead, blocks)
+
+
+def _bar_row(
+    label: str, name: str, relation: str, bars: tuple[float | None, ...], tier: str, metrics: Row
+) -> tuple[str, str, str, str]:
+    number = ["T1", "T2", "T3"].index(tier) if tier in ("T1", "T2", "T3") else 0
+    bar, metric = bars[number], metrics[name]
+    measured = _value(metric, name)
+    if bar is None or metric.get("value") is None:
+        return label, "report" if bar is None else _bar_text(name, relation, bar), measured, ""
+    value = metric["count"] if bar == ONE_CASE else metric["value"]
+    limit = 1 if bar == ONE_CASE else bar
+    good = value <= limit if relation == "≤" else value >= limit
+    return label, _bar_text(name, relation, bar), measured, "met" if good else "MISSED"
+
+
+def _bar_text(name: str, relation: str, bar: float) -> str:
+    if bar == ONE_CASE:
+        return "≤ 1 case"
+    decimal = name in IN_FULL or name == "ece"
+    return f"{relation} {bar:.2f}" if decimal else f"{relation} {100 * bar:.0f} %"
+
+
+def _value(metric: Row, name: str = "") -> str:
+    """A metric as a cell: its value, and below it interval and counts."""
+    if metric.get("value") is None:
+        return "not measured"
+    counted = "count" in metric
+    percent = counted or name in ("heldout_drop_median", "harm_mean", "parameter_error_median")
+    factor, digits, unit = (100, 1, " %") if percent else (1, 3, "")
+    ends = metric.get("interval")
+    text = f"{factor * metric['value']:.{digits}f}{unit}\n"
+    if ends:
+        text += f"{factor * ends[0]:.{digits}f} to {factor * ends[1]:.{digits}f}{unit}, "
+    return text + (f"{metric['count']} of {metric['of']}" if counted else f"n = {metric['of']}")
+
+
+def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
+    single = [row for row in rows if row["kind"] == "single"]
+    outside = [row for row in rows if row["kind"] == "outside"]
+    naming: list[Block] = [
+        Figure(
+            _confusion_figure(confusion(rows), oracle_confusion(single)),
+            "Rows: what is there. Columns: the first name. A dot's area is its share of the row; "
+            "red is wrong. Right, where it was worked out: what one who knows all cannot tell "
+            "apart (the group of all that fit within 5 in log-likelihood).",
+        ),
+        _effects_table(single, "group_right", "group right"),
+    ]
+    if outside:
+        naming.append(_effects_table(outside, "abstains", "says unlisted"))
+    sure: list[Block] = [
+        Figure(
+            _probability_figure(results["reliability"], single, outside),
+            "Left: of the groups named at a probability, the share that is there, with 95 % "
+            "intervals. Right: accuracy of the first names if only the surer cases are answered "
+            "(detectable single effects and physics outside the catalogue).",
+        )
+    ]
+    power = Figure(
+        _power_figure(single),
+        "Single effects. Left against strength, 1 being nominal; right against the log-likelihood "
+        "ratio that one who knows all would see: noticed (grey), first group right (black), first "
+        "name right (red). Intervals are 95 %.",
+    )
+    ladder = Figure(
+        _ladder_figure(single),
+        "Detectable single effects, one column each: error on the recording that nobody was given, "
+        "in units of its noise. Grey the plain servo, red with what was named; 1 is the floor.",
+    )
+    return [
+        Section(f"Names: {label}", "Which effect was named first.", naming),
+        Section(f"Probabilities: {label}", "Whether they mean what they say.", sure),
+        Section(f"Power: {label}", "How small an effect is found.", [power]),
+        Section(f"Held out: {label}", "Whether naming it helps on another motion.", [ladder]),
+    ]
+
+
+def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
+    """First name by what is there; cases with two effects are left out."""
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for row in rows:
+        if row["kind"] == "double":
+            continue
+        true = _name(row) if row["kind"] == "single" else row["kind"]
+        named = row["entries"][0]["effect"] if row["entries"] else "unlisted"
+        table["nothing" if true in NULLS else true][named if row["flagged"] else "nothing"] += 1
+    return {true: dict(said) for true, said in sorted(table.items())}
+
+
+def oracle_confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
+    """In how many cases of each effect the oracle's group has each effect."""
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for row in rows:
+        table[_name(row)].update(row["oracle_group"] or [])
+    return {true: dict(members) for true, members in sorted(table.items()) if members}
+
+
+def power(rows: list[Row], by: str, edges: Any) -> list[Row]:  # noqa: ANN401 - an array
+    """Shares noticed, in the right group and exact, by strength or by log-likelihood ratio."""
+    known = [row for row in rows if row[by] is not None]
+    place = np.digitize([row[by] for row in known], edges[1:-1])
+    found = []
+    for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        some = [row for row, at in zip(known, place, strict=True) if at == k]
+        parts = {n: share(row[n] for row in some) for n in ("flagged", "group_right", "exact")}
+        found.append({"middle": float(np.sqrt(low * high)), "cases": len(some), **parts})
+    return [one for one in found if one["cases"]]
+
+
+def risk_coverage(rows: list[Row]) -> list[tuple[float, float]]:
+    """Share answered and accuracy, if only first names of at least some probability are given."""
+    firsts = [row["entries"][0] for row in rows if row["entries"]]
+    points = []
+    for least in sorted({round(e["probability"], 3) for e in firsts}, reverse=True):
+        right = [e["right"] for e in firsts if round(e["probability"], 3) >= least]
+        points.append((len(right) / len(rows), sum(right) / len(right)))
+    return points
+
+
+def _name(row: Row) -> str:
+    return str(row["truth"][0]).partition("@")[0]
+
+
+def _effects_table(rows: list[Row], right: str, heading: str) -> Table:
+    kinds: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        kinds[_name(row)].append(row)
+    lines = []
+    for name, some in sorted(kinds.items()):
+        seen = [row for row in some if detectable(row)]
+        sure = sum(any(e["probability"] >= SURE and not e["right"] for e in r["entries"])
+                   for r in some)  # fmt: skip
+        counts = [sum(bool(row[key]) for row in seen) for key in ("flagged", right)]
+        lines.append([name, *map(str, [len(some), len(seen), *counts, sure])])
+    header = ("", "cases", "detectable", "noticed", heading, "wrong at 0.9")
+    return Table(header, lines, "Counts; noticed and right are of the detectable ones.")
+
+
+def _confusion_figure(said: Row, oracle: Row) -> str:
+    rows = sorted(said, key=lambda name: (name in ("nothing", "outside"), name))
+    others = {name for counts in said.values() for name in counts} - {"nothing", "unlisted"}
+    others |= {name for counts in oracle.values() for name in counts}
+    columns = [*sorted(others | set(rows) - {"nothing", "outside"}), "unlisted", "nothing"]
+    with house_style():
+        figure = new_figure(110 + 13 * len(rows), "first name by what is there")
+        panels = figure.subplots(1, 2 if oracle else 1, sharey=True, squeeze=False)[0]
+        for axes, table in zip(panels, (said, oracle), strict=False):
+            for y, true in enumerate(rows):
+                total = sum(said[true].values()) if table is said else table.get(true, {}).get(true)
+                for name, count in table.get(true, {}).items():
+                    right = name == {"outside": "unlisted"}.get(true, true)
+                    colour = INK if right else ACCENT if table is said else MUTED
+                    area = 70 * count / max(total or 0, 1)
+                    axes.scatter(columns.index(name), y, s=area, color=colour, linewidths=0)
+            axes.set_xticks(range(len(columns)), columns, rotation=90, size=7.5)
+            axes.set_xlim(-0.7, len(columns) - 0.3)
+            axes.set_title("said" if table is said else "oracle's groups")
+        panels[0].set_yticks(range(len(rows)), rows, size=8)
+        panels[0].set_ylim(len(rows) - 0.4, -0.6)
+    return svg(figure)
+
+
+def _probability_figure(bins: list[Row], single: list[Row], outside: list[Row]) -> str:
+    with house_style():
+        figure = new_figure(300, "reliability, and accuracy against abstention")
+        left, right = figure.subplots(1, 2)
+        left.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+        full = [one for one in bins if one["of"]]
+        _whiskers(left, [one["stated"] for one in full], full, INK)
+        for one in full:
+            at = (one["stated"], one["value"])
+            left.annotate(str(one["of"]), at, (5, -11), textcoords="offset points", size=8.5,
+                          color=MUTED)  # fmt: skip
+        points = risk_coverage([row for row in single if detectable(row)] + outside)
+        right.plot([p[0] for p in points], [p[1] for p in points], color=INK, linewidth=1.4)
+        for axes, title in ((left, "there, by stated probability"),
+                            (right, "accuracy, by share answered")):  # fmt: skip
+            axes.set(xlim=(0, 1.03), ylim=(0, 1.03), title=title)
+    return svg(figure)
+
+
+def _power_figure(rows: list[Row]) -> str:
+    with house_style():
+        figure = new_figure(300, "power against strength")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, by, edges in zip(panels, ("strength", "llr"), (STRENGTHS, RATIOS), strict=True):
+            found = power(rows, by, edges)
+            for name, colour in (("flagged", FAINT), ("group_right", INK), ("exact", ACCENT)):
+                at = [one["middle"] for one in found]
+                axes.plot(at, [one[name]["value"] for one in found], color=colour, linewidth=1.2)
+                if name == "group_right":
+                    _whiskers(axes, at, [one[name] for one in found], colour)
+            axes.set(xscale="log", ylim=(0, 1.03), title=f"share found, by {_SPELLED[by]}")
+            axes.set_xticks((0.1, 0.3, 1, 3) if by == "strength" else (1, 10, 100, 1e3, 1e4, 1e5))
+            axes.set_xlim(edges[0], edges[-1])
+            _plain_ticks(axes.xaxis)
+    return svg(figure)
+
+
+_SPELLED = {"strength": "strength", "llr": "log-likelihood ratio"}
+
+
+def _plain_ticks(axis: Any) -> None:  # noqa: ANN401 - Matplotlib has no stubs
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
+
+
+def _whiskers(axes: Any, at: list[float], shares: list[Row], colour: str) -> None:  # noqa: ANN401
+    axes.plot(at, [one["value"] for one in shares], "o", color=colour, markersize=4)
+    for x, one in zip(at, shares, strict=True):
+        axes.plot([x, x], one["interval"], color=colour, linewidth=0.8)
+
+
+def _ladder_figure(rows: list[Row]) -> str:
+    held = [row["heldout"] for row in rows if detectable(row) and row["heldout"]]
+    held = sorted((h for h in held if h["floor"]), key=lambda h: h["base"] / h["floor"])
+    with house_style():
+        figure = new_figure(260, "held-out error, plain and enriched")
+        axes = figure.subplots()
+        for k, one in enumerate(held):
+            base, rich = one["base"] / one["floor"], one["enriched"] / one["floor"]
+            axes.plot([k, k], [base, rich], color=FAINT, linewidth=0.6)
+            axes.plot(k, base, "o", color=FAINT, markersize=3)
+            axes.plot(k, rich, "o", color=ACCENT, markersize=3)
+        axes.axhline(1.0, color=INK, linewidth=0.8)
+        axes.set(yscale="log", title="held-out error over noise", xlim=(-1, len(held)))
+        axes.set_xticks([])
+        _plain_ticks(axes.yaxis)
+    return svg(figure)
+
+
+def _rivals(found: list[Row], rivals: list[Row]) -> Section:
+    labels = [(label, name) for label, name, *_ in BARS]
+    answered = {row["case"] for row in rivals[0]["cases"]}
+    header, columns = [""], []
+    own = [one for one in found if one["set"] == rivals[0]["set"]]
+    for one in [*own, *rivals]:
+        rows = [row for row in one["cases"] if row["case"] in answered]
+        header.append(
+            "sim2real" if any(one is mine for mine in own) else one["verdicts"].replace("_", " ")
+        )
+        columns.append(summarize(rows)["metrics"])
+    lines = []
+    for label, name in labels:
+        cells = [_value(metrics[name], name) for metrics in columns]
+        short = [cell.rpartition(",")[0] or cell.partition("\n")[0] for cell in cells]
+        lines.append([label, *("–" if cell == "not measured" else cell for cell in short)])
+    lead = "What a user would do today, on the same recordings, graded by the same script."
+    caption = f"{len(answered)} cases. Small: 95 % intervals."
+    return Section("Baselines", lead, [Table(header, lines, caption)])
+
+
+def _failures(found: list[Row]) -> Section:
+    lines = []
+    for one in found:
+        for row in one["cases"]:
+            if row["failures"]:
+                said = [f"{' | '.join(e['group'])} at {e['component']}, {e['probability']:.2f}"
+                        for e in row["entries"]]  # fmt: skip
+                llr = "" if row["llr"] is None else f"\nlog-ratio {row['llr']:.0f}"
+                true = ", ".join(filter(None, row["truth"])).replace("@", " at ")
+                lines.append((
+                    f"{row['case'].replace('case_', '')}\n{row['tier']}",
+                    (true or "nothing") + ("\n" + row["kind"] + llr.replace("\n", ", ")),
+                    row["verdict"] + ("\n" + "; ".join(said) if said else ""),
+                    ", ".join(row["failures"]),
+                ))  # fmt: skip
+    total = sum(len(one["cases"]) for one in found)
+    lead = f"{len(lines)} of {total} cases failed in some respect. All of them:"
+    return Section("Every failed case", lead, [Table(("case", "there", "said", "failed"), lines)])
+
+
+def _hashes(found: list[Row]) -> Section:
+    blocks: list[Block] = []
+    for one in found:
+        published = one["hashes"]
+        rows = [(name, published[name]) for name in ("answers.json", "recordings")
+                if name in published]  # fmt: skip
+        rows += [(name, digest) for name, digest in published.get("generator", {}).items()]
+        rows.append(("grade.py, as it graded", one["grader"]))
+        same = {True: "The answers graded are those published before the run.",
+                False: "The answers graded are NOT those published.",
+                None: "No hashes were published."}[one["answers_as_published"]]  # fmt: skip
+        blocks += [Text(same, one["set"]), Table(("file", "SHA-256"), rows)]
+    return Section("Hashes", "Published before the run, so that nothing could be changed.", blocks)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""A diagnosis in plain words: effects, probabilities, sizes with their units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from sim2real.diagnose.result import Diagnosis
+from sim2real.report.quantity import printable
+
+# Servos' effects say it themselves, in ``sim2real.effects``; these are the others of the interface.
+_BEYOND_THE_SERVO = {
+    "skin_elasticity": "a skin that springs back",
+    "skin_damping": "a skin that damps",
+    "skin_viscoelasticity": "a skin that springs back slowly",
+    "skin_coupling": "a skin that ties neighbouring joints together",
+    "linear_drag": "drag that grows with speed",
+    "surface_friction": "friction with the ground",
+    "form_drag": "drag of the body's shape",
+    "added_mass": "water that is carried along",
+    "pool_current": "a current in the pool",
+    "tether": "a tether that pulls",
+    "wall_effect": "a wall nearby",
+    "com_offset": "a centre of mass that is off",
+    "trim_asymmetry": "a straight posture that is off to one side",
+    "camera_latency": "a camera that sees late",
+    "camera_scale": "a camera whose scale is off",
+    "camera_rotation": "a camera that is turned",
+    "marker_offset": "a marker that sits elsewhere",
+    "pose_filter": "a filter on the camera's poses",
+    "dropped_frames": "lost camera frames",
+}
+_SURE = (
+    (0.99, "practically certain"),
+    (0.95, "almost certain"),
+    (0.8, "very likely"),
+    (0.65, "likely"),
+    (0.5, "more likely than not"),
+    (0.2, "possible"),
+    (0.05, "unlikely"),
+)
+_UNIT = re.compile(
+    r"_(rad_per_Nm|Nm_per_rad_s|Nms_per_rad|Nm_per_rad|N_per_m|rad_s2|rad_s|rad|Nms2|Nm|kgm2|m_s"
+    r"|m|s)$"
+)
+_METRIC = (
+    ("_N_per_m", " N/m", 1.0),
+    ("_Nms_per_rad", " N m s/rad", 1.0),
+    ("_m_s", " m/s", 1.0),
+    ("_m", " mm", 1e3),
+)
+"""Units of bodies and cameras, which ``readable`` does not know."""
+
+
+def plain(effect: str) -> str:
+    """An effect in plain words, to stand in a sentence; its identifier's own if it is new."""
+    if effect in _BEYOND_THE_SERVO:
+        return _BEYOND_THE_SERVO[effect]
+    from sim2real.effects import CATALOGUE
+
+    known = {one.name: one.plain for one in CATALOGUE}
+    return known.get(effect, printable(effect).replace("_", " "))
+
+
+def sure(share: float) -> str:
+    """A probability in percent; never 0 or 100, as nothing is that sure."""
+    low, high = "less than 1\u00a0%", "more than 99\u00a0%"
+    return high if share > 0.99 else low if share < 0.01 else f"{100 * share:.0f}\u00a0%"
+
+
+def how_sure(share: float, *, of: str = "") -> str:
+    """A probability as a sentence, in words and in percent: ``"Almost certain: 98 % sure."``.
+
+    Args:
+        share: The probability.
+        of: What is that sure, ``"that it is one of them"``; nothing where it was just said.
+    """
+    words = next((words for least, words in _SURE if share >= least), "very unlikely")
+    return f"{words.capitalize()}: {' '.join(filter(None, (sure(share), 'sure', of)))}."
+
+
+def size(parameter: str, value: float, *, per_inertia: bool) -> str:
+    """A parameter's value with its unit; per unit of inertia where the load is not known."""
+    for ending, unit, scale in _METRIC:
+        if parameter.endswith(ending):
+            return f"{value * scale:.3g}{unit}"
+    from sim2real.effects.effect import readable
+
+    text = readable(parameter, value)
+    return text.replace("N m", "N m/(kg m²)") if per_inertia else text
+
+
+def spoken(parameter: str) -> str:
+    """A parameter's name without its unit: ``"gap"`` for ``"gap_rad"``."""
+    bare = "drift" if parameter == "s_per_s" else _UNIT.sub("", parameter)
+    return printable(bare).replace("_", " ")
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """``"a, b and c"``."""
+    return f" {last} ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def per_inertia(diagnosis: Diagnosis, component: str) -> bool:
+    """Whether the torques of a component are per unit of inertia."""
+    joints = diagnosis.model.joints
+    some = [joints[component]] if component in joints else list(joints.values())
+    return any(joint.per_inertia for joint in some)

@@ -1,0 +1,210 @@
+"""Sealed sets out of real recordings: reproducible, nothing leaks, what is hidden is there."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim2real.recording import read_recording
+from sim2real.robot import match_joints, read_robot
+
+FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
+FEW = ["--null", "3", "--single", "3", "--double", "1", "--outside", "3"]
+
+
+@pytest.fixture(scope="module")
+def real():
+    """The generator; a script, in no package."""
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield __import__("real")
+    finally:
+        sys.path.remove(str(FOLDER))
+        sys.modules.pop("real", None)
+
+
+@pytest.fixture(scope="module")
+def logs(real, realdata):
+    groups = real.backgrounds(realdata)
+    return {log.name: log for group in groups.values() for log in group}
+
+
+@pytest.fixture(scope="module")
+def sets(real, realdata, tmp_path_factory):
+    """Cases of T2 and T3: their folder and answer."""
+    out = tmp_path_factory.mktemp("real")
+    paths = [out / "t2", out / "t3"]
+    real.main([*map(str, paths), "--realdata", str(realdata), "--seed", "7"])
+    cases = []
+    for path in paths:
+        answers = json.loads((path / "answers.json").read_text())
+        cases.append([(path, answer) for answer in answers])
+    return cases
+
+
+def files(path, answer):
+    name = answer["case"]
+    return {p.stem: p for k in ("inputs", "heldout") for p in (path / k / name).glob("*.csv")}
+
+
+def test_counts(sets):
+    second, third = ([answer for _, answer in cases] for cases in sets)
+    kinds = [a["kind"] for a in second]
+    assert len(kinds) >= 100
+    assert kinds.count("null") + kinds.count("trap") >= 0.3 * len(kinds)
+    assert kinds.count("outside") >= 0.15 * len(kinds)
+    assert len(third) >= 20
+    found = {a["intervention"] for a in third}
+    assert found == {"gain", "torque_off", "supply", "load", "none"}
+    assert {a["tier"] for a in second} == {"T2"}
+    assert {a["tier"] for a in third} == {"T3"}
+
+
+def test_the_same_seed_gives_the_same_bytes(real, realdata, tmp_path):
+    for run in ("first", "again"):
+        outs = [str(tmp_path / run / tier) for tier in ("t2", "t3")]
+        real.main([*outs, "--realdata", str(realdata), "--seed", "5", *FEW])
+    paths = sorted(p for p in (tmp_path / "first").rglob("*") if p.is_file())
+    for path in paths:
+        again = tmp_path / "again" / path.relative_to(tmp_path / "first")
+        assert path.read_bytes() == again.read_bytes()
+
+
+def test_inputs_are_as_the_interface_says(sets):
+    for path, answer in sum(sets, []):
+        robot = read_robot(path / "inputs" / answer["case"] / "robot.toml")
+        for file in files(path, answer).values():
+            match_joints(read_recording(file), robot)
+
+
+def test_no_kind_leaks_through_names_sizes_or_sidecars(real, sets):
+    words = {*real.EFFECTS, *real.OUTSIDERS, "torque_off", "supply", "firmware", "kp", "seed"}
+    words |= {*real.XL330, real.DROP, "null", "trap", "single", "double", "outside"}
+    for path, answer in sum(sets, []):
+        for file in (path / "inputs" / answer["case"]).iterdir():
+            text = file.read_text()
+            assert not any(re.search(rf"\b{word}\b", text) for word in words), file
+            assert re.fullmatch(r"(ref_[123]|a|b)\.(csv|json)|robot\.toml", file.name)
+            if file.suffix == ".csv":
+                header = text.split("\n", 1)[0]
+                assert re.fullmatch(r"t_s(,j\d\.command_rad,j\d\.position_rad)+", header)
+    kinds = {}
+    for path, answer in sets[0]:  # of one background, all but disordered clocks are alike
+        if not answer["clock_disturbed"]:
+            rows = read_recording(files(path, answer)["a"]).t.size
+            kinds.setdefault(answer["background"]["a"], set()).add(rows)
+    assert all(len(rows) == 1 for rows in kinds.values())
+
+
+def test_references_and_nulls_are_untouched(real, sets, logs):
+    for path, answer in sets[0]:
+        for name, file in files(path, answer).items():
+            if name.startswith("ref") or answer["kind"] == "null":
+                assert file.read_text() == real.table(logs[answer["background"][name]])
+
+
+def test_what_is_hidden_is_there_and_only_in_its_windows(real, sets, logs):
+    for path, answer in sets[0]:
+        for name, file in files(path, answer).items():
+            if name.startswith("ref") or answer["kind"] in ("null", "trap"):
+                continue
+            seen, log = read_recording(file), logs[answer["background"][name]]
+            rows = np.searchsorted(log.t, seen.t)
+            np.testing.assert_array_equal(log.t[rows], seen.t)
+            moved = np.abs(seen.position - log.position[rows])
+            sent = np.abs(seen.command - log.command[rows])
+            changed = (moved > 0.5 * log.step) & (moved > 2e-6 * (log.family != "emps"))
+            parts = {e["component"] for e in answer["effects"]}
+            if all(e["strength"] > 2 for e in answer["effects"]):
+                assert changed.any() or (sent > 2e-6).any(), answer
+            for j, joint in enumerate(log.joints):
+                assert parts & {joint, "link"} or not changed[:, j].any()
+            windows = answer["windows_s"].get(name)
+            if windows:
+                ((start, stop),) = windows
+                when = seen.t[changed.any(axis=1)]
+                assert start <= when[0] and when[-1] <= stop
+                kept = np.sum((seen.t >= start) & (seen.t <= stop))
+                assert when.size <= kept
+                exact = {"horn_slip", "sensor_spikes"} & {e["effect"] for e in answer["effects"]}
+                if exact and not answer["clock_disturbed"]:
+                    assert (when[0], when[-1]) == (start, stop)
+
+
+def test_truth_is_exact(real, logs):
+    log, rng = logs["xl330_kp800_sin_time_square"], np.random.default_rng(0)
+    t, command, angle = log.t, log.command[:, 0], log.position[:, 0]
+
+    def put(name, p):
+        return real.EFFECTS[name].put(log, 0, p, rng)
+
+    assert np.abs(put("sensor_gain", {"gain": 1.1}).position[:, 0] - 1.1 * angle).max() < 1e-12
+    coarse = put("encoder_quantization", {"step_rad": 5 * log.step}).position[:, 0]
+    assert np.abs(coarse / (5 * log.step) - np.round(coarse / (5 * log.step))).max() < 1e-6
+    late = put("clock_drift", {"s_per_s": 0.01}).position[:, 0]
+    assert np.abs(np.interp(t * 1.01, t, late) - angle)[t < 5.9].max() < 10 * log.step
+
+    sent = put("command_filter", {"time_constant_s": 0.03}).command[:, 0]
+    state, means = command[0], []
+    for k, dt in enumerate(np.diff(t)):
+        fade = np.exp(-dt / 0.03)
+        means.append(sent[k] + (state - sent[k]) * 0.03 / dt * (1 - fade))
+        state = sent[k] + (state - sent[k]) * fade
+    assert np.abs(np.array(means) - command[:-1]).max() < 2e-3
+    assert np.abs(sent - command).max() > 0.05
+
+    slow, fine = put("sensor_filter", {"time_constant_s": 0.02}).position[:, 0], []
+    state = angle[0]
+    for k, dt in enumerate(np.diff(t)):
+        for share in (np.arange(50) + 0.5) / 50:
+            now = angle[k] + share * (angle[k + 1] - angle[k])
+            state += (now - state) * (1 - np.exp(-dt / 50 / 0.02))
+        fine.append(state)
+    assert np.abs(slow[1:] - fine).max() < 1e-4
+    assert np.abs(log.fine().position - log.position).max() < 0.5 * log.step
+    np.testing.assert_allclose(log.fine().rounded().position, log.position, atol=1e-6)
+
+
+def test_torque_off_is_concealed(sets, logs):
+    for path, answer in sets[1]:
+        if answer["intervention"] != "torque_off":
+            continue
+        seen, log = read_recording(files(path, answer)["a"]), logs[answer["background"]["a"]]
+        ((start, stop),) = answer["windows_s"]["a"]
+        assert np.isfinite(seen.command).all()
+        off = log.t[np.isnan(log.command[:, 0])][0]
+        assert (start, stop) == (off, seen.t[-1])
+        before, after = seen.t < start, seen.t >= start
+        assert np.ptp(seen.command[after]) == 0
+        rate = [np.mean(np.diff(seen.t[part])) for part in (before, after)]
+        assert rate[1] == pytest.approx(rate[0], rel=0.05)
+
+
+def test_other_interventions(sets):
+    for path, answer in sets[1]:
+        background, kind = answer["background"], answer["intervention"]
+        gains = {name: re.search(r"kp(\d+)", log)[1] for name, log in background.items()}
+        others = {g for name, g in gains.items() if name.startswith("ref")}
+        assert (others == {gains["a"]}) == (kind not in ("gain", "supply"))
+        assert gains["a"] == gains["c"]
+        assert len(set(background.values())) == len(background)
+        if kind == "gain":
+            assert answer["kind"] == "intervention" and not answer["effects"]
+            assert answer["changed"]["factor"] == int(gains["a"]) / int(*others)
+        if kind == "supply":
+            measured = answer["measured"].values()
+            assert all(m["p"] < 0.01 and m["loss_at_full_load"] > 0.01 for m in measured)
+        if kind == "load":
+            loads = {n: read_recording(f).loads["j1"] for n, f in files(path, answer).items()}
+            right, wrong = loads["ref_1"], loads["a"]
+            (effect,) = answer["effects"]
+            (value,) = effect["parameters"].values()
+            missing = {
+                "gravity_load": right.gravity_Nm - wrong.gravity_Nm,
+                "unmodelled_inertia": right.inertia_kgm2 - wrong.inertia_kgm2,
+            }[effect["effect"]]
+            assert value == pytest.approx(missing, rel=1e-3)
+            assert loads["a"] == loads["c"]

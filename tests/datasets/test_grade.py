@@ -1,0 +1,359 @@
+"""The grader's numbers, checked on cases made by hand."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim2real.model import FittedEffect, JointModel, Model, write_model
+from sim2real.recording import Commands, Load, Recording, write_recording
+from sim2real.servo.fit import fit
+from sim2real.servo.predict import predict
+from sim2real.servo.trace import Trace
+
+FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
+MODULES = ("grade", "page", "rivals")
+LOADS = {joint: Load(0.002, 0.1, 0.1) for joint in ("j1", "j2", "j3")}
+NOISE = {"step_rad": 0.0, "white_rad": 0.001, "wander_rad": 0.0, "wander_s": 1.0}
+FRICTION = ("coulomb_friction", "j2", {"torque_Nm": 0.05})
+
+
+@pytest.fixture(scope="module")
+def code():
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield {name: __import__(name) for name in MODULES}
+    finally:
+        sys.path.remove(str(FOLDER))
+        for name in MODULES:
+            sys.modules.pop(name, None)
+
+
+def servos(*effects):
+    """Three servos with (effect, joint, parameters) in them."""
+    return Model(
+        joints={
+            joint: JointModel(
+                2.0,
+                0.08,
+                0.04,
+                0.002,
+                effects=tuple(FittedEffect(e, p) for e, j, p in effects if j == joint),
+            )
+            for joint in LOADS
+        }
+    )
+
+
+def hidden(effect, component, parameters=None, strength=1.0):
+    return {
+        "effect": effect,
+        "component": component,
+        "parameters": parameters or {},
+        "strength": strength,
+    }
+
+
+def entry(effect, component, probability, group=(), **means):
+    parameters = {
+        name: {"mean": m, "sd": 0.1 * m, "q05": 0.9 * m, "q95": 1.1 * m}
+        for name, m in means.items()
+    }
+    return {
+        "effect": effect,
+        "component": component,
+        "probability": probability,
+        "group": [effect, *group],
+        "parameters": parameters,
+    }
+
+
+class Challenge:
+    """A set and its verdicts, case by case."""
+
+    def __init__(self, folder):
+        self.set, self.verdicts, self.answers = folder / "set", folder / "verdicts", []
+        self.set.mkdir()
+
+    def add(self, kind, effects=(), verdict="consistent", said=(), mismatch=(), **more):
+        """A case with no recording held out."""
+        name = f"case_{len(self.answers) + 1:04d}"
+        joints = {joint: {"noise": NOISE} for joint in LOADS}
+        self.answers.append(
+            {"case": name, "kind": kind, "trap": "", "effects": list(effects), "joints": joints}
+            | {"windows_s": {}, "oracle": {}}
+            | more
+        )
+        self.answers[-1].pop("models", None)
+        folder = self.verdicts / name
+        folder.mkdir(parents=True)
+        content = {"verdict": verdict, "effects": list(said), "mismatch": list(mismatch)}
+        (folder / "diagnosis.json").write_text(json.dumps(content))
+        return name
+
+    def hold_out(self, name, true, baseline, enriched, noise=0.0):
+        """The motion of one model, and two others that were fitted."""
+        t = np.arange(0.0, 4.0, 0.02)
+        command = np.stack([0.4 * np.sign(np.sin(3 * t)), 0.3 * np.sin(4 * t), 0.0 * t], axis=1)
+        sent = dict(zip(LOADS, command.T, strict=True))
+        angles = predict(true, t, sent, LOADS)
+        position = np.stack([angles[joint] for joint in LOADS], axis=1)
+        position += np.random.default_rng(0).normal(0, 1e-9 + noise, position.shape)
+        recording = Recording("c", "servo", tuple(LOADS), t, command, position, loads=LOADS)
+        (self.set / "heldout" / name).mkdir(parents=True)
+        write_recording(recording, self.set / "heldout" / name / "c.csv")
+        write_model(baseline, self.verdicts / name / "baseline.json")
+        write_model(enriched, self.verdicts / name / "enriched.json")
+
+    def results(self, code, **options):
+        (self.set / "answers.json").write_text(json.dumps(self.answers))
+        return code["grade"].grade(self.set, self.verdicts, **options)
+
+    def metrics(self, code):
+        return self.results(code)["tiers"]["T1"]["metrics"]
+
+
+@pytest.fixture
+def challenge(tmp_path):
+    return Challenge(tmp_path)
+
+
+def counted(metric):
+    return metric["count"], metric["of"]
+
+
+def test_false_alarms_are_names_at_nine_tenths(code, challenge):
+    challenge.add("null")
+    challenge.add("null", verdict="explained", said=[entry("backlash", "j1", 0.9)])
+    challenge.add("trap", verdict="explained", said=[entry("backlash", "j1", 0.89)], trap="clock")
+    metrics = challenge.metrics(code)
+    assert counted(metrics["false_alarm"]) == (1, 3)
+    assert counted(metrics["nulls_flagged"]) == (2, 3)
+    assert counted(metrics["confident_wrong"]) == (1, 1)
+
+
+def test_only_detectable_effects_must_be_noticed(code, challenge):
+    for llr, verdict in ((9.9, "consistent"), (10.0, "consistent"), (11.0, "unexplained")):
+        oracle = {"llr": {"j1": llr - 1.0, "j2": 1.0}}
+        challenge.add("single", [hidden("backlash", "link")], verdict, oracle=oracle)
+    challenge.add("double", [hidden("backlash", "j1"), hidden("deadband", "j2")], "explained")
+    metrics = challenge.metrics(code)
+    assert counted(metrics["detection"]) == (2, 3)
+    assert counted(metrics["detection_all"]) == (2, 4)
+
+
+def test_first_group_exact_name_and_oracles_group(code, challenge):
+    true, oracle = [hidden("backlash", "j1")], {"llr_total": 50.0, "group": ["backlash", "cogging"]}
+
+    def answer(*said):
+        challenge.add("single", true, "explained", said, oracle=oracle)
+
+    answer(entry("backlash", "j1", 0.9))  # all right
+    answer(entry("cogging", "j1", 0.9, ["backlash"]))  # in the group, and in the oracle's
+    answer(entry("deadband", "j1", 0.9, ["backlash"]))  # in the group, not in the oracle's
+    answer(entry("backlash", "j2", 0.9))  # wrong joint
+    answer(entry("cogging", "j1", 0.9), entry("backlash", "j1", 0.8))  # second
+    metrics = challenge.metrics(code)
+    assert counted(metrics["group_first"]) == (3, 5)
+    assert counted(metrics["exact_first"]) == (1, 5)
+    assert counted(metrics["first_in_oracle_group"]) == (3, 5)
+    assert counted(metrics["component"]) == (4, 5)
+    assert counted(metrics["confident_wrong"]) == (2, 5)
+    assert metrics["group_size"]["value"] == pytest.approx(7 / 5)
+
+
+def test_supply_and_link_show_on_any_joint(code, challenge):
+    challenge.add(
+        "single", [hidden("voltage_sag", "supply")], "explained", [entry("voltage_sag", "j3", 0.95)]
+    )
+    challenge.add(
+        "single", [hidden("voltage_sag", "j1")], "explained", [entry("voltage_sag", "supply", 0.95)]
+    )
+    metrics = challenge.metrics(code)
+    assert counted(metrics["group_first"]) == counted(metrics["component"]) == (1, 2)
+
+
+def test_component_of_an_unnamed_mismatch(code, challenge):
+    challenge.add(
+        "single", [hidden("backlash", "j2")], "unexplained", mismatch=[{"component": "j2"}]
+    )
+    assert counted(challenge.metrics(code)["component"]) == (1, 1)
+
+
+def test_calibration_of_two_bins(code, challenge):
+    true = [hidden("backlash", "j1")]
+    for _ in range(3):
+        challenge.add("single", true, "explained", [entry("backlash", "j1", 0.85)])
+    challenge.add("single", true, "explained", [entry("cogging", "j1", 0.25)])
+    challenge.add("single", true, "explained", [entry("cogging", "j1", 0.04)])  # not counted
+    results = challenge.results(code)["tiers"]["T1"]
+    assert results["metrics"]["ece"]["value"] == pytest.approx((3 * 0.15 + 0.25) / 4)
+    assert results["metrics"]["brier"]["value"] == pytest.approx((3 * 0.15**2 + 0.25**2) / 4)
+    assert [b["of"] for b in results["reliability"]] == [0, 0, 1, 0, 0, 0, 0, 0, 3, 0]
+
+
+def test_abstaining_is_a_flag_without_a_name(code, challenge):
+    true = [hidden("jam", "j1")]
+    name = entry("deadband", "j1", 0.5)
+    challenge.add("outside", true, "unexplained")
+    challenge.add("outside", true, "partly_explained", [entry("deadband", "j1", 0.49)])
+    challenge.add("outside", true, "partly_explained", [name])
+    challenge.add("outside", true, "consistent")
+    challenge.add("outside", true, "explained", [entry("jam", "j1", 0.95)])  # no name is right
+    metrics = challenge.metrics(code)
+    assert counted(metrics["outside_abstains"]) == (2, 5)
+    assert counted(metrics["outside_flagged"]) == (4, 5)
+    assert counted(metrics["outside_confident_wrong"]) == (1, 5)
+    assert counted(metrics["confident_wrong"]) == (1, 1)
+
+
+def test_windows_on_the_right_joint_of_the_right_recording(code, challenge):
+    stated = {"a": [[1.0, 2.0], [1.5, 3.0]], "b": []}
+    mismatch = [
+        {"component": "j1", "windows_by_recording": stated},
+        {"component": "j2", "windows_by_recording": {"b": [[0, 4]]}},
+    ]
+    true = {"a": [[2.0, 4.0]], "b": [[0.0, 4.0]], "c": [[0.0, 9.0]]}
+    name = challenge.add(
+        "outside", [hidden("jam", "j1")], "unexplained", (), mismatch, windows_s=true
+    )
+    challenge.hold_out(name, servos(), servos(), servos())
+    row = challenge.results(code)["cases"][0]
+    assert row["iou"] == pytest.approx([1 / 3, 0.0])
+    assert "windows" in row["failures"]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "share"),
+    [([(0, 2)], [(1, 3)], 1 / 3), ([(0, 1)], [], 0), ([(0, 1), (2, 3)], [(0, 3)], 2 / 3)],
+)
+def test_overlap(code, one, other, share):
+    assert code["grade"].overlap(one, other) == pytest.approx(share)
+
+
+def test_two_effects_need_an_entry_each(code, challenge):
+    true = [hidden("backlash", "j1"), hidden("deadband", "j1")]
+    both = entry("backlash", "j1", 0.9, ["deadband"])
+    faint = entry("deadband", "j1", 0.4)
+    challenge.add("double", true, "explained", [both])
+    challenge.add("double", true, "explained", [both, entry("deadband", "j1", 0.5)])
+    challenge.add("double", true, "explained", [both, faint])
+    challenge.add("double", true, "explained", [both, entry("cogging", "j2", 0.7)])
+    each = {"llr_total": 99.0, "llr_of_each": {"backlash@j1": 90.0, "deadband@j1": 9.0}}
+    challenge.add("double", true, "explained", [both], oracle=each)
+    metrics = challenge.metrics(code)
+    assert counted(metrics["doubles_both"]) == (1, 4)
+    assert counted(metrics["doubles_both_all"]) == (1, 5)
+    assert metrics["doubles_f1"]["value"] == pytest.approx(6 / (6 + (4 + 1) / 2))
+
+
+def test_held_out_error_of_truth_and_of_nothing(code, challenge):
+    true, plain = servos(FRICTION), servos()
+    effect = [hidden(*FRICTION)]
+    said = [entry("coulomb_friction", "j2", 0.9, torque_Nm=0.055)]
+    faint = servos(("coulomb_friction", "j2", {"torque_Nm": 0.002}))
+    for enriched in (true, faint, plain):
+        name = challenge.add("single", effect, "explained", said, oracle={"llr_total": 99.0})
+        challenge.hold_out(name, true, plain, enriched, noise=0.001)
+    first, second, third = challenge.results(code)["cases"]
+    assert first["heldout"]["eta"] == pytest.approx(1.0, abs=0.02)
+    assert first["heldout"]["floor"] == pytest.approx(0.001)
+    assert 0.0 < second["heldout"]["eta"] < 0.2
+    assert third["heldout"]["eta"] == 0.0 == third["heldout"]["drop"]
+    assert "error left" in second["failures"] and "error left" not in first["failures"]
+    metrics = challenge.metrics(code)
+    assert metrics["recovered_median"]["value"] == pytest.approx(second["heldout"]["eta"])
+    assert metrics["parameter_error_median"]["value"] == pytest.approx(0.1)
+    assert counted(metrics["parameter_covered"]) == (3, 3)
+
+
+def test_harm_where_nothing_is_missing(code, challenge):
+    for enriched in (servos(), servos(FRICTION)):
+        name = challenge.add("null")
+        challenge.hold_out(name, servos(), servos(), enriched, noise=0.001)
+    metrics = challenge.metrics(code)
+    assert counted(metrics["harm"]) == (1, 2)
+    assert metrics["harm_mean"]["value"] > 0.01
+
+
+def test_clopper_pearson_and_quantile(code):
+    share, quantile = code["grade"].share, code["grade"].quantile
+    assert share([False] * 300)["interval"][1] == pytest.approx(0.0122, abs=1e-4)
+    assert share([True] * 380 + [False] * 20)["interval"] == pytest.approx([0.924, 0.969], abs=1e-3)
+    assert share([])["value"] is None
+    low, high = quantile(list(range(100)), 0.5)["interval"]
+    assert low == 39 and high == 60
+
+
+def test_missing_verdict_is_an_error_unless_left_out(code, challenge):
+    challenge.add("null")
+    (challenge.verdicts / challenge.add("null") / "diagnosis.json").unlink()
+    with pytest.raises(FileNotFoundError):
+        challenge.results(code)
+    assert len(challenge.results(code, answered=True)["cases"]) == 1
+
+
+def test_tiers_apart_and_answers_checked(code, challenge):
+    challenge.add("null")
+    challenge.add("null", tier="T2")
+    (challenge.set / "hashes.json").write_text(json.dumps({"answers.json": "0" * 64}))
+    results = challenge.results(code)
+    assert list(results["tiers"]) == ["T1", "T2"]
+    assert results["answers_as_published"] is False
+
+
+def test_rivals_march_adds_a_torque_to_the_plain_motion(code):
+    t = np.arange(0.0, 3.0, 0.02)
+    command = 0.3 * np.sin(5 * t)
+    trace = Trace("a", "a.csv", t, command, command, LOADS["j1"], np.ones(t.size, bool))
+    plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
+    plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
+    wanted = Commands(t, {"j1": command}, LOADS)
+    case = code["rivals"].Case({"j1": [trace]}, {"j1": plain}, wanted)
+    drag = code["rivals"]._predicted(case, lambda state: -0.04 * state.v)["j1"]
+    heavier = replace(case.model.joints["j1"], kd_Nms_per_rad=0.12)
+    exact = predict(Model({"j1": heavier}), t, wanted.by_joint, LOADS)["j1"]
+    free = predict(case.model, t, wanted.by_joint, LOADS)["j1"]
+    assert np.abs(exact - free).max() > 0.02
+    np.testing.assert_allclose(drag, exact, atol=1e-3)
+
+
+def test_rivals_lacking_torque_is_that_of_the_hidden_effect(code):
+    t = np.arange(0.0, 6.0, 0.01)
+    command = {"j2": 0.4 * np.sin(4 * t) + 0.2 * np.sin(7 * t)}
+    true = servos(("gravity_load", "j2", {"torque_Nm": 0.1}))
+    position = predict(true, t, command, LOADS)["j2"]
+    trace = Trace("a", "a.csv", t, command["j2"], position, LOADS["j2"], np.ones(t.size, bool))
+    plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
+    plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
+    state, lacking = code["rivals"]._lacking([trace], plain)
+    np.testing.assert_allclose(lacking, -0.1 * np.sin(state.q), atol=0.01)
+
+
+def test_curves_and_page(code, challenge, tmp_path):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    true = [hidden("backlash", "j1", strength=2.0)]
+    oracle = {"llr_total": 50.0, "group": ["backlash", "cogging"]}
+    right, wrong = entry("backlash", "j1", 0.9), entry("cogging", "j1", 0.6)
+    challenge.add("single", true, "explained", [right], oracle=oracle)
+    challenge.add("single", true, "explained", [wrong], oracle=oracle)
+    challenge.add("single", true, "consistent", oracle=oracle)
+    challenge.add("outside", [hidden("jam", "j1")], "unexplained")
+    challenge.add("null")
+    results = challenge.results(code)
+    page, rows = code["page"], results["cases"]
+    assert page.confusion(rows)["backlash"] == {"backlash": 1, "cogging": 1, "nothing": 1}
+    assert page.confusion(rows)["outside"] == {"unlisted": 1}
+    assert page.oracle_confusion(rows[:3]) == {"backlash": {"backlash": 3, "cogging": 3}}
+    assert page.risk_coverage(rows[:4]) == [(0.25, 1.0), (0.5, 0.5)]
+    (only,) = page.power(rows[:3], "strength", page.STRENGTHS)
+    assert (only["cases"], only["flagged"]["count"], only["exact"]["count"]) == (3, 2, 1)
+    source, out = tmp_path / "results.json", tmp_path / "page.html"
+    source.write_text(json.dumps(results))
+    page.main([str(source), "--rivals", str(source), "--out", str(out)])
+    text = out.read_text()
+    assert "MISSED" in text and "not first" in text and "https://" not in text

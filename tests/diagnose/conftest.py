@@ -1,0 +1,44 @@
+"""Two short recordings each of a servo that misses nothing and of some that miss one effect."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from simulated import traced
+
+from sim2real.diagnose.search import Book, baselines, search
+from sim2real.servo.batch import Batch
+from sim2real.servo.minimise import Fits
+from sim2real.servo.trace import Trace
+
+
+@dataclass(frozen=True)
+class Searched:
+    traces: Sequence[Trace]
+    batch: Batch
+    plain: Fits
+    book: Book
+
+
+def searched(**effects) -> Searched:
+    traces = [traced(1, "a", **effects), traced(2, "b", **effects)]
+    batch = Batch([traces])
+    plain = baselines(batch)
+    (book,) = search(batch, plain, level=0.01, rng=np.random.default_rng(0))
+    return Searched(traces, batch, plain, book)
+
+
+@pytest.fixture(scope="session")
+def nothing() -> Searched:
+    return searched()
+
+
+@pytest.fixture(scope="session")
+def rubbing() -> Searched:
+    return searched(coulomb_friction={"torque_Nm": 0.05})
+
+
+@pytest.fixture(scope="session")
+def filtered() -> Searched:
+    return searched(command_filter={"time_constant_s": 0.06})

@@ -1,0 +1,181 @@
+"""From recordings to a diagnosis: dry friction by its name, nothing where nothing is missing."""
+
+import json
+
+import numpy as np
+import pytest
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, recording
+
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
+from sim2real.diagnose.result import write_diagnosis
+from sim2real.errors import InputError
+from sim2real.model import read_model, write_model
+from sim2real.recording import Load, Recording
+from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.servo.predict import predict
+
+FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
+
+
+def robot(*names):
+    servo = Servo("lx824", 1.67, 5.24, 0.00419)
+    joints = tuple(Joint(name, servo, (-1.0, 1.0)) for name in names)
+    return Robot("bench", (Link("link", 0.1, 0.1, 0.1, 0.1),) * (len(names) + 1), joints)
+
+
+def two(**effects):
+    return [recording(1, "a", **effects), recording(2, "b", **effects)]
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    return diagnose(two(**FRICTION), robot("j1"))
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return diagnose(two(), robot("j1"))
+
+
+@pytest.fixture(scope="module")
+def written(rubbing, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("diagnosis")
+    write_model(rubbing.model, folder / "enriched.json")
+    write_diagnosis(rubbing, folder / "diagnosis.json", "enriched.json")
+    return folder, json.loads((folder / "diagnosis.json").read_text())
+
+
+def test_nothing_missing_is_consistent(clean):
+    assert clean.verdict == "consistent"
+    assert clean.mismatch == ()
+    assert clean.effects == ()
+    assert clean.next_experiment is None
+    servo = clean.model.joints["j1"]
+    assert servo.effects == ()
+    found = (servo.kp_Nm_per_rad, servo.kd_Nms_per_rad, servo.latency_s)
+    np.testing.assert_allclose(found, (KP, KD, LATENCY), rtol=0.02)
+
+
+def test_dry_friction_is_named(rubbing):
+    assert rubbing.verdict == "explained"
+    (effect,) = rubbing.effects
+    assert (effect.effect, effect.component) == ("coulomb_friction", "j1")
+    assert effect.group == ("coulomb_friction",)
+    assert effect.probability > 0.9
+    assert "j1" in effect.statement
+    assert "friction" in effect.statement
+
+
+def test_its_size_comes_back(rubbing):
+    estimate = rubbing.effects[0].parameters["torque_Nm"]
+    assert abs(estimate.mean - 0.05) < 4 * estimate.sd
+    assert estimate.q05 < estimate.mean < estimate.q95
+    assert estimate.sd < 0.002
+
+
+def test_it_removes_the_error_on_what_was_held_out(rubbing):
+    heldout = rubbing.effects[0].heldout
+    assert heldout["rmse_after"] == pytest.approx(NOISE, rel=0.08)
+    assert heldout["rmse_before"] > 3 * heldout["rmse_after"]
+    assert heldout["recoverable_removed"] > 0.9
+
+
+def test_what_the_plain_fit_had_hidden_is_said(rubbing):
+    """Friction passes for damping and weakness until it has a name."""
+    shift = rubbing.effects[0].baseline_shift
+    rich, plain = rubbing.model.joints["j1"], rubbing.baseline.joints["j1"]
+    assert set(shift) == {"kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"}
+    assert shift["kd_Nms_per_rad"] < 0
+    assert rich.kd_Nms_per_rad == pytest.approx(KD, rel=0.02)
+    assert abs(plain.kd_Nms_per_rad - KD) > abs(rich.kd_Nms_per_rad - KD)
+
+
+def test_mismatch_says_where(rubbing):
+    (entry,) = rubbing.mismatch
+    assert (entry.signal, entry.component) == ("j1.position_rad", "j1")
+    assert entry.noise == pytest.approx(NOISE, rel=0.3)
+    assert entry.rmse > 3 * entry.noise
+    assert 0.5 < entry.share <= 1
+    assert set(entry.windows_s) == {"a", "b"}
+    assert any(entry.windows_s.values())
+    assert "speed" in entry.where
+    assert max(entry.dependence, key=entry.dependence.get) == "speed"
+
+
+def test_the_file_has_every_field_of_the_format(written):
+    _, file = written
+    assert file["schema"] == "sim2real.diagnosis/1"
+    assert {"verdict", "mismatch", "effects", "rivals", "fit", "detection_limits",
+            "next_experiment", "model"} <= set(file)  # fmt: skip
+    (mismatch,) = file["mismatch"]
+    assert {"signal", "component", "rmse", "noise", "share", "windows_s", "where"} <= set(mismatch)
+    assert all(begin < end for begin, end in mismatch["windows_s"])
+    (effect,) = file["effects"]
+    assert {"effect", "component", "probability", "group", "parameters", "heldout",
+            "baseline_shift", "statement"} <= set(effect)  # fmt: skip
+    assert set(effect["parameters"]) == {"torque_Nm"}
+    assert {"mean", "sd", "q05", "q95"} <= set(effect["parameters"]["torque_Nm"])
+    assert {"rmse_before", "rmse_after", "recoverable_removed"} <= set(effect["heldout"])
+    for rival in file["rivals"]:
+        assert {"effect", "component", "probability"} <= set(rival)
+    for fit in (file["fit"]["baseline"], file["fit"]["enriched"]):
+        assert {"train", "heldout"} <= set(fit["j1.position_rad"])
+    for limit in file["detection_limits"]:
+        assert {"effect", "component", "smallest"} <= set(limit)
+    assert file["next_experiment"] is None
+
+
+def test_the_enriched_model_can_be_read_and_predicts(written):
+    folder, file = written
+    model = read_model(folder / file["model"])
+    unseen = recording(7, "unseen", noise=0.0, **FRICTION)
+    sent = {"j1": unseen.command[:, 0]}
+    angle = predict(model, unseen.t, sent, unseen.loads)["j1"]
+    assert np.sqrt(np.mean((angle - unseen.position[:, 0]) ** 2)) < NOISE / 3
+
+
+def test_a_model_that_has_the_effect_misses_nothing(rubbing):
+    found = diagnose(two(**FRICTION), robot("j1"), model=rubbing.model)
+    assert found.verdict == "consistent"
+    assert [e.effect for e in found.model.joints["j1"].effects] == ["coulomb_friction"]
+
+
+def test_robots_together_equal_one_at_a_time(rubbing, clean):
+    cases = [Case(two(), robot("j1")), Case(two(**FRICTION), robot("j1"))]
+    null, found = diagnose_all(cases)
+    assert (null.verdict, found.verdict) == (clean.verdict, rubbing.verdict)
+    names = [(e.effect, e.component) for e in found.effects]
+    assert names == [(e.effect, e.component) for e in rubbing.effects]
+    estimates = (d.effects[0].parameters["torque_Nm"].mean for d in (found, rubbing))
+    assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
+
+
+def beside(first, second):
+    """Two joints in one recording."""
+    return Recording(
+        first.name, "servo", ("j1", "j2"), first.t,
+        np.hstack([first.command, second.command]), np.hstack([first.position, second.position]),
+        {"j1": Load(INERTIA), "j2": Load(INERTIA)},
+    )  # fmt: skip
+
+
+def test_only_the_joint_that_has_it_is_named():
+    recordings = [
+        beside(recording(k, name), recording(k + 5, name, **FRICTION))
+        for k, name in ((1, "a"), (2, "b"))
+    ]
+    found = diagnose_all([Case(recordings, robot("j1", "j2"))])[0]
+    assert [(e.effect, e.component) for e in found.effects] == [("coulomb_friction", "j2")]
+    assert [m.component for m in found.mismatch] == ["j2"]
+
+
+def test_a_joint_may_stand_still_in_one_recording():
+    both, alone = beside(recording(1, "a"), recording(3, "a")), recording(2, "b")
+    assert diagnose([both, alone], robot("j1", "j2")).verdict == "consistent"
+
+
+def test_no_motion_is_refused():
+    still = recording(1, "still", command=np.zeros_like)
+    flat = Recording(**{**vars(still), "position": np.zeros_like(still.position)})
+    with pytest.raises(InputError, match=r"still.csv.*no motion"):
+        diagnose([flat], robot("j1"))

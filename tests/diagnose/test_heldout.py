@@ -1,0 +1,91 @@
+"""Errors on data that a fit has not seen: what is held out never touches what is fitted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import KD, KP, LATENCY, NOISE, traced
+
+from sim2real.diagnose.heldout import folds, held_out
+from sim2real.diagnose.search import baselines
+from sim2real.servo.batch import Batch
+
+
+@pytest.fixture(scope="module")
+def three():
+    return [traced(seed, name) for seed, name in enumerate("abc")]
+
+
+@pytest.fixture(scope="module")
+def start(three):
+    return baselines(Batch([three])).servos
+
+
+def spoiled(trace, since=0.0):
+    rng = np.random.default_rng(9)
+    return replace(
+        trace, position=trace.position + (trace.t >= since) * rng.normal(0, 0.1, trace.t.size)
+    )
+
+
+def test_every_recording_is_held_out_once(three):
+    pairs = folds(three)
+    assert [scored[0].name for _, scored in pairs] == ["a", "b", "c"]
+    for fitted, (scored,) in pairs:
+        assert len(fitted) == 2
+        assert all(one is not scored for one in fitted)
+
+
+def test_of_a_lone_recording_the_end_is_held_out(three):
+    (((fitted,), (scored,)),) = folds(three[:1])
+    assert not (fitted.used & scored.used).any()
+    assert fitted.t[fitted.used].max() < scored.t[scored.used].min()
+    assert scored.used.mean() == pytest.approx(0.25, abs=0.01)
+
+
+@pytest.mark.parametrize("white", [True, False])
+def test_parameters_never_see_the_recording_they_are_scored_on(three, start, white):
+    other = [spoiled(three[0]), *three[1:]]
+    (clean,), (dirty,) = (held_out([x], [start], white=white) for x in (three, other))
+    np.testing.assert_array_equal(clean.theta[0], dirty.theta[0])
+    assert np.std(dirty.residuals[0]) > 0.05, "it is scored there"
+    assert np.abs(clean.theta[1:] - dirty.theta[1:]).max() > 1e-6, "the other folds do see it"
+
+
+def test_parameters_never_see_the_end_they_are_scored_on(three, start):
+    traces = [three[:1], [spoiled(three[0], since=9.5)]]
+    clean, dirty = (held_out([x], [start])[0] for x in traces)
+    np.testing.assert_array_equal(clean.theta, dirty.theta)
+    assert dirty.rmse > 10 * clean.rmse
+
+
+def test_the_right_servo_leaves_noise(three, start):
+    (found,) = held_out([three], [start])
+    assert found.rmse == pytest.approx(NOISE, rel=0.05)
+    np.testing.assert_allclose(found.theta[:, :3], np.tile([KP, KD, LATENCY], (3, 1)), rtol=0.03)
+    assert [x.size for x in found.residuals] == [x.used.sum() for x in three]
+
+
+def test_missing_samples_are_not_scored(three, start):
+    used = np.arange(three[0].t.size) % 10 != 0
+    gappy = replace(three[0], used=used, position=np.where(used, three[0].position, np.nan))
+    (found,) = held_out([[gappy, *three[1:]]], [start])
+    assert found.residuals[0].size == used.sum()
+    assert np.isfinite(found.rmse)
+
+
+def test_servos_of_any_number_of_parameters(rubbing):
+    """An effect that is there brings the error on unseen data down to the noise."""
+    book = rubbing.book
+    servos = [book.plain.fit.servos, book.tried[frozenset({"coulomb_friction"})].fit.servos]
+    plain, rich = held_out([rubbing.traces] * 2, servos)
+    assert rich.rmse == pytest.approx(NOISE, rel=0.06)
+    assert plain.rmse > 3 * rich.rmse
+
+
+def test_nothing_to_hold_out(three, start):
+    """The command moves at the very end only."""
+    trace = three[0]
+    late = trace.t >= 11.0
+    lone = replace(trace, command=0.3 * late, position=np.where(late, 0.3, 0.0))
+    assert held_out([[lone]], [start]) == [None]

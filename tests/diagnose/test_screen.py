@@ -1,0 +1,95 @@
+"""The linear look at all effects: right about the one that is there, quiet where there is none."""
+
+import numpy as np
+import pytest
+from simulated import traced
+
+from sim2real.diagnose.candidates import REFITTED, candidate
+from sim2real.diagnose.screen import Screen, screen
+from sim2real.diagnose.search import BLOCKS, baselines
+from sim2real.effects import named
+from sim2real.servo.batch import Batch
+
+BLOCK_COUNT, STARTS, COUNT = 40, 30, 1e6
+
+
+def of_noise(rng):
+    """A screen of white noise by starts that overlap, as those of one effect do."""
+    own, shared = rng.standard_normal((2, BLOCK_COUNT, STARTS)), 0.8
+    pieces = np.sqrt(1 - shared) * own[0] + np.sqrt(shared) * own[1, :, :1]
+    blocks = pieces / np.sqrt(BLOCK_COUNT)
+    index = np.arange(STARTS)
+    return Screen(index, index, blocks.sum(axis=0), blocks, np.ones(STARTS), COUNT)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_threshold_keeps_its_level_on_white_noise(level):
+    rng = np.random.default_rng(0)
+    screens = [of_noise(rng) for _ in range(400)]
+    alarms = np.mean([s.gain.max() > s.threshold(level, rng, draws=199) for s in screens])
+    assert 0.4 * level < alarms < 1.4 * level
+
+
+def test_a_threshold_for_fewer_alarms_is_higher():
+    seen = of_noise(np.random.default_rng(0))
+    levels = (0.3, 0.1, 0.01, 0.001)
+    bars = [seen.threshold(level, np.random.default_rng(1)) for level in levels]
+    assert (np.diff(bars) > 0).all()
+
+
+def test_gain_counts_positive_scores_only():
+    seen = of_noise(np.random.default_rng(0))
+    assert (seen.gain[seen.score <= 0] == 0).all()
+    some = seen.score > 0
+    np.testing.assert_allclose(seen.gain[some], 0.5 * seen.score[some] ** 2, rtol=1e-4)
+
+
+def test_starts_of_some_candidates():
+    seen = of_noise(np.random.default_rng(0))
+    wanted = np.arange(STARTS) % 3 == 0
+    some = seen.of(wanted)
+    np.testing.assert_array_equal(some.candidate, np.flatnonzero(wanted))
+    np.testing.assert_array_equal(some.score, seen.score[wanted])
+    assert some.blocks.shape == (BLOCK_COUNT, wanted.sum())
+
+
+def best(seen, given):
+    return given[seen.candidate[seen.gain.argmax()]].effect
+
+
+def test_the_effect_that_is_there_stands_out(rubbing):
+    seen, given = rubbing.book.screens[frozenset()], rubbing.book.starts[frozenset()]
+    assert best(seen, given).family == "dry friction"
+    assert seen.gain.max() > seen.threshold(0.01, np.random.default_rng(0))
+
+
+def test_nothing_stands_out_where_nothing_is_missing(nothing):
+    seen = nothing.book.screens[frozenset()]
+    assert seen.gain.max() < seen.threshold(0.01, np.random.default_rng(0))
+
+
+def test_blocks_add_up_to_the_score(rubbing):
+    seen = rubbing.book.screens[frozenset()]
+    assert seen.blocks.shape[0] == 2 * BLOCKS
+    np.testing.assert_allclose(seen.blocks.sum(axis=0), seen.score)
+
+
+def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
+    weak = {"coulomb_friction": {"torque_Nm": 0.004}}
+    batch = Batch([[traced(seed, str(seed), **weak)] for seed in range(6)])
+    plain = baselines(batch)
+    option = candidate(named("coulomb_friction"), 2.2, 0.002)
+    option.starts[:] = 0.004
+    scores = screen(batch, plain, [[option]] * 6)
+    expected = np.mean([s.visible[0] for s in scores])
+    assert expected > 5
+    assert np.mean([s.score[0] for s in scores]) == pytest.approx(expected, abs=4 / np.sqrt(6))
+
+
+def test_every_start_of_every_candidate_is_looked_at(nothing):
+    given = [candidate(effect, 2.2, 0.002) for effect in REFITTED]
+    (seen,) = screen(nothing.batch, nothing.plain, [given])
+    assert seen.score.size == sum(len(c.starts) for c in given)
+    counts = np.bincount(seen.candidate, minlength=len(given))
+    np.testing.assert_array_equal(counts, [len(c.starts) for c in given])
+    assert (seen.visible >= 0).all()

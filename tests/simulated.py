@@ -1,0 +1,45 @@
+"""One joint whose parameters are known, as recorded: a servo, its noise, its gaps."""
+
+import numpy as np
+
+from sim2real.model import FittedEffect, JointModel
+from sim2real.recording import Load, Recording
+from sim2real.servo.parameters import COLUMNS, joint_row
+from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import trace
+
+KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
+PERIOD, NOISE = 0.02, 0.0015
+
+
+def steps(t, rng, largest=0.6):
+    """Set-points that step to a new level every half second or so, from rest at 0."""
+    moves = 0.5 + np.cumsum(np.concatenate([[0.0], rng.uniform(0.3, 0.9, t.size)]))
+    levels = np.concatenate([[0.0], rng.uniform(-largest, largest, t.size + 1)])
+    return levels[np.searchsorted(moves, t, side="right")]
+
+
+def row(load=None, **effects):
+    """Parameters of the servo with these effects, shape (P,)."""
+    fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
+    return joint_row(JointModel(KP, KD, LATENCY, INERTIA, effects=fitted), load)
+
+
+def column(name):
+    return COLUMNS.index(name)
+
+
+def recording(seed=0, name="steps", seconds=12.0, noise=NOISE, load=None, command=None, **effects):
+    """What a sensor with white noise sees of the servo."""
+    rng = np.random.default_rng(seed)
+    t = PERIOD * np.arange(round(seconds / PERIOD))
+    sent = steps(t, rng) if command is None else command(t)
+    load = load or Load(INERTIA)
+    angle = rollout(row(load, **effects)[None], t, sent[:, None])[0, :, 0]
+    seen = angle + rng.normal(0, noise, t.size)
+    return Recording(name, "servo", ("j1",), t, sent[:, None], seen[:, None], {"j1": load})
+
+
+def traced(seed=0, name="steps", **given):
+    """The same, ready to be fitted."""
+    return trace(recording(seed, name, **given), "j1")
