@@ -52,10 +52,10 @@ def _link(robot: Listened) -> Link:
     heard = [hear(joint, robot.lags, robot.least_gain) for joint in robot.joints]
     late = latency_jitter(heard)
     nothing = Link("latency_jitter", 0.0, 0.0, 0.0, tuple(0.0 for _ in heard))
-    if late.gain < NOTICED:
-        return nothing
     sizes = {sum(one.t.size for one in joint) for joint in robot.joints}
     lost = packet_loss(heard, broadcast=len(sizes) == 1)
+    if max(late.gain, lost.gain) < NOTICED:
+        return nothing
     if lost.gain > late.gain:
         shares = tuple(packet_loss([joint]).gain for joint in heard)
         return Link("packet_loss", lost.gain, lost.probability, lost.sd, shares)

@@ -93,9 +93,8 @@ class _Sight:
         square[0, 1:] -= along[1:]
         square[1:, 0] -= along[1:]
         refit, error2 = regress(square)
-        variance = error2 / self.heard.counts[0]
-        value = self.heard.loglikelihood(error2, self.noise.ratio)
-        return replace(self.noise, variance=variance, refit=refit), value
+        noise = replace(self.noise, variance=self.heard.variance(error2), refit=refit)
+        return noise, self.heard.loglikelihood(error2, noise.ratio)
 
     def change_in_fit(self, lost: Mask, at: NDArray[np.intp]) -> Array:
         """Gain in log-likelihood if, from some set-points on, each of ``_PATTERNS`` happened.
@@ -358,10 +357,11 @@ def _loss(links: Sequence[_Link], shares: Sequence[Array], gain: float, p: float
     """The finding; the standard deviation is from the observed information."""
     every = np.concatenate([x[~link.first] for link, x in zip(links, shares, strict=True)])
     information = float(np.sum((every / p - (1 - every) / (1 - p)) ** 2))
+    sd = information**-0.5 if information > 0 else np.inf
     pairs = [(s, x) for link, x in zip(links, shares, strict=True) for s in link.sights]
     lost = [tuple(np.flatnonzero(x > 0.5) for x in s.heard.by_recording(x)) for s, x in pairs]
     explained = [_angles(s, s.moments(x)[0]) for s, x in pairs]
-    return Loss(gain, p, information**-0.5, tuple(lost), tuple(explained))
+    return Loss(gain, p, sd, tuple(lost), tuple(explained))
 
 
 def _limit(links: Sequence[_Link]) -> float:

@@ -24,7 +24,7 @@ _NEAR = np.array([2e-4, 0.01, 0.01])
 """Changes of latency in s and of the logarithms of kd and kp that are linear in their effect."""
 _FEWEST = 100
 """Samples on which a size of noise is founded."""
-_ITERATIONS = 20
+_ITERATIONS, _MOVES = 20, 3
 
 
 @dataclass(frozen=True)
@@ -161,14 +161,27 @@ def hear(given: Sequence[Residual], lags: int, least_gain: float) -> Heard:
     if heard.counts[0] <= lags:
         raise ValueError(f"{heard.counts[0]} samples count; {lags} lags take more")
     heard = replace(heard, noise=heard.refitted(start, [[s.residual] for s in stretches]))
-    heard = replace(heard, stretches=_with_rest(heard))
+    heard = _fitted(replace(heard, stretches=_with_rest(heard)))
+    for _ in range(_MOVES):
+        again = heard.moved(heard.noise.refit)
+        if again is heard:
+            break
+        again = _fitted(again)
+        if again.alone(again.noise) < heard.alone(heard.noise):
+            break
+        heard = again
+    return heard
+
+
+def _fitted(heard: Heard) -> Heard:
+    """The joint with its noise at its likeliest."""
     noise, before = heard.noise, -np.inf
     for _ in range(_ITERATIONS):
         noise, value = _improved(heard, noise)
         if value < before + 0.01:
             break
         before = value
-        noise = heard.refitted(noise, [[s.left(noise.refit)] for s in stretches])
+        noise = heard.refitted(noise, [[s.left(noise.refit)] for s in heard.stretches])
     return replace(heard, noise=noise)
 
 

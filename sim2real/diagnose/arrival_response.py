@@ -19,7 +19,8 @@ EARLIEST_S = 0.04
 """Most that a set-point's response is followed ahead of the latency."""
 LARGEST_MOVE = np.array([0.01, 0.5, 0.5])
 """Largest change of latency in s and of the logarithms of kd and kp at a time."""
-_FORGOTTEN = 1e-4
+_FORGOTTEN, _MOST = 1e-4, 500
+_LEAST_RATE = 0.1
 _APART = 0.03
 """Least distance of the two poles, relative to their size."""
 
@@ -80,6 +81,11 @@ class Modes:
     fast: complex
     slow: complex
     gain: float
+
+    def lasting(self, share: float) -> float:
+        """Time in s after which at most about a ``share`` of a response is left."""
+        rate = min(-self.slow.real, -self.fast.real)
+        return float(-np.log(share) / max(rate, _LEAST_RATE))
 
     def impulse(self, x: Array) -> Array:
         """Response to an impulse ``x`` s ago, 0 before it."""
@@ -188,8 +194,7 @@ def response(given: Residual) -> Response:
     offset = (np.searchsorted(t, arrival) - np.arange(K))[seen]
     first = int(offset.min()) if offset.size else 0
     first -= min(first, int(np.ceil(EARLIEST_S / period)))
-    lasting = np.log(SETTLED) / max(modes.slow.real, modes.fast.real) + period
-    lasting += EARLIEST_S
+    lasting = modes.lasting(SETTLED) + period + EARLIEST_S
     W = int(np.clip(np.ceil(lasting / period), 2, LONGEST))
     sample = np.arange(K)[:, None] + first + np.arange(W)
     since = np.where(sample < K, t[np.minimum(sample, K - 1)] - arrival[:, None], -1.0)
@@ -215,8 +220,8 @@ def _simulated(given: Residual) -> Array:
     """Angle of the linear servo in rad, from rest on its first set-point, shape (T,)."""
     modes, t, u = _modes(given), given.t, given.command
     period = float(np.median(np.diff(t)))
-    lasting = np.log(_FORGOTTEN) / max(modes.slow.real, modes.fast.real)
-    W = int(np.ceil((lasting + given.latency_s) / period)) + 1
+    lasting = modes.lasting(_FORGOTTEN) + given.latency_s
+    W = int(np.ceil(min(lasting / period, _MOST))) + 1
     older = np.arange(t.size)[:, None] - np.arange(W)
     sent = np.maximum(older, 0)
     change = np.diff(u, prepend=u[0])[sent] * (older > 0)

@@ -72,8 +72,8 @@ _MEAN = (
     "a single moment."
 )
 _LIMITS = (
-    "How weak an effect could at best be and still be noticed; to be sure, take several times this; "
-    "a dash where it could not be noticed at any strength tried."
+    "How weak an effect could at best be and still be noticed; to be sure, take several times "
+    "this; a dash where it could not be noticed at any strength tried."
 )
 
 

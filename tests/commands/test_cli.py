@@ -182,7 +182,7 @@ def test_demo_ends_in_a_page(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == f"report: {tmp_path / 'demo' / 'index.html'}"
     assert [line.split()[0] for line in lines[:5]] == [
-        "read", "check", "identify", "replay", "report",
+        "read", "check", "identify", "diagnose", "replay",
     ]  # fmt: skip
 
 

@@ -19,7 +19,8 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.report import diagnosis_section
 from sim2real.report.diagnosis_plots import POINTS, binned, outline
-from sim2real.report.diagnosis_words import how_sure, plain, size, spoken
+from sim2real.report.diagnosis_words import how_sure, plain, spoken
+from sim2real.report.diagnosis_words import size as with_unit
 from sim2real.report.page import Figure, Note, Table, Text, render_page
 
 NOISE = 0.0015
@@ -312,10 +313,10 @@ def test_effects_have_plain_names():
 
 
 def test_units_of_bodies_and_servos():
-    assert size("u_m_s", 0.1, per_inertia=False) == "0.1 m/s"
-    assert size("x_m", 0.012, per_inertia=False) == "12 mm"
-    assert size("damping_Nms_per_rad", 0.02, per_inertia=False) == "0.02 N m s/rad"
-    assert size("time_constant_s", 0.03, per_inertia=False) == "30 ms"
+    assert with_unit("u_m_s", 0.1, per_inertia=False) == "0.1 m/s"
+    assert with_unit("x_m", 0.012, per_inertia=False) == "12 mm"
+    assert with_unit("damping_Nms_per_rad", 0.02, per_inertia=False) == "0.02 N m s/rad"
+    assert with_unit("time_constant_s", 0.03, per_inertia=False) == "30 ms"
     names = [spoken(name) for name in ("gap_rad", "x_m", "s_per_s", "ratio")]
     assert names == ["gap", "x", "drift", "ratio"]
 
@@ -340,11 +341,11 @@ def test_lines_are_thinned_and_keep_gaps_and_extremes():
     rng = np.random.default_rng(0)
     t, values = 0.01 * np.arange(30000), rng.normal(size=30000)
     values[1234], values[777] = 50.0, np.nan
-    for size in (30000, 2500, 100):
-        x, y = outline(t[:size], values[:size])
+    for count in (30000, 2500, 100):
+        x, y = outline(t[:count], values[:count])
         assert x.size <= POINTS and np.all(np.diff(x) > 0)
-        assert np.nanmax(y) == np.nanmax(values[:size])
-        assert np.isnan(y).any() == (size > 777)
+        assert np.nanmax(y) == np.nanmax(values[:count])
+        assert np.isnan(y).any() == (count > 777)
 
 
 def test_error_of_a_mean_counts_independent_stretches():

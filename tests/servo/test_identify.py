@@ -18,8 +18,8 @@ from sim2real.servo.replay import replay
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 
-spec = importlib.util.spec_from_file_location("plant", DATA / "make.py")
-plant = sys.modules["plant"] = importlib.util.module_from_spec(spec)
+spec = importlib.util.spec_from_file_location("servo_steps_make", DATA / "make.py")
+plant = sys.modules["servo_steps_make"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(plant)
 
 
