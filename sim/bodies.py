@@ -1,0 +1,222 @@
+"""Robots in the boxes of a fluid: one for each box, all advanced together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.coupling import FIXED_POINT, SUMS, cover_kernel
+from sim.fluid import Fluid
+from sim.multibody import FREE, HELD, KINEMATIC, RING, Chain, Motion, OnGrid, advance, move, start
+from sim.shape import Hull, displaced
+from sim.units import Units
+from sim2real.servo.parameters import CELLS, COLUMNS
+from sim2real.servo.rollout import active_effects
+
+Array = NDArray[np.float64]
+
+VIRTUAL_MASS = 0.25
+"""Share of the displaced water that is added to both sides of the equations of motion."""
+INSET = 0.35
+"""How far, in cells, the surface is set in, as a solid share of half a cell acts like more."""
+_MARGIN = 3
+_NO_LIMIT = 1e6
+
+
+@dataclass(frozen=True)
+class Masses:
+    """What the links weigh; shape (E, L) or (L,), SI.
+
+    Attributes:
+        mass: Mass in kg.
+        inertia: Moment of inertia about the centre of mass in kg m2.
+        com: Distance of the centre of mass from the link's front end in m.
+    """
+
+    mass: Array
+    inertia: Array
+    com: Array
+
+
+class Bodies:
+    """One chain of links in each box of a fluid.
+
+    Attributes:
+        fluid: The boxes.
+        hull: The links' shape.
+        units: Size of a cell and of a step.
+        displaced: Mass, centre and inertia of the water that each link displaces, shape (L, 3).
+    """
+
+    def __init__(
+        self,
+        fluid: Fluid,
+        hull: Hull,
+        masses: Masses,
+        units: Units,
+        *,
+        servos: Array | None = None,
+        limits: Array | None = None,
+        origin_m: tuple[float, float] = (0.0, 0.0),
+        middle: float | None = None,
+        inset: float = INSET,
+        virtual_mass: float = VIRTUAL_MASS,
+    ) -> None:
+        """Put robots into a fluid, straight, at the origin, heading along x.
+
+        Args:
+            fluid: The boxes.
+            hull: The links' shape.
+            masses: What the links weigh.
+            units: Size of a cell and of a step.
+            servos: Rows of the servo law's parameters, shape (E, J, P) or (J, P), in the order of
+                ``sim2real.servo.parameters.COLUMNS``; slack joints where None.
+            limits: Smallest and largest angle of each joint in rad, shape (J, 2).
+            origin_m: World coordinates of the cell (0, 0).
+            middle: Height of the robot's middle in cells; that of the box where None.
+            inset: How far the surface is set in, in cells.
+            virtual_mass: Share of the displaced water on both sides of the equations.
+        """
+        self.fluid, self.hull, self.units = fluid, hull, units
+        E, L = fluid.boxes, hull.length.size
+        J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
+        device = fluid.device
+        water = displaced(hull, units.cell_m, inset * units.cell_m, flat)
+        water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
+        self.displaced = water
+        mass, inertia, com = (
+            np.broadcast_to(np.asarray(x, dtype=np.float64), (E, L))
+            for x in (masses.mass, masses.inertia, masses.com)
+        )
+        inside = water[:, 2] + water[:, 0] * (com - water[:, 1]) ** 2
+        net = np.stack([mass - water[:, 0], inertia - inside], axis=-1)
+        virtual = virtual_mass * np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
+
+        def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
+            return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
+
+        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
+            return wp.zeros(shape, dtype=kind, device=device)
+
+        rows = np.zeros((E, J, len(COLUMNS)))
+        if servos is not None:
+            rows[:] = servos
+        chain = self.chain = Chain()
+        chain.mass, chain.water = put(net, wp.vec2d), put(virtual, wp.vec2d)
+        chain.com = put(com, wp.float64)
+        chain.length = put(hull.length, wp.float64)
+        ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
+        chain.limits = put(np.asarray(ends, dtype=np.float64).reshape(J, 2), wp.vec2d)
+        chain.servo = put(rows, wp.float64)
+        active = active_effects(rows.reshape(E * J, -1)).reshape(E, J)
+        chain.active = put(active, wp.int32)
+        chain.memory = room((E, J, CELLS), wp.float64)
+        chain.widest = float(hull.half_width.max())
+        s = self.motion = Motion()
+        s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
+        s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
+        s.torque, s.impulse, s.measured = (room((E, J), wp.float64) for _ in range(3))
+        s.clock = room((E,), wp.float64)
+        s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
+        s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
+        s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
+        grid = self.grid = OnGrid()
+        grid.cell, grid.step, grid.mass = units.cell_m, units.step_s, units.mass_kg
+        grid.origin = wp.vec2d(*origin_m)
+        grid.margin, grid.scale = _MARGIN, FIXED_POINT
+        grid.corner = room((E,), wp.vec4i)
+        grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
+        grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
+        grid.sums = room((E, L, SUMS), wp.int64)
+        fluid.solid = room((E * fluid.cells,), wp.float32)
+        fluid.twist, fluid.centre = grid.twist, grid.centre
+        self.target = room((E, N), wp.float64)
+        self.friction = room((E, J), wp.float64)
+        half_width = hull.half_width / units.cell_m - inset
+        half_height = hull.half_height / units.cell_m - inset
+        self._shape = (
+            put((hull.length / units.cell_m).astype(np.float32), wp.float32),
+            put(half_width.astype(np.float32), wp.vec3),
+            put(half_height.astype(np.float32), wp.vec3),
+        )
+        reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
+        self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
+        tall = int(np.ceil(hull.half_height.max() / units.cell_m)) + 1
+        nz = fluid.size[2]
+        self._middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
+        self._low = 0 if flat else max(0, int(self._middle) - tall)
+        self._high = 1 if flat else min(nz, int(np.ceil(self._middle)) + tall + 1)
+        self._cover = cover_kernel(fluid.lattice, fluid.storage)
+        self.place(np.zeros((E, N)))
+
+    def place(
+        self, q: Array, v: Array | None = None, mask: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Set coordinates and their velocities, shape (E, N): x, y of the head's centre of mass,
+        heading, joint angles; only where ``mask`` is true.
+        """
+        E, N = self.motion.q.shape
+        chosen = np.ones(E, dtype=bool) if mask is None else mask
+        for array, values in (
+            (self.motion.q, q),
+            (self.motion.v, np.zeros((E, N)) if v is None else v),
+        ):
+            held = array.numpy()
+            held[chosen] = np.broadcast_to(values, (E, N))[chosen]
+            array.assign(held)
+        chosen_there = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        self._launch(start, E, [self.chain, self.motion, self.grid, chosen_there])
+
+    def step(self, mode: int = FREE) -> None:
+        """Advance robots and fluid by one step of the lattice."""
+        fluid = self.fluid
+        self._launch(
+            self._cover,
+            (fluid.boxes, self._side**2),
+            [
+                fluid.f, fluid.flags, fluid.box, fluid.t, self._side, self._low, self._high,
+                self._middle, self.grid.corner, self.grid.pose, self.grid.centre, *self._shape,
+                fluid.solid, self.grid.sums, fluid.stopped,
+            ],
+        )  # fmt: skip
+        self._launch(
+            advance,
+            fluid.boxes,
+            [
+                self.chain, self.motion, self.grid, mode, self.target, self.friction, fluid.stopped,
+            ],
+        )  # fmt: skip
+        fluid.collide_and_stream()
+        self._launch(move, fluid.boxes, [self.chain, self.motion, self.grid, fluid.stopped])
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
+
+    def prescribe(self, velocities: Array) -> None:
+        """Velocities that ``KINEMATIC`` and ``HELD`` steps prescribe, shape (E, N) or (N,)."""
+        shape = self.target.shape
+        self.target.assign(
+            np.ascontiguousarray(np.broadcast_to(velocities, shape), dtype=np.float64)
+        )
+
+    def momentum(self) -> Array:
+        """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
+
+        Less that of the water inside them, which the fluid has; with the virtual mass's share, what
+        the scheme conserves.
+        """
+        m, w = self.chain.mass.numpy(), self.chain.water.numpy()
+        V, before, at = (
+            x.numpy() for x in (self.motion.twist, self.motion.before, self.motion.link)
+        )
+        P = m[..., :1] * V[..., :2] + w[..., :1] * (V - before)[..., :2]
+        spin = m[..., 1] * V[..., 2] + w[..., 1] * (V - before)[..., 2]
+        L = spin + at[..., 0] * P[..., 1] - at[..., 1] * P[..., 0]
+        return np.concatenate([P.sum(axis=1), L.sum(axis=1)[:, None]], axis=1)
+
+
+__all__ = ["FREE", "HELD", "KINEMATIC", "Bodies", "Masses"]

@@ -1,0 +1,1 @@
+"""Published cases that the fluid is measured against, one file each."""

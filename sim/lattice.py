@@ -1,0 +1,57 @@
+"""Velocity sets: which way populations travel, and with what weight.
+
+Source: Qian, d'Humieres, Lallemand, Europhys. Lett. 17 (1992) 479; Kruger et al., The Lattice
+Boltzmann Method (Springer, 2017), tables 3.2 and 3.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests.
+
+    Attributes:
+        name: As in the literature.
+        dimensions: 2 or 3.
+        velocities: Q triples of -1, 0, 1.
+        weights: Q weights that sum to 1.
+    """
+
+    name: str
+    dimensions: int
+    velocities: tuple[tuple[int, int, int], ...]
+    weights: tuple[float, ...]
+
+    @property
+    def Q(self) -> int:  # noqa: D102 - the letter of the field
+        return len(self.velocities)
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of opposite directions."""
+        return self.Q // 2
+
+    def index(self, velocity: tuple[int, int, int]) -> int:
+        """Number of the direction with this velocity."""
+        return self.velocities.index(velocity)
+
+
+def _lattice(dimensions: int, weight: dict[int, float]) -> Lattice:
+    """The velocity set with one weight for each squared speed."""
+    axes = [(0, 1, -1)] * dimensions + [(0,)] * (3 - dimensions)
+    every = [(x, y, z) for z, y, x in product(*reversed(axes))]
+    kept = [c for c in every if sum(x * x for x in c) in weight]
+    half = sorted((c for c in kept if c > (0, 0, 0)), key=lambda c: (sum(map(abs, c)), c))
+    ordered = [(0, 0, 0)]
+    for x, y, z in half:
+        ordered += [(x, y, z), (-x, -y, -z)]
+    weights = tuple(weight[sum(x * x for x in c)] for c in ordered)
+    return Lattice(f"D{dimensions}Q{len(ordered)}", dimensions, tuple(ordered), weights)
+
+
+D2Q9 = _lattice(2, {0: 4 / 9, 1: 1 / 9, 2: 1 / 36})
+D3Q19 = _lattice(3, {0: 1 / 3, 1: 1 / 18, 2: 1 / 36})

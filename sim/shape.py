@@ -1,0 +1,175 @@
+"""The robot's hull: round links whose width and height follow the body, one skin over all.
+
+A link is the set of points nearer to its axis than a radius that varies along it, closed by round
+ends; neighbours share the radius at their joint, so that the skin has no gap at any angle. In plan
+view the radius is half the width; across, sections are ellipses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.units import WATER_KG_M3
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+RAMP = 1.0
+"""Width in cells over which a cell's solid share falls from 1 to 0."""
+_NOSE, _TIP = 0.6, 0.3
+"""Width of the nose and of the tail's tip, relative to the widest of their links."""
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Shape of each link.
+
+    Attributes:
+        length: From joint to joint in m, shape (L,).
+        half_width: At the front, middle and back of each link in m, shape (L, 3).
+        half_height: Likewise; unused in two dimensions.
+    """
+
+    length: Array
+    half_width: Array
+    half_height: Array
+
+    @property
+    def body_length(self) -> float:
+        """From the nose to the tip of the tail in m."""
+        return float(self.length.sum() + self.half_width[0, 0] + self.half_width[-1, 2])
+
+
+def hull_of(robot: Robot) -> Hull:
+    """The hull of a robot whose links have a length, a width and a height.
+
+    A joint is as wide as the narrower of its links. The head widens from the nose; the last link
+    narrows to its tip. The links' lengths include nose and tip.
+    """
+    width = np.array([link.width_m for link in robot.links]) / 2
+    height = np.array([link.height_m for link in robot.links]) / 2
+    length = np.array([link.length_m for link in robot.links])
+    half_width, half_height = _profile(width, _NOSE, _TIP), _profile(height, _NOSE, 1.0)
+    length[0] -= half_width[0, 0]
+    length[-1] -= half_width[-1, 2]
+    return Hull(length, half_width, half_height)
+
+
+def _profile(size: Array, nose: float, tip: float) -> Array:
+    joints = np.minimum(size[:-1], size[1:])
+    front = np.concatenate([[nose * size[0]], joints])
+    back = np.concatenate([joints, [tip * size[-1]]])
+    middle = (front + back) / 2
+    middle[0] = size[0]
+    return np.stack([front, middle, back], axis=1)
+
+
+@wp.func
+def along(profile: wp.vec3, s: float) -> float:
+    """The quadratic through values at 0, 1/2 and 1."""
+    return (
+        profile[0] * (1.0 - s) * (1.0 - 2.0 * s)
+        + 4.0 * profile[1] * s * (1.0 - s)
+        + profile[2] * s * (2.0 * s - 1.0)
+    )
+
+
+@wp.func
+def position_on(x: float, y: float, pose: wp.vec4, length: float) -> wp.vec2:
+    """Share of the way along a link's axis, 0 to 1, and distance from the axis.
+
+    ``pose`` is the front end and the cosine and sine of the heading.
+    """
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = wp.clamp(-(dx * pose[2] + dy * pose[3]), 0.0, length)
+    dx += back * pose[2]
+    dy += back * pose[3]
+    share = 0.0
+    if length > 0.0:
+        share = back / length
+    return wp.vec2(share, wp.sqrt(dx * dx + dy * dy))
+
+
+@wp.func
+def distance(off_axis: float, z: float, half_width: float, half_height: float) -> float:
+    """Signed distance from a section's ellipse, to first order near it; negative inside."""
+    if z == 0.0:
+        return off_axis - half_width
+    ratio = half_width / half_height
+    stretched = wp.sqrt(off_axis * off_axis + z * z * ratio * ratio)
+    if stretched < 1.0e-6:
+        return -half_width
+    slope = wp.sqrt(off_axis * off_axis + z * z * ratio * ratio * ratio * ratio) / stretched
+    return (stretched - half_width) / slope
+
+
+@wp.func
+def solid_share(signed_distance: float) -> float:
+    """Share of a cell that is solid."""
+    return wp.clamp(0.5 - signed_distance / wp.static(RAMP), 0.0, 1.0)
+
+
+def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
+    """The hull with its heights scaled so that it displaces its own mass of water.
+
+    Widths and heights of a link are its largest, so sections fuller than the real ones would make a
+    robot that floats high. Archimedes' principle gives what they leave open.
+
+    Returns:
+        The hull, and the depth in m that stands for its heights in two dimensions.
+    """
+    fine = float(hull.half_width.min()) / 2
+    volume = displaced(hull, max(fine, hull.body_length / 150), 0.0, flat)[:, 0].sum()
+    share = mass_kg / (WATER_KG_M3 * float(volume))
+    return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
+
+
+def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
+    """What the straight hull displaces as the grid sees it: each cell counts for its nearest link.
+
+    Args:
+        hull: The hull.
+        cell: Size of a cell in m.
+        inset: How far the surface is set in, in m.
+        flat: In two dimensions.
+
+    Returns:
+        Volume in m3 (area in m2), distance of its centre from the link's front end in m, second
+        moment about that centre in m5 (m4): shape (L, 3).
+    """
+    fine = cell / 6
+    widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell
+    x = np.arange(-hull.length.sum() - widest, widest, fine)
+    y = np.arange(fine / 2, widest, fine)
+    z = np.array([0.0]) if flat else np.arange(fine / 2, highest, fine)
+    front = -np.concatenate([[0.0], np.cumsum(hull.length)[:-1]])
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    off, width, height, depth = [], [], [], []
+    for k, start in enumerate(front):
+        back = np.clip(start - X, 0, hull.length[k])
+        s = back / hull.length[k] if hull.length[k] > 0 else np.zeros_like(back)
+        curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
+        off.append(np.hypot(X - start + back, Y))
+        width.append(np.tensordot(hull.half_width[k], curve, 1) - inset)
+        height.append(np.tensordot(hull.half_height[k], curve, 1) - inset)
+        depth.append(off[-1] - width[-1])
+    owner = np.argmin(depth, axis=0)
+    out = np.zeros((front.size, 3))
+    for k, start in enumerate(front):
+        mine = owner == k
+        o, w, h = off[k][mine][:, None], width[k][mine][:, None], height[k][mine][:, None]
+        ratio = w / h if not flat else np.ones_like(w)
+        stretched = np.maximum(np.hypot(o, z * ratio), 1e-12)
+        slope = np.hypot(o, z * ratio**2) / stretched if not flat else 1.0
+        share = np.clip(0.5 - (stretched - w) / slope / (RAMP * cell), 0, 1).sum(axis=1)
+        share *= 2 * fine**2 if flat else 4 * fine**3
+        back = start - X[mine]
+        volume = share.sum()
+        centre = (share * back).sum() / volume
+        out[k] = volume, centre, (share * ((back - centre) ** 2 + Y[mine] ** 2)).sum()
+    return out

@@ -1,0 +1,370 @@
+"""Robots that swim: servos, links and water, one robot in each box, all boxes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.bodies import FREE, KINEMATIC, Bodies, Masses
+from sim.control import HISTORY, calm, remember, send
+from sim.fluid import Fluid
+from sim.lattice import D2Q9, D3Q19
+from sim.shape import Hull, afloat, hull_of
+from sim.tank import WINDOW_M, Tank, pool, window
+from sim.units import WATER_M2_S, Units
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.robot import Robot
+from sim2real.servo.parameters import joint_row
+
+Array = NDArray[np.float64]
+
+CONTROL_S = 0.02
+"""Control period of the robot: 50 Hz."""
+TOP_SPEED_M_S = 1.2
+"""Speed of the tail that the step is made for: it then moves 0.15 cells a step."""
+LEAST_VISCOSITY = 3e-4
+"""Smallest viscosity in lattice units; water's is below what cells of a centimetre can show."""
+SMAGORINSKY = 0.1
+_FASTEST = 0.15
+_SPONGE = 0.5
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the robots are and how they move, copied from the device; world frame, SI.
+
+    Attributes:
+        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
+        velocity: Surge, sway and yaw rate of the head, in its own frame, shape (E, 3).
+        joint: Joint angles, shape (E, J).
+        rate: Joint rates, shape (E, J).
+        torque: Torques of the servos in N m, shape (E, J).
+        force: Force of the water on each link in N and torque about its centre of mass in N m,
+            world frame, shape (E, L, 3).
+        time: Seconds since the start, shape (E,).
+        stopped: Cell at which a box was stopped by the guard, -1 where none was, shape (E,).
+    """
+
+    pose: Array
+    velocity: Array
+    joint: Array
+    rate: Array
+    torque: Array
+    force: Array
+    time: Array
+    stopped: NDArray[np.int32]
+
+
+class Swimmer:
+    """A batch of swimming robots with one robot file, each with its own parameters.
+
+    Attributes:
+        robot: The robot.
+        n_envs: Number of boxes E.
+        units: Size of a cell and of a step.
+        substeps: Steps of the lattice in a control period.
+        fluid, bodies: The water and what swims in it; their Warp arrays are the live state.
+        step_count: Control periods since the start.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        model: Model | Sequence[Model],
+        *,
+        n_envs: int = 1,
+        device: str = "cpu",
+        cell_m: float = 0.02,
+        dimensions: int = 3,
+        box_m: tuple[float, float, float] = WINDOW_M,
+        walls: bool = False,
+        depth_m: float | None = None,
+        viscosity_m2_s: float | Array | None = None,
+        smagorinsky: float = SMAGORINSKY,
+        substeps: int | None = None,
+        hull: Hull | None = None,
+        storage: str = "float32",
+        threads: int = 1,
+    ) -> None:
+        """Make the boxes, with the robots straight, at rest, at the origin, heading along x.
+
+        Args:
+            robot: Links, joints and data sheets.
+            model: The servos, and the body's normalised density where it has one; one for all, or
+                one for each box.
+            n_envs: Number of boxes.
+            device: Warp device.
+            cell_m: Side of a cell.
+            dimensions: 2 (plan view) or 3.
+            box_m: Length, width and depth of a box.
+            walls: Close the box with walls; else it goes with the robot.
+            depth_m: Depth of the robot's middle below the surface; half-way down where None.
+            viscosity_m2_s: Effective viscosity, one or one for each box. Water's is below what such
+                cells can show, so this is a parameter to calibrate; as low as is safe where None.
+            smagorinsky: Constant of the sub-grid viscosity.
+            substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
+            hull: The links' shape; from the robot's file where None. Its heights are scaled so that
+                the robot neither rises nor sinks.
+            storage: ``float32`` or ``float16`` for the populations.
+            threads: CPU threads.
+
+        Raises:
+            InputError: If robot, model and box do not go together.
+        """
+        self.robot, self.n_envs = robot, n_envs
+        models = [model] * n_envs if isinstance(model, Model) else list(model)
+        if len(models) != n_envs:
+            raise InputError("swimmer", "model", f"{len(models)} models", f"{n_envs}, one a box")
+        flat = dimensions == 2
+        self.hull = hull if hull is not None else hull_of(robot)
+        _check(robot, self.hull, box_m, cell_m)
+        self.hull, depth = afloat(self.hull, sum(link.mass_kg for link in robot.links), flat)
+        if substeps is None:
+            substeps = 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
+        if substeps < 2 or substeps % 2:
+            raise InputError("swimmer", "substeps", str(substeps), "an even number above 0")
+        self.substeps = substeps
+        self.units = Units(cell_m, CONTROL_S / substeps, depth if flat else cell_m)
+        least = LEAST_VISCOSITY / self.units.viscosity_lu(1.0)
+        given = max(WATER_M2_S, least) if viscosity_m2_s is None else viscosity_m2_s
+        self.viscosity_m2_s = np.broadcast_to(np.asarray(given, dtype=np.float64), (n_envs,))
+        self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
+        self.fluid = Fluid(
+            D2Q9 if flat else D3Q19,
+            self.tank.size,
+            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s,
+            boxes=n_envs,
+            walls=self.tank.walls,
+            normals=self.tank.normals,
+            smagorinsky=smagorinsky,
+            storage=storage,
+            device=device,
+            threads=threads,
+        )
+        nx, ny, nz = self.tank.size
+        middle = self.tank.middle if depth_m is None else nz - 0.5 - depth_m / cell_m
+        self.bodies = Bodies(
+            self.fluid,
+            self.hull,
+            masses(robot, models, self.hull),
+            self.units,
+            servos=_servos(robot, models),
+            limits=np.array([joint.limits_rad for joint in robot.joints]),
+            origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
+            middle=middle,
+        )
+        self.step_count = 0
+        J = len(robot.joints)
+        self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.fluid.device)
+        self.history: Any = wp.zeros(
+            (n_envs, HISTORY, 2 * (3 + J)), dtype=wp.float64, device=self.fluid.device
+        )
+        self._graphs: dict[int, Any] = {}
+        self.reset()
+
+    def reset(
+        self,
+        mask: NDArray[np.bool_] | None = None,
+        pose: Array | None = None,
+        joint: Array | None = None,
+    ) -> None:
+        """Put robots at rest in water at rest.
+
+        Args:
+            mask: Boxes to reset, shape (E,); all where None.
+            pose: x, y of the head's centre of mass and heading, shape (E, 3) or (3,); with the
+                body's middle at the origin where None.
+            joint: Joint angles, shape (E, J) or (J,); straight where None.
+        """
+        E, J = self.n_envs, len(self.robot.joints)
+        chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        q = np.zeros((E, 3 + J))
+        if pose is None:
+            com = self.bodies.chain.com.numpy()[:, 0]
+            q[:, 0] = self.hull.length.sum() / 2 - com
+        else:
+            q[:, :3] = pose
+        if joint is not None:
+            q[:, 3:] = joint
+        on_device = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        fluid, motion = self.fluid, self.bodies.motion
+        self._launch(
+            calm(self.fluid.storage),
+            (E, fluid.cells),
+            [on_device, fluid.f, fluid.flags, fluid.cells, fluid.stopped],
+        )
+        self.bodies.place(q, mask=chosen)
+        self._launch(remember, E, [on_device, self.bodies.chain, motion])
+
+    def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
+        """Send set-points and advance by one control period.
+
+        Args:
+            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on the
+                device is taken as it is, without waiting for the device.
+
+        Raises:
+            InputError: If a set-point is not finite.
+        """
+        if isinstance(command, wp.array):
+            wp.copy(self._command, command)
+        else:
+            values = np.broadcast_to(np.asarray(command, dtype=np.float64), self._command.shape)
+            if not np.all(np.isfinite(values)):
+                row = int(np.argwhere(~np.isfinite(values))[0, 0])
+                found = f"{values[row].tolist()} in environment {row}"
+                raise InputError("swimmer", "command", found, "finite angles")
+            self._command.assign(np.ascontiguousarray(values))
+        self._run(FREE)
+
+    def follow(self, joint: Array, rate: Array | None = None) -> None:
+        """Advance by one control period with prescribed joints; the body stays free.
+
+        Args:
+            joint: Angles at the period's end, shape (E, J) or (J,).
+            rate: Rates at its end, likewise; else the joints turn evenly. With rates they follow
+                the cubic through angles and rates at both ends.
+        """
+        motion = self.bodies.motion
+        q, v = motion.q.numpy()[:, 3:], motion.v.numpy()[:, 3:]
+        end = np.broadcast_to(joint, q.shape)
+        time = np.arange(self.substeps + 1) / self.substeps
+        if rate is None:
+            path = q + (end - q) * time[:, None, None]
+        else:
+            s = time[:, None, None]
+            path = (
+                q * (1 + 2 * s) * (1 - s) ** 2
+                + CONTROL_S * v * s * (1 - s) ** 2
+                + end * s * s * (3 - 2 * s)
+                + CONTROL_S * np.broadcast_to(rate, q.shape) * s * s * (s - 1)
+            )
+        for turned in np.diff(path, axis=0) / self.units.step_s:
+            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), turned], axis=1))
+            self.bodies.step(KINEMATIC)
+        self._sponge()
+        self.step_count += 1
+
+    def _run(self, mode: int) -> None:
+        device = self.fluid.device
+        if not device.is_cuda:
+            self._period(mode)
+        elif self.fluid.t in self._graphs:
+            wp.capture_launch(self._graphs[self.fluid.t])
+        else:
+            self._period(mode)  # compiles every kernel, which a capture must not
+            with wp.ScopedCapture(device=device) as capture:
+                self._period(mode)
+            self._graphs[self.fluid.t] = capture.graph
+        self.step_count += 1
+
+    def _period(self, mode: int) -> None:
+        bodies = self.bodies
+        self._launch(
+            send,
+            (self.n_envs, len(self.robot.joints)),
+            [self._command, bodies.chain, bodies.motion, self.history, self.fluid.stopped],
+        )
+        for _ in range(self.substeps):
+            bodies.step(mode)
+        self._sponge()
+
+    def _sponge(self) -> None:
+        tank = self.tank
+        if not tank.sponge:
+            return
+        reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
+        self._launch(
+            self.fluid.kernels.damp,
+            (self.n_envs, self.fluid.cells),
+            [
+                self.fluid.f, self.fluid.box, self.bodies.grid.position, reach,
+                float(tank.sponge), _SPONGE,
+            ],
+        )  # fmt: skip
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
+
+    def state(self) -> State:
+        """Where the robots are and how they move."""
+        s = self.bodies.motion
+        q, v = s.q.numpy(), s.v.numpy()
+        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
+        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
+        return State(
+            pose=q[:, :3],
+            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
+            joint=q[:, 3:],
+            rate=v[:, 3:],
+            torque=s.torque.numpy(),
+            force=s.force.numpy(),
+            time=s.clock.numpy(),
+            stopped=self.fluid.stopped.numpy(),
+        )
+
+
+def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
+    """Masses of the links, by the model's normalised densities where it has them.
+
+    A normalised density is (m_i / l_i) (sum l / sum m): Lin, Liu, Wang (2024), Sec. III-B.1. An
+    inertia that the file lacks is that of an elliptic cylinder.
+    """
+    total = sum(link.mass_kg for link in robot.links)
+    length = np.array([link.length_m for link in robot.links])
+    width = np.array([link.width_m for link in robot.links])
+    own = np.array([link.mass_kg for link in robot.links])
+    mass = np.tile(own, (len(models), 1))
+    for row, model in zip(mass, models, strict=True):
+        if "normalised_density" in model.body:
+            row[:] = np.asarray(model.body["normalised_density"]) * total * length / length.sum()
+    middle = np.array(
+        [link.length_m / 2 if link.com_m is None else link.com_m for link in robot.links]
+    )
+    middle[0] -= hull.half_width[0, 0]  # the hull's first axis begins behind the nose
+    inertia = mass * (length**2 / 12 + width**2 / 16)
+    for k, link in enumerate(robot.links):
+        if link.inertia_kgm2 is not None:
+            inertia[:, k] = link.inertia_kgm2 * mass[:, k] / own[k]
+    return Masses(mass, inertia, np.broadcast_to(middle, mass.shape))
+
+
+def _servos(robot: Robot, models: Sequence[Model]) -> Array:
+    rows = []
+    for model in models:
+        for joint in robot.joints:
+            if joint.name not in model.joints:
+                known = ", ".join(model.joints) or "none"
+                raise InputError("model", "joints", f"{known}", f"the robot's joint {joint.name}")
+            servo = model.joints[joint.name]
+            if servo.per_inertia:
+                raise InputError(
+                    "model", f"joints.{joint.name}", "gains per unit of inertia",
+                    "gains in N m, from recordings that state their loads",
+                )  # fmt: skip
+            row = joint_row(servo, None, joint.name)
+            row[4] = 0.0  # no pendulum in the water
+            rows.append(row)
+    return np.array(rows).reshape(len(models), len(robot.joints), -1)
+
+
+def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:
+    where = robot.path or "robot"
+    if np.any(hull.length <= 0):
+        k = int(np.argmax(hull.length <= 0))
+        found = f"{robot.links[k].length_m:g} m long, {robot.links[k].width_m:g} m wide"
+        raise InputError(where, f"links {k}", found, "longer than its round end: joints overlap")
+    if hull.body_length >= min(box_m[:2]):
+        found = f"a robot {hull.body_length:g} m long"
+        raise InputError(where, "links", found, f"shorter than the box, {min(box_m[:2]):g} m")
+    if 2 * hull.half_height.max() >= box_m[2]:
+        found = f"a robot {2 * hull.half_height.max():g} m high"
+        raise InputError(where, "links", found, f"lower than the water, {box_m[2]:g} m")
+    if not cell_m > 0:
+        raise InputError("swimmer", "cell_m", f"{cell_m:g}", "above 0")
