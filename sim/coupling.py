@@ -65,11 +65,11 @@ def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp 
             return
         X = box_at[0] + column % side
         Y = box_at[1] + across
-        nearest = 1.0e9
-        link = 0
-        off_axis = 0.0
-        width = 0.0
-        height = 1.0
+        nearest = float(1.0e9)
+        link = int(0)
+        off_axis = float(0.0)
+        width = float(0.0)
+        height = float(1.0)
         for k in range(length.shape[0]):
             at = position_on(float(X), float(Y), pose[e, k], length[k])
             wide = along(half_width[k], at[0])
@@ -87,14 +87,14 @@ def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp 
             y += box.ny
         rx = float(X) - centre[e, link][0]
         ry = float(Y) - centre[e, link][1]
-        total = 0.0
-        px = 0.0
-        py = 0.0
+        total = float(0.0)
+        px = float(0.0)
+        py = float(0.0)
         for z in range(low, high):
             n = e * box.cells + x + box.nx * (y + box.ny * z)
             flag = int(flags[n])
             if (flag & wp.static(KIND)) == wp.static(FLUID):
-                share = 0.0
+                share = float(0.0)
                 if nearest < 2.0:
                     share = solid_share(distance(off_axis, float(z) - middle, width, height))
                 if share > 0.0:

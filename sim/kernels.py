@@ -147,9 +147,9 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
     def density_and_momentum(p: Populations) -> wp.vec4:
         """Density less 1, and momentum."""
         rho = p[0]
-        mx = 0.0
-        my = 0.0
-        mz = 0.0
+        mx = float(0.0)
+        my = float(0.0)
+        mz = float(0.0)
         for k in range(wp.static(pairs)):
             rho += p[2 * k + 1] + p[2 * k + 2]
             d = p[2 * k + 1] - p[2 * k + 2]
@@ -161,12 +161,12 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
     @wp.func
     def stress_norm(p: Populations, rho: float, u: wp.vec3) -> float:
         """Frobenius norm of the second moment out of equilibrium."""
-        xx = 0.0
-        yy = 0.0
-        zz = 0.0
-        xy = 0.0
-        yz = 0.0
-        zx = 0.0
+        xx = float(0.0)
+        yy = float(0.0)
+        zz = float(0.0)
+        xy = float(0.0)
+        yz = float(0.0)
+        zx = float(0.0)
         for k in range(wp.static(pairs)):
             s = p[2 * k + 1] + p[2 * k + 2]
             xx += wp.static(float(c[2 * k + 1][0] ** 2)) * s
@@ -283,7 +283,7 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         flag = int(flags[n])
         if (flag & wp.static(KIND)) != wp.static(FLUID):
             return
-        e = 0
+        e = int(0)
         if box.boxes > 1:
             e = n // box.cells
         if stopped[e] >= 0:

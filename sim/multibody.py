@@ -254,7 +254,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     inertia = zero
     bound = zero
     torque = pd_torque(kp, kd, error, v)
-    explicit = False
+    explicit = bool(False)
     if active != 0:
         before = s.torque[e, k]
         error = command_in_force(u, q, v, before, now, h, p, z, active) - q
@@ -334,7 +334,7 @@ def stop_joints(
 ) -> int:
     """Impulses of dry friction and of the joints' limits; ``b`` holds the velocities."""
     J = size - 3
-    any_bound = False
+    any_bound = bool(False)
     for k in range(J):
         q = s.q[e, 3 + k] + h * s.b[e, 3 + k]
         if friction[k] > wp.float64(0.0) or q < chain.limits[k][0] or q > chain.limits[k][1]:
@@ -440,7 +440,7 @@ def advance(
         solve(e, N, s)
         stop_joints(e, N, h, friction[e], chain, s)
     else:
-        free = 3
+        free = int(3)
         if mode == wp.static(HELD):
             free = 0
         for i in range(free):
@@ -450,7 +450,7 @@ def advance(
         solve(e, free, s)
         for j in range(free, N):
             s.b[e, j] = target[e, j]
-    finite = True
+    finite = bool(True)
     for i in range(N):
         s.v[e, i] = s.b[e, i]
         finite = finite and wp.isfinite(s.b[e, i])

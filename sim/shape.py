@@ -89,7 +89,7 @@ def position_on(x: float, y: float, pose: wp.vec4, length: float) -> wp.vec2:
     back = wp.clamp(-(dx * pose[2] + dy * pose[3]), 0.0, length)
     dx += back * pose[2]
     dy += back * pose[3]
-    share = 0.0
+    share = float(0.0)
     if length > 0.0:
         share = back / length
     return wp.vec2(share, wp.sqrt(dx * dx + dy * dy))
