@@ -156,8 +156,9 @@ class Bodies:
     def place(
         self, q: Array, v: Array | None = None, mask: NDArray[np.bool_] | None = None
     ) -> None:
-        """Set coordinates and their velocities, shape (E, N): x, y of the head's centre of mass,
-        heading, joint angles; only where ``mask`` is true.
+        """Set coordinates and their velocities, shape (E, N), only where ``mask`` is true.
+
+        Coordinates are x and y of the head's centre of mass, its heading and the joint angles.
         """
         E, N = self.motion.q.shape
         chosen = np.ones(E, dtype=bool) if mask is None else mask

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.kernels import BODY
+from sim.cell import BODY
 from sim.multibody import RING, Chain, Motion
 from sim2real.servo.law import arrival_time
 

@@ -1,11 +1,11 @@
 """Bodies into the fluid, and the fluid's answer out of it, by the share of each cell that is solid.
 
-Direct forcing of the volume: within a step the fluid in a cell is brought to the body's velocity by
-the solid share of the cell. Before that, each link learns what that would cost: the sums that
-``multibody.advance`` needs to find the velocity at which body and fluid agree, so that the exchange
-is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209 (2005)
-448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share); Tavanashad
-and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413 (virtual mass).
+Direct forcing of the volume: within a step the fluid in a cell is brought to the body's velocity
+by the solid share of the cell. Before that, each link learns what that would cost: the sums that
+``multibody.advance`` needs to find the velocity at which body and fluid agree, so that the
+exchange is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys.
+209 (2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid
+share).
 """
 
 from functools import cache
@@ -13,8 +13,9 @@ from typing import Any
 
 import warp as wp
 
-from sim.kernels import BODY, FLUID, KIND, Box, kernels, place  # noqa: F401
+from sim.cell import BODY, FLUID, KIND, Box
 from sim.lattice import Lattice
+from sim.populations import populations
 from sim.shape import along, distance, position_on, solid_share
 
 SUMS = 7
@@ -28,9 +29,8 @@ _MOST_SHARE = 0.99999
 @cache
 def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
-    made = kernels(lattice, storage)
-    kind = wp.float16 if storage == "float16" else wp.float32
-    load, neighbours, moments = made.load, made.neighbours, made.density_and_momentum
+    made = populations(lattice, storage)
+    Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
 
     @wp.func
     def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> int:
@@ -39,7 +39,7 @@ def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp 
 
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
-        f: wp.array2d(dtype=kind),
+        f: Stored,
         flags: wp.array(dtype=wp.uint8),
         box: Box,
         t: int,
@@ -57,7 +57,7 @@ def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp 
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells; ``corner`` is where each body's boxes begin and how wide they are."""
+        """One column of cells; ``corner`` is where each body's cells begin and how far they go."""
         e, column = wp.tid()
         across = column // side
         box_at = corner[e]

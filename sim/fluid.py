@@ -10,8 +10,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.kernels import EDGE, FLUID, KIND, MOVING, OUTLET, SLIP, Box, kernels
+from sim.cell import EDGE, FLUID, KIND, MOVING, OUTLET, SLIP, Box
+from sim.kernels import kernels
 from sim.lattice import Lattice
+from sim.populations import STORAGE
+from sim.walls import wall_kernels
 from sim2real.errors import InputError
 
 Array = NDArray[np.float32]
@@ -81,11 +84,12 @@ class Fluid:
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
         self.kernels = kernels(lattice, storage)
+        self._walls, self._outlets = wall_kernels(lattice, storage)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.boxes = self.cells, boxes
         self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
-        kind = {"float32": wp.float32, "float16": wp.float16}[storage]
+        kind, _ = STORAGE[storage]
         self.f: Any = wp.zeros((lattice.Q, boxes * self.cells), dtype=kind, device=self.device)
         self.tau = self._put((viscous / CS2 + 0.5).astype(np.float32))
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
@@ -141,13 +145,13 @@ class Fluid:
         if self.listed.shape[0]:
             if self._has_outlet:
                 self._launch(
-                    self.kernels.outlet,
+                    self._outlets,
                     self.listed.shape[0],
-                    [self.f, self.flags, self.box, self.t, self.listed, self.inside],
+                    [self.f, self.flags, self.box, self.t, self.inside],
                     [self.wall_velocity],
                 )
             self._launch(
-                self.kernels.walls,
+                self._walls,
                 (self.boxes, self.listed.shape[0]),
                 [
                     self.f,
@@ -191,8 +195,8 @@ class Fluid:
         Args:
             density: Density, shape (E, nx, ny, nz) or what broadcasts to it; 1 where None.
             velocity: Velocity, shape (E, nx, ny, nz, 3) or what broadcasts to it; 0 where None.
-            strain_rate: Rates of strain xx, yy, zz, xy, yz, zx of that velocity, one axis of 6; they
-                set the part out of equilibrium, without which the start rings.
+            strain_rate: Rates of strain xx, yy, zz, xy, yz, zx of that velocity, one axis of 6;
+                they set the part out of equilibrium, without which the start rings.
         """
         shape = (self.boxes, *self.size)
         rest = np.zeros(shape) if density is None else np.broadcast_to(density, shape) - 1.0
@@ -218,7 +222,7 @@ class Fluid:
         density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
         velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)
         self._launch(
-            self.kernels.moments,
+            self.kernels.fields,
             self.boxes * self.cells,
             [self.f, self.flags, self.box, self.t],
             [density, velocity],

@@ -10,8 +10,9 @@ coordinates' velocities v solve
 
 where B is a virtual mass on both sides that cancels at constant acceleration; T are the servos'
 torques, their gains taken implicitly, and h the step. Dry friction and joint limits are impulses
-that can stop a joint but not turn it round, found by projected Gauss-Seidel sweeps (Moreau and Jean;
-Acary and Brogliato 2008). All float64, SI.
+that can stop a joint but not turn it round, found by projected Gauss-Seidel sweeps (Acary and
+Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). The virtual mass:
+Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float64, SI.
 """
 
 # ruff: noqa: N806 - the letters of mechanics

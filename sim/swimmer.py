@@ -206,8 +206,8 @@ class Swimmer:
         """Send set-points and advance by one control period.
 
         Args:
-            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on the
-                device is taken as it is, without waiting for the device.
+            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on
+                the device is taken as it is, without waiting for the device.
 
         Raises:
             InputError: If a set-point is not finite.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kernels import SLIP, SOLID
+from sim.cell import SLIP, SOLID
 
 WINDOW_M = (1.5, 1.0, 0.4)
 POOL_M = (3.6, 3.6, 0.4)
@@ -35,7 +35,7 @@ class Tank:
 
 
 def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """A box that follows the robot: it has no sides, and far from the robot the water comes to rest.
+    """A box that follows the robot: without sides, the water at rest far from the robot.
 
     Its bottom is the pool's floor (no slip), its top the surface (free slip).
     """

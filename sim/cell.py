@@ -1,0 +1,48 @@
+"""What a cell is, and where it lies in its box."""
+
+import warp as wp
+
+FLUID, SOLID, MOVING, SLIP, OUTLET = range(5)
+"""What a cell is. Walls are cells too; a wall lies half-way between it and the fluid."""
+KIND, BODY, EDGE = 7, 64, 128
+"""Bits of a cell's flag: its kind; covered by a body; at the edge of its box, where cells wrap."""
+
+
+@wp.struct
+class Box:
+    """The shape of the boxes: cells along each axis, cells of one, and how many there are."""
+
+    nx: int
+    ny: int
+    nz: int
+    cells: int
+    boxes: int
+
+
+@wp.func
+def place(n: int, box: Box) -> wp.vec3i:
+    """Coordinates of a cell in its box."""
+    rest = n % box.cells
+    x = rest % box.nx
+    rest = rest // box.nx
+    return wp.vec3i(x, rest % box.ny, rest // box.ny)
+
+
+@wp.func
+def wrapped(x: int, size: int) -> int:
+    """A coordinate at most one step outside, back inside."""
+    if x < 0:
+        return x + size
+    if x >= size:
+        return x - size
+    return x
+
+
+@wp.func
+def neighbour(n: int, dx: int, dy: int, dz: int, box: Box) -> int:
+    """The cell (dx, dy, dz) away, at most one step along each axis."""
+    at = place(n, box)
+    x = wrapped(at[0] + dx, box.nx)
+    y = wrapped(at[1] + dy, box.ny)
+    z = wrapped(at[2] + dz, box.nz)
+    return n + (x - at[0]) + box.nx * ((y - at[1]) + box.ny * (z - at[2]))
