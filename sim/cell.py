@@ -10,13 +10,13 @@ KIND, BODY, EDGE = 7, 64, 128
 
 @wp.struct
 class Box:
-    """The shape of the boxes: cells along each axis, cells of one, and how many there are."""
+    """The shape of the boxes: cells along each axis, cells of one box, and of all."""
 
     nx: int
     ny: int
     nz: int
     cells: int
-    boxes: int
+    total: int
 
 
 @wp.func

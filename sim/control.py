@@ -72,7 +72,7 @@ def calm(storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     @wp.kernel(enable_backward=False, module="unique")
     def calm(
         mask: wp.array(dtype=wp.int32),
-        f: wp.array2d(dtype=kind),
+        f: wp.array(dtype=kind),
         flags: wp.array(dtype=wp.uint8),
         cells: int,
         stopped: wp.array(dtype=wp.int32),
@@ -81,8 +81,8 @@ def calm(storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
         if mask[e] == 0:
             return
         cell = e * cells + n
-        for d in range(f.shape[0]):
-            f[d, cell] = kind(0.0)
+        for d in range(f.shape[0] // flags.shape[0]):
+            f[d * flags.shape[0] + cell] = kind(0.0)
         flag = int(flags[cell])
         if (flag & wp.static(BODY)) != 0:
             flags[cell] = wp.uint8(flag - wp.static(BODY))

@@ -102,7 +102,7 @@ def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp 
                     share = held - float(link)
                     solid[n] = held
                     flags[n] = wp.uint8(flag | wp.static(BODY))
-                    m = moments(load(f, n, neighbours(n, flag, box), t))
+                    m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
                     total += share * (1.0 + m[0])
                     px += share * m[1]
                     py += share * m[2]

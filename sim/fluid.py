@@ -20,6 +20,8 @@ from sim2real.errors import InputError
 Array = NDArray[np.float32]
 CS2 = 1 / 3
 """Square of the lattice's speed of sound."""
+MOST_SLOTS = 2**31
+"""Populations of one batch: what 32 bits can count, and 8.6 GB in single precision."""
 _LEAST_SLAB = 4096
 
 
@@ -83,15 +85,23 @@ class Fluid:
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
+        if lattice.Q * boxes * self.cells >= MOST_SLOTS:
+            most = MOST_SLOTS // lattice.Q
+            found = f"{boxes * self.cells} cells in {boxes} boxes"
+            raise InputError("fluid", "size", found, f"under {most} in one batch")
         self.kernels = kernels(lattice, storage)
         self._walls, self._outlets = wall_kernels(lattice, storage)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
-        self.box.cells, self.box.boxes = self.cells, boxes
+        self.box.cells, self.box.total = self.cells, boxes * self.cells
         self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
         kind, _ = STORAGE[storage]
-        self.f: Any = wp.zeros((lattice.Q, boxes * self.cells), dtype=kind, device=self.device)
-        self.tau = self._put((viscous / CS2 + 0.5).astype(np.float32))
+        self.f: Any = wp.zeros(lattice.Q * self.box.total, dtype=kind, device=self.device)
+        above = viscous / CS2
+        self.tau = self._put((above + 0.5).astype(np.float32))
+        rates = np.stack([1 / (above + 0.5), above / (above / 2 + magic)], axis=1)
+        self._rates = self._put(rates.astype(np.float32), wp.vec2)
+        self._driven = False
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
         self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
         self.solid: Any = wp.zeros(1, dtype=wp.float32, device=self.device)
@@ -135,6 +145,12 @@ class Fluid:
         self._has_outlet = bool(np.any(inside >= 0))
         self.inside = self._put(inside, wp.int32)
 
+    def accelerate(self, acceleration: NDArray[Any]) -> None:
+        """Let a body force act on all fluid from now on: shape (E, 3) or (3,), a step squared."""
+        values = np.broadcast_to(np.asarray(acceleration, dtype=np.float32), (self.boxes, 3))
+        self.drive.assign(np.ascontiguousarray(values))
+        self._driven = bool(np.any(values))
+
     def step(self, count: int = 1) -> None:
         """Advance by ``count`` steps."""
         for _ in range(count):
@@ -176,8 +192,9 @@ class Fluid:
             self.kernels.step,
             int(count),
             [
-                self.f, self.flags, self.box, int(first), self.t, self.tau, self.magic,
-                self.smagorinsky**2, self.drive, self.solid, self.twist, self.centre, self.stopped,
+                self.f, self.flags, self.box, int(first), self.t, self.tau, self._rates, self.magic,
+                self.smagorinsky**2, int(self._driven), self.drive, self.solid, self.twist,
+                self.centre, self.stopped,
             ],
         )  # fmt: skip
 

@@ -74,8 +74,10 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         first: int,
         t: int,
         tau: wp.array(dtype=wp.float32),
+        rates: wp.array(dtype=wp.vec2),
         magic: float,
         square: float,
+        driven: int,
         drive: wp.array(dtype=wp.vec3),
         solid: wp.array(dtype=wp.float32),
         twist: wp.array2d(dtype=wp.vec4),
@@ -88,29 +90,29 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         if (flag & wp.static(KIND)) != wp.static(FLUID):
             return
         e = int(0)
-        if box.boxes > 1:
+        if box.cells < box.total:
             e = n // box.cells
         if stopped[e] >= 0:
             return
         j = neighbours(n, flag, box)
-        p = load(f, n, j, t)
+        p = load(f, n, j, t, box.total)
         m4 = moments(p)
         rest = m4[0]
         m = wp.vec3(m4[1], m4[2], m4[3])
         inv = 1.0 / (1.0 + rest)
-        relaxation = tau[e]
+        rate = rates[e]
         if square > 0.0:
-            relaxation = subgrid_tau(p, rest, m, inv, relaxation, square)
-        above = relaxation - 0.5
-        out = relaxed(p, rest, m, inv, 1.0 / relaxation, above / (0.5 * above + magic))
-        push = drive[e]
-        if (flag & wp.static(BODY)) != 0:
-            push += body_push(n, e, box, inv * m, solid, twist, centre)
-        if push[0] != 0.0 or push[1] != 0.0 or push[2] != 0.0:
+            above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5
+            rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
+        out = relaxed(p, rest, m, inv, rate[0], rate[1])
+        if (flag & wp.static(BODY)) + driven != 0:
+            push = drive[e]
+            if (flag & wp.static(BODY)) != 0:
+                push += body_push(n, e, box, inv * m, solid, twist, centre)
             out = pushed(out, 1.0 + rest, inv * m, push)
         if not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells
-        store(f, n, j, t, out)
+        store(f, n, j, t, box.total, out)
 
     @wp.kernel(enable_backward=False, module="unique")
     def fields(
@@ -127,7 +129,7 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         density[n] = 0.0
         velocity[n] = wp.vec3()
         if (flag & wp.static(KIND)) == wp.static(FLUID):
-            m = moments(load(f, n, neighbours(n, flag, box), t))
+            m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
             density[n] = m[0]
             velocity[n] = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
 
@@ -169,7 +171,7 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
             # What arrives along a direction lies where its opposite will be sent from.
             p[2 * k + 1] = even - odd
             p[2 * k + 2] = even + odd
-        store(f, n, neighbours(n, flag, box), t, p)
+        store(f, n, neighbours(n, flag, box), t, box.total, p)
 
     @wp.kernel(enable_backward=False, module="unique")
     def damp(
@@ -197,6 +199,7 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         keep = 1.0 - strength * wp.min(depth * depth, 1.0)
         cell = e * box.cells + n
         for d in range(wp.static(lattice.Q)):
-            f[d, cell] = packed(keep * read(f[d, cell]))
+            i = d * box.total + cell
+            f[i] = packed(keep * read(f[i]))
 
     return Kernels(step, fields, initialise, damp)

@@ -31,7 +31,7 @@ class Populations:
     """Types and Warp functions for one lattice and storage type.
 
     Attributes:
-        Stored: Type of the array in memory, shape (Q, cells).
+        Stored: Type of the array in memory, Q rows of all cells one after the other.
         Vector: Type of one cell's populations, in single precision.
         neighbours: Cells that the odd directions point to from a cell.
         load: Populations that arrive at a cell.
@@ -55,7 +55,7 @@ def populations(lattice: Lattice, storage: str) -> Populations:
     """The functions for a lattice; populations stored as ``float32`` or ``float16``."""
     c, pairs = lattice.velocities, lattice.pairs
     kind, scale = STORAGE[storage]
-    Stored = wp.array2d(dtype=kind)
+    Stored = wp.array(dtype=kind)
     Vector = wp.types.vector(length=lattice.Q, dtype=wp.float32)
     Cells = wp.types.vector(length=pairs, dtype=wp.int32)
 
@@ -90,20 +90,20 @@ def populations(lattice: Lattice, storage: str) -> Populations:
         return j
 
     @wp.func
-    def load(f: Stored, n: int, j: Cells, t: int) -> Vector:
+    def load(f: Stored, n: int, j: Cells, t: int, total: int) -> Vector:
         p = Vector()
-        p[0] = read(f[0, n])
+        p[0] = read(f[n])
         for k in range(wp.static(pairs)):
-            p[2 * k + 1] = read(f[wp.static(2 * k + 2) - t, n])
-            p[2 * k + 2] = read(f[wp.static(2 * k + 1) + t, j[k]])
+            p[2 * k + 1] = read(f[(wp.static(2 * k + 2) - t) * total + n])
+            p[2 * k + 2] = read(f[(wp.static(2 * k + 1) + t) * total + j[k]])
         return p
 
     @wp.func
-    def store(f: Stored, n: int, j: Cells, t: int, p: Vector) -> int:
-        f[0, n] = packed(p[0])
+    def store(f: Stored, n: int, j: Cells, t: int, total: int, p: Vector) -> int:
+        f[n] = packed(p[0])
         for k in range(wp.static(pairs)):
-            f[wp.static(2 * k + 1) + t, j[k]] = packed(p[2 * k + 1])
-            f[wp.static(2 * k + 2) - t, n] = packed(p[2 * k + 2])
+            f[(wp.static(2 * k + 1) + t) * total + j[k]] = packed(p[2 * k + 1])
+            f[(wp.static(2 * k + 2) - t) * total + n] = packed(p[2 * k + 2])
         return 0
 
     @wp.func

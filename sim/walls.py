@@ -56,11 +56,11 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
     exchanges = mirrors(lattice)
 
     @wp.func
-    def row(d: int, t: int) -> int:
-        """Row in memory of what arrives along direction d."""
+    def slot(d: int, t: int, total: int) -> int:
+        """Where the row of what arrives along direction d begins."""
         if d % 2 == 0:
-            return d - 1 + t
-        return d + 1 - t
+            return (d - 1 + t) * total
+        return (d + 1 - t) * total
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(
@@ -109,13 +109,15 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
                                 wp.static(-exchanges[m].one[2]),
                                 box,
                             )
-                        held = f[row(two, t), at_two]
-                        f[row(two, t), at_two] = f[row(one, t), at_one]
-                        f[row(one, t), at_one] = held
+                        at_two += slot(two, t, box.total)
+                        at_one += slot(one, t, box.total)
+                        held = f[at_two]
+                        f[at_two] = f[at_one]
+                        f[at_one] = held
             return
         u = velocity[k]
         j = neighbours(n, flag, box)
-        p = load(f, n, j, t)
+        p = load(f, n, j, t, box.total)
         out = Vector()
         out[0] = p[0]
         for d in range(wp.static(pairs)):
@@ -134,7 +136,7 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
                 even = wp.static(2.0 * w[2 * d + 1]) * (4.5 * cu * cu - 1.5 * wp.dot(u, u))
                 out[2 * d + 1] = even - b
                 out[2 * d + 2] = even - a
-        store(f, n, j, t, out)
+        store(f, n, j, t, box.total, out)
 
     @wp.kernel(enable_backward=False, module="unique")
     def outlets(
@@ -150,7 +152,7 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
         n = inside[k]
         if n < 0:
             return
-        m = moments(load(f, n, neighbours(n, int(flags[n]), box), t))
+        m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
         velocity[k] = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
 
     return walls, outlets
