@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.chain import RING, Chain, Motion, OnGrid
 from sim.coupling import FIXED_POINT, SUMS, cover_kernel
 from sim.fluid import Fluid
-from sim.multibody import FREE, HELD, KINEMATIC, RING, Chain, Motion, OnGrid, advance, move, start
+from sim.multibody import FREE, HELD, KINEMATIC, advance, move, start
 from sim.shape import Hull, displaced
 from sim.units import Units
 from sim2real.servo.parameters import CELLS, COLUMNS
@@ -115,7 +116,7 @@ class Bodies:
         active = active_effects(rows.reshape(E * J, -1)).reshape(E, J)
         chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
-        chain.widest = float(hull.half_width.max())
+        chain.widest = wp.float64(hull.half_width.max())
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
@@ -125,9 +126,10 @@ class Bodies:
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
         s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
         grid = self.grid = OnGrid()
-        grid.cell, grid.step, grid.mass = units.cell_m, units.step_s, units.mass_kg
+        grid.cell, grid.step = wp.float64(units.cell_m), wp.float64(units.step_s)
+        grid.mass = wp.float64(units.mass_kg)
         grid.origin = wp.vec2d(*origin_m)
-        grid.margin, grid.scale = _MARGIN, FIXED_POINT
+        grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
         grid.corner = room((E,), wp.vec4i)
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
@@ -169,8 +171,8 @@ class Bodies:
             held = array.numpy()
             held[chosen] = np.broadcast_to(values, (E, N))[chosen]
             array.assign(held)
-        chosen_there = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
-        self._launch(start, E, [self.chain, self.motion, self.grid, chosen_there])
+        there: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        self._launch(start, E, [self.chain, self.motion, self.grid, there])
 
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""

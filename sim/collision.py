@@ -81,6 +81,9 @@ def collision(lattice: Lattice, storage: str) -> Collision:
     ) -> Vector:
         out = Vector()
         still = rest - 1.5 * inv * wp.dot(m, m)
+        curve = 4.5 * inv
+        half_plus = 0.5 * plus
+        half_minus = 0.5 * minus
         out[0] = p[0] + plus * (wp.static(w[0]) * still - p[0])
         for k in range(wp.static(pairs)):
             cm = along(
@@ -91,8 +94,9 @@ def collision(lattice: Lattice, storage: str) -> Collision:
             )
             a = p[2 * k + 1]
             b = p[2 * k + 2]
-            even = plus * (wp.static(w[2 * k + 1]) * (still + 4.5 * inv * cm * cm) - 0.5 * (a + b))
-            odd = minus * (wp.static(3.0 * w[2 * k + 1]) * cm - 0.5 * (a - b))
+            even = wp.static(w[2 * k + 1]) * plus * (still + curve * (cm * cm))
+            even -= half_plus * (a + b)
+            odd = wp.static(3.0 * w[2 * k + 1]) * minus * cm - half_minus * (a - b)
             out[2 * k + 1] = a + (even + odd)
             out[2 * k + 2] = b + (even - odd)
         return out

@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from sim.cell import BODY
-from sim.multibody import RING, Chain, Motion
+from sim.chain import RING, Chain, Motion
 from sim2real.servo.law import arrival_time
 
 HISTORY = 16

@@ -16,7 +16,7 @@ import warp as wp
 from sim.cell import BODY, FLUID, KIND, Box
 from sim.lattice import Lattice
 from sim.populations import populations
-from sim.shape import along, distance, position_on, solid_share
+from sim.section import along, distance, position_on, solid_share
 
 SUMS = 7
 """Sums of one link: k, k rx, k ry, k r2, k ux, k uy, k (rx uy - ry ux), where k is the fluid's

@@ -33,8 +33,8 @@ class Kernels:
 
 
 @cache
-def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
-    """Compile the kernels for a lattice."""
+def kernels(lattice: Lattice, storage: str, cuda: bool) -> Kernels:
+    """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     made, collide = populations(lattice, storage), collision(lattice, storage)
     Stored, Vector, read, packed = made.Stored, made.Vector, made.read, made.packed
@@ -66,7 +66,12 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         v = twist[e, link]
         return share * wp.vec3(v[0] - v[2] * y - u[0], v[1] + v[2] * x - u[1], -u[2])
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(
+        enable_backward=False,
+        module="unique",
+        grid_stride=False,
+        module_options={"fast_math": cuda},  # on a CPU it would take away the test for NaN
+    )
     def step(
         f: Stored,
         flags: wp.array(dtype=wp.uint8),
@@ -92,8 +97,7 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
         e = int(0)
         if box.cells < box.total:
             e = n // box.cells
-        if stopped[e] >= 0:
-            return
+        halted = stopped[e]
         j = neighbours(n, flag, box)
         p = load(f, n, j, t, box.total)
         m4 = moments(p)
@@ -110,9 +114,10 @@ def kernels(lattice: Lattice, storage: str = "float32") -> Kernels:
             if (flag & wp.static(BODY)) != 0:
                 push += body_push(n, e, box, inv * m, solid, twist, centre)
             out = pushed(out, 1.0 + rest, inv * m, push)
-        if not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
+        if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells
-        store(f, n, j, t, box.total, out)
+        if halted < 0:
+            store(f, n, j, t, box.total, out)
 
     @wp.kernel(enable_backward=False, module="unique")
     def fields(

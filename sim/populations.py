@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.cell import EDGE, Box, place, wrapped
+from sim.cell import EDGE, Box, place
 from sim.lattice import Lattice
 
 STORAGE = {"float32": (wp.float32, 1.0), "float16": (wp.float16, 512.0)}
@@ -69,24 +69,42 @@ def populations(lattice: Lattice, storage: str) -> Populations:
 
     @wp.func
     def neighbours(n: int, flag: int, box: Box) -> Cells:
+        right = int(1)
+        left = int(-1)
+        front = box.nx
+        back = -box.nx
+        up = box.nx * box.ny
+        down = -up
+        if (flag & wp.static(EDGE)) != 0:
+            at = place(n, box)
+            if at[0] == box.nx - 1:
+                right -= box.nx
+            if at[0] == 0:
+                left += box.nx
+            if at[1] == box.ny - 1:
+                front -= box.nx * box.ny
+            if at[1] == 0:
+                back += box.nx * box.ny
+            if at[2] == box.nz - 1:
+                up -= box.cells
+            if at[2] == 0:
+                down += box.cells
         j = Cells()
-        if (flag & wp.static(EDGE)) == 0:
-            row = box.nx
-            layer = box.nx * box.ny
-            for k in range(wp.static(pairs)):
-                j[k] = n + (
-                    wp.static(c[2 * k + 1][0])
-                    + row * wp.static(c[2 * k + 1][1])
-                    + layer * wp.static(c[2 * k + 1][2])
-                )
-            return j
-        at = place(n, box)
-        base = n - (at[0] + box.nx * (at[1] + box.ny * at[2]))
         for k in range(wp.static(pairs)):
-            x = wrapped(at[0] + wp.static(c[2 * k + 1][0]), box.nx)
-            y = wrapped(at[1] + wp.static(c[2 * k + 1][1]), box.ny)
-            z = wrapped(at[2] + wp.static(c[2 * k + 1][2]), box.nz)
-            j[k] = base + x + box.nx * (y + box.ny * z)
+            i = n
+            if wp.static(c[2 * k + 1][0] > 0):
+                i += right
+            if wp.static(c[2 * k + 1][0] < 0):
+                i += left
+            if wp.static(c[2 * k + 1][1] > 0):
+                i += front
+            if wp.static(c[2 * k + 1][1] < 0):
+                i += back
+            if wp.static(c[2 * k + 1][2] > 0):
+                i += up
+            if wp.static(c[2 * k + 1][2] < 0):
+                i += down
+            j[k] = i
         return j
 
     @wp.func

@@ -192,7 +192,7 @@ class Swimmer:
             q[:, :3] = pose
         if joint is not None:
             q[:, 3:] = joint
-        on_device = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
             calm(self.fluid.storage),

@@ -1,0 +1,89 @@
+"""What the motion of a batch of chains of links is made of, in memory."""
+
+import warp as wp
+
+RING = 16
+"""Set-points on their way to a joint that are remembered."""
+
+
+@wp.struct
+class Chain:
+    """Links, joints and servos of E robots; row by row in the shape that is given.
+
+    Attributes:
+        mass: Mass and inertia of each link less those of the water inside it, (E, L).
+        water: Mass and inertia of that water times the share that is virtual, (E, L).
+        com: Distance of the centre of mass from the front end, (E, L).
+        length: (L,).
+        limits: Smallest and largest angle of each joint, (J,).
+        servo: Rows of the servo law's parameters, (E, J, columns).
+        active: Effects that are on, (E, J).
+        memory: Memory of the effects, (E, J, cells).
+        widest: Largest half-width.
+    """
+
+    mass: wp.array2d(dtype=wp.vec2d)
+    water: wp.array2d(dtype=wp.vec2d)
+    com: wp.array2d(dtype=wp.float64)
+    length: wp.array(dtype=wp.float64)
+    limits: wp.array(dtype=wp.vec2d)
+    servo: wp.array3d(dtype=wp.float64)
+    active: wp.array2d(dtype=wp.int32)
+    memory: wp.array3d(dtype=wp.float64)
+    widest: wp.float64
+
+
+@wp.struct
+class Motion:
+    """State of E robots with N = 3 + J coordinates and L links.
+
+    Attributes:
+        q: Coordinates, (E, N).
+        v: Their velocities, (E, N).
+        link: Pose of each link's centre of mass: x, y, heading, (E, L).
+        twist: Its velocity, (E, L).
+        before: Its velocity a step earlier, (E, L).
+        force: Force and torque of the fluid on each link in the last step, (E, L).
+        torque: Torque of each servo, (E, J).
+        impulse: Impulse of dry friction at each joint in the last step, (E, J).
+        measured: Angle that each joint's sensor shows, (E, J).
+        clock: Seconds since the start, (E,).
+        sent, arrival: Set-points on their way and when they arrive, (E, J, RING).
+        newest: Number of the newest set-point, (E, J).
+        A, b, inverse: Room for the equations, (E, N, N), (E, N) and (E, N, N).
+    """
+
+    q: wp.array2d(dtype=wp.float64)
+    v: wp.array2d(dtype=wp.float64)
+    link: wp.array2d(dtype=wp.vec3d)
+    twist: wp.array2d(dtype=wp.vec3d)
+    before: wp.array2d(dtype=wp.vec3d)
+    force: wp.array2d(dtype=wp.vec3d)
+    torque: wp.array2d(dtype=wp.float64)
+    impulse: wp.array2d(dtype=wp.float64)
+    measured: wp.array2d(dtype=wp.float64)
+    clock: wp.array(dtype=wp.float64)
+    sent: wp.array3d(dtype=wp.float64)
+    arrival: wp.array3d(dtype=wp.float64)
+    newest: wp.array2d(dtype=wp.int32)
+    A: wp.array3d(dtype=wp.float64)
+    b: wp.array2d(dtype=wp.float64)
+    inverse: wp.array3d(dtype=wp.float64)
+
+
+@wp.struct
+class OnGrid:
+    """The robots as the fluid sees them, in lattice units, and its sums over them."""
+
+    cell: wp.float64
+    step: wp.float64
+    mass: wp.float64
+    origin: wp.vec2d
+    margin: int
+    corner: wp.array(dtype=wp.vec4i)
+    pose: wp.array2d(dtype=wp.vec4)
+    centre: wp.array2d(dtype=wp.vec2)
+    twist: wp.array2d(dtype=wp.vec4)
+    position: wp.array(dtype=wp.vec2)
+    sums: wp.array3d(dtype=wp.int64)
+    scale: wp.float64
