@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 RADII = (0.085, 0.115, 0.06, 0.025, 0.01)
 """Half-widths at the nose, the joints and the tail's tip, in body lengths: fat head, thin tail."""
-AMPLITUDE = np.array([0.45, 0.60, 0.75])
+AMPLITUDE = (0.45, 0.60, 0.75)
 LAG = 1.2 * np.arange(3)
 REYNOLDS = 1000.0
 """Body length times body length a cycle, over the viscosity."""
@@ -40,17 +40,19 @@ class Gait:
         wave: 1 for a wave that runs tailwards, -1 for one that runs headwards, 0 in phase.
         side: -1 for the mirror image.
         turn: Offset of all joints in rad.
+        amplitude: Of each joint in rad.
     """
 
     heading: float = 0.0
     wave: float = 1.0
     side: float = 1.0
     turn: float = 0.0
+    amplitude: tuple[float, ...] = AMPLITUDE
 
     def joints(self, t: float) -> Array:
         """Joint angles in rad at t cycles, growing over the first."""
-        bend = AMPLITUDE * np.sin(2 * np.pi * t - self.wave * LAG) + self.turn
-        return self.side * min(1.0, t) * bend
+        bend = np.array(self.amplitude) * np.sin(2 * np.pi * t - self.wave * LAG) + self.turn
+        return np.asarray(self.side * min(1.0, t) * bend)
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def swim(
 
 SYMMETRIC = (0.06, 0.06, 0.06, 0.06, 0.06)
 """Half-widths of a body that is its own image front to back."""
-_FLAP = Gait(wave=0.0)
+_FLAP = Gait(wave=0.0, amplitude=(0.6, 0.6, 0.6))
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
@@ -165,23 +167,9 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     forward = float(main.advance()[: len(straight)].mean())
     figures += [
         Figure("swims head first: advance over speed", forward / mean, 1.0, 0.15),
-        Figure(
-            "reversed wave, speed over the forward one's",
-            float(speed[reverse]) / mean,
-            0.0,
-            1 / 3,
-            1.0,
-        ),
-        Figure(
-            "in-phase flap of a symmetric body, likewise",
-            float(flap.speed()[0]) / mean,
-            0.0,
-            0.05,
-            1.0,
-        ),
-        Figure(
-            "turn of the mirror image, rad", float(turned[right]), -float(turned[left]), 0.02, 1.0
-        ),
+        _nothing("reversed wave, share of the speed", float(speed[reverse]) / mean, 1 / 3),
+        _nothing("in-phase flap of a symmetric body", float(flap.speed()[0]) / mean, 0.05),
+        _nothing("turn of the mirror image, rad", float(turned[right] + turned[left]), 0.02),
     ]
     curves = [_speeds(f"{fine} cells", np.array(HEADINGS), speed[: len(straight)])]
     if not quick:
@@ -192,9 +180,8 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
         curves.append(_speeds("26 cells", np.array(HEADINGS), coarse))
     if device != "cpu" and not quick:
         finest = float(swum(straight[:1], 104).speed()[0])
-        figures.append(
-            Figure("52 against 104 cells, body lengths a cycle", float(speed[0]), finest, 0.15)
-        )
+        name = "52 against 104 cells, body lengths a cycle"
+        figures.append(Figure(name, float(speed[0]), finest, 0.15))
     return Case(
         name="swimming",
         title="A three-joint robot under a travelling wave",
@@ -203,6 +190,10 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
         figures=tuple(figures),
         curves=tuple(curves),
     )
+
+
+def _nothing(quantity: str, ours: float, bar: float) -> Figure:
+    return Figure(quantity, ours, 0.0, bar, scale=1.0)
 
 
 def _heading(heading: float, cells: int, ours: float, mean: float, bar: float) -> Figure:
