@@ -258,6 +258,7 @@ def _diagnosis(
         part.findings,
         part.rich,
         (part.before, part.after),
+        part.unseen_plain,
         rng,
     )
     ladders = {

@@ -8,11 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.black_box import black_box
+from sim2real.diagnose.candidates import RIPPLE
+from sim2real.diagnose.decoy_error import best_decoy
+from sim2real.diagnose.directions import directions
 from sim2real.diagnose.experiment import next_experiment
+from sim2real.diagnose.false_names import share_of_false_names
+from sim2real.diagnose.guess import guesses
+from sim2real.diagnose.heldout import Unseen
 from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.limits import detection_limits
 from sim2real.diagnose.result import DetectionLimit, Evidence, Experiment
 from sim2real.diagnose.search import Hypothesis
+from sim2real.diagnose.splits import splits
 from sim2real.diagnose.torque import residual_torque, smooth_speed
 from sim2real.robot import Robot
 from sim2real.servo.trace import Trace
@@ -44,10 +52,24 @@ def extras(
     findings: Sequence[Finding],
     rich: Sequence[Hypothesis],
     residuals: tuple[Sequence[Array], Sequence[Array]],
+    unseen: Sequence[Unseen | None],
     rng: np.random.Generator,
 ) -> Extras:
-    """Work them out for one robot."""
+    """Work them out for one robot.
+
+    Args:
+        robot: The robot.
+        names: Its joints.
+        joints: Their recordings.
+        noise: Standard deviations of their sensors' noise, rad.
+        findings: What was found on them.
+        rich: The servos with what is named.
+        residuals: Simulated minus measured angles of the plain servos and of these, (R, T) each.
+        unseen: The plain servos on what their refits have not seen.
+        rng: For decoys and black boxes.
+    """
     evidence, limits = [], []
+    decoy, floor = {}, {}
     for k, name in enumerate(names):
         book = findings[k].book
         for r, trace in enumerate(joints[k]):
@@ -58,8 +80,30 @@ def extras(
             )
         seen = rich[k].effects if rich[k].effects in book.screens else book.base
         limits += detection_limits(book.screens[seen], book.starts[seen], name)
-    experiment = _next(robot, names, joints, findings)
-    return Extras({}, 0.0, {}, {}, tuple(limits), experiment, tuple(evidence))
+        apart = unseen[k]
+        if apart is not None:
+            decoy[name], floor[name] = _floors(joints[k], findings[k], apart, rng)
+    return Extras(
+        hypothesis=guesses(names, joints, findings, rich, residuals[1]),
+        false_discovery_rate=share_of_false_names(joints, findings, rng),
+        best_decoy=decoy,
+        black_box=floor,
+        detection_limits=tuple(limits),
+        next_experiment=_next(robot, names, joints, findings),
+        evidence=tuple(evidence),
+    )
+
+
+def _floors(
+    traces: Sequence[Trace], finding: Finding, unseen: Unseen, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Held-out errors of the plain servo with the best decoy, and with a black box, rad."""
+    book = finding.book
+    servo = book.plain.fit.servos
+    effects = [c for c in book.starts[book.base] if c.effect.name != RIPPLE]
+    moved = directions(traces, servo, effects).effects
+    folds = splits(traces, unseen)
+    return best_decoy(traces, servo, moved, folds, rng), black_box(folds, rng)
 
 
 def _next(

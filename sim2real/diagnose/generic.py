@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.signal import lfilter
 
+from sim2real.diagnose.linear import Response, gain_torques, response, through
+
 Array = NDArray[np.float64]
 
 KNOTS = 8
@@ -94,13 +96,12 @@ def smooth_function(motions: Sequence[Motion], servo: Servo, *, thorough: bool =
     """
     responses = [_response(m, servo, r) for r, m in enumerate(motions)]
     gains = [_gain_torques(m, servo) for m in motions]
-    bent = _stacked([_through(g, f) for g, f in zip(gains, responses, strict=True)])
+    bent = _stacked([through(g, f) for g, f in zip(gains, responses, strict=True)])
     plain, autoregression = _fit(motions, bent, servo, None)
     found: dict[str, Sequence[float]] = {}
     for state, torque, sensor in _families(motions, servo):
         columns = [
-            np.hstack([_through(x, f), y])
-            for x, y, f in zip(torque, sensor, responses, strict=True)
+            np.hstack([through(x, f), y]) for x, y, f in zip(torque, sensor, responses, strict=True)
         ]
         level, _ = _fit(motions, np.hstack([bent, _stacked(columns)]), servo, autoregression)
         found[state] = level, columns[0].shape[1]
@@ -164,32 +165,17 @@ def _splines(states: Sequence[Array]) -> list[Array]:
 
 def _gain_torques(motion: Motion, servo: Servo) -> Array:
     """Torques by which kp, kd and latency move the angle, shape (T, 3)."""
-    seen = np.interp(motion.t - servo.latency, motion.t, motion.command)
-    speed = np.gradient(motion.angle, motion.t)
-    return np.stack([seen - motion.angle, speed, servo.kp * np.gradient(seen, motion.t)], axis=1)
+    return gain_torques(motion.t, motion.command, motion.angle, (servo.kp, servo.latency))
 
 
 def _acceleration(angle: Array, t: Array) -> Array:
     return np.asarray(np.gradient(np.gradient(angle, t), t))
 
 
-def _response(motion: Motion, servo: Servo, r: int) -> tuple[Array, Array]:
-    """Filter from torque to angle at the recording's rate, by the bilinear transform."""
-    h = float(np.median(np.diff(motion.t)))
-    inertia, stiffness = servo.inertia[r], servo.kp + servo.gravity[r]
-    c = 2 / h
-    a = np.array(
-        [
-            inertia * c**2 + servo.kd * c + stiffness,
-            2 * stiffness - 2 * inertia * c**2,
-            inertia * c**2 - servo.kd * c + stiffness,
-        ]
-    )
-    return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
-
-
-def _through(torque: Array, response: tuple[Array, Array]) -> Array:
-    return np.asarray(lfilter(*response, torque, axis=0))
+def _response(motion: Motion, servo: Servo, r: int) -> Response:
+    """Filter from torque to angle at the recording's rate."""
+    step = float(np.median(np.diff(motion.t)))
+    return response(float(servo.inertia[r]), servo.kd, servo.kp + float(servo.gravity[r]), step)
 
 
 def _stacked(columns: Sequence[Array]) -> Array:
@@ -222,7 +208,7 @@ def _fit(
 
 def _shaking(
     motions: Sequence[Motion],
-    responses: Sequence[tuple[Array, Array]],
+    responses: Sequence[Response],
     bent: Array,
     servo: Servo,
     autoregression: Array,
@@ -272,14 +258,12 @@ def _jump(
     return tuple(instants), level, 3 * len(motions)
 
 
-def _lines(
-    motions: Sequence[Motion], responses: Sequence[tuple[Array, Array]], frequency: float
-) -> Array:
+def _lines(motions: Sequence[Motion], responses: Sequence[Response], frequency: float) -> Array:
     """Responses to a sine and a cosine, in columns of their own for each recording."""
     blocks = []
-    for r, (motion, response) in enumerate(zip(motions, responses, strict=True)):
+    for r, (motion, filtered) in enumerate(zip(motions, responses, strict=True)):
         phase = 2 * np.pi * frequency * motion.t
-        wave = _through(np.stack([np.sin(phase), np.cos(phase)], axis=1), response)
+        wave = through(np.stack([np.sin(phase), np.cos(phase)], axis=1), filtered)
         block = np.zeros((motion.t.size, 2 * len(motions)))
         block[:, 2 * r : 2 * r + 2] = wave
         blocks.append(block)

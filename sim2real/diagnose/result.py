@@ -141,8 +141,8 @@ class Ladder:
     Attributes:
         baseline: The plain servo.
         enriched: With the named effects; equal to ``baseline`` where none is named.
-        best_decoy: With the best of the effects that mean nothing.
-        black_box: With a torque that may be any smooth function of the state.
+        best_decoy: With the best of the effects that mean nothing, chosen where it was fitted.
+        black_box: With a black box that knows no physics, only commands and the plain servo.
         noise: Standard deviation of the measurement noise: no predictor does better.
     """
 
@@ -194,7 +194,8 @@ class Diagnosis:
         rivals: What was considered beside them, likeliest first.
         unknown: By joint, the probability that what is missing is not in the catalogue.
         hypothesis: By joint, a formula for what no effect explains: a guess, not a finding.
-        false_discovery_rate: Expected share of wrong ones among the named, from decoys.
+        false_discovery_rate: Expected share of those that chance would name among the effects named
+            on joints, from decoys; 0 where none is.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
         enriched_fit: The same with the named effects.
         ladders: By signal.

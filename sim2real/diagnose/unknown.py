@@ -101,21 +101,34 @@ def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: fl
     """
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
-        step = float(np.median(np.diff(trace.t)))
-        keep = np.exp(-step / WANDER_S)
-        drive = WANDER_SHARE**2 * (1 - keep**2)
-        spread = WANDER_SHARE**2
-        for _ in range(200):
-            gain = spread / (spread + 1)
-            spread = keep**2 * spread * (1 - gain) + drive
-        gain = spread / (spread + 1)
-        innovation = lfilter([1.0, -keep], [1.0, -keep * (1 - gain)], row[: trace.t.size])
+        numerator, denominator, spread = wander_filter(float(np.median(np.diff(trace.t))))
+        innovation = lfilter(numerator, denominator, row[: trace.t.size])
         used = trace.used.copy()
         used[: batch.lags] = False
         energy += float(np.sum(innovation[used] ** 2)) / (1 + spread)
         count += int(used.sum())
     scale = noise_rad**2 / (1 + spread)
     return energy / count / scale
+
+
+def wander_filter(step_s: float) -> tuple[list[float], list[float], float]:
+    """The filter of ``excess``.
+
+    Args:
+        step_s: Time between samples.
+
+    Returns:
+        Numerator and denominator, as ``scipy.signal.lfilter`` takes them, and the variance of what
+        it takes away, in variances of the noise.
+    """
+    keep = float(np.exp(-step_s / WANDER_S))
+    drive = WANDER_SHARE**2 * (1 - keep**2)
+    spread = WANDER_SHARE**2
+    for _ in range(200):
+        gain = spread / (spread + 1)
+        spread = keep**2 * spread * (1 - gain) + drive
+    gain = spread / (spread + 1)
+    return [1.0, -keep], [1.0, -keep * (1 - gain)], spread
 
 
 def intermittent(

@@ -34,7 +34,10 @@ _WORTH = (
     "{decoy}."
 )
 _DECOY = " and than that of a decoy, a made-up effect that means nothing"
-_FLOOR = "A torque that may be any smooth function of the motion shows how far one could get. "
+_FLOOR = (
+    "A black box, which knows no physics but what the plain servo does with the commands, shows "
+    "how much can be explained without any name. "
+)
 _PARAMETERS = "How large each effect is; below it the range that holds the truth nine times in ten."
 _SHIFTS = (
     "What the plain fit had been hiding: without the missing effect, its stiffness (kp), damping "
@@ -133,7 +136,7 @@ def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
         ("plain servo", ladder.baseline, False),
         ("with what is named", ladder.enriched if named else None, True),
         ("with the best decoy", ladder.best_decoy, False),
-        ("with any smooth torque", ladder.black_box, False),
+        ("with a black box", ladder.black_box, False),
         ("noise of the sensor", ladder.noise, False),
     ]
     return [Bar(label, x, milliradians(x), strong) for label, x, strong in rungs if x is not None]

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, recording
+from strange import position_damping, strange
 
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
 from sim2real.diagnose.result import write_diagnosis
@@ -123,6 +124,33 @@ def test_the_file_has_every_field_of_the_format(written):
     for limit in file["detection_limits"]:
         assert {"effect", "component", "smallest"} <= set(limit)
     assert file["next_experiment"] is None
+
+
+def test_nothing_named_is_nothing_named_falsely(clean):
+    assert clean.false_discovery_rate == 0.0
+    assert clean.hypothesis == {}
+
+
+def test_decoys_and_a_black_box_stand_beside_what_is_named(rubbing, written):
+    assert 0 < rubbing.false_discovery_rate < 0.03
+    assert written[1]["false_discovery_rate"] == rubbing.false_discovery_rate
+    ladder = rubbing.ladders["j1.position_rad"]
+    assert written[1]["heldout_ladder"]["j1.position_rad"] == vars(ladder)
+    assert ladder.baseline == rubbing.effects[0].heldout["rmse_before"]
+    assert ladder.baseline <= ladder.best_decoy < 1.3 * ladder.baseline
+    assert ladder.enriched < ladder.black_box < 0.5 * ladder.baseline
+
+
+def test_what_is_in_no_catalogue_gets_a_formula(tmp_path):
+    given = [strange(k, name, position_damping) for k, name in ((1, "a"), (2, "b"))]
+    found = diagnose(given, robot("j1"))
+    assert found.verdict == "unexplained"
+    assert found.false_discovery_rate == 0.0
+    assert found.hypothesis["j1"].startswith("missing torque ≈ −0.1")
+    assert found.hypothesis["j1"].endswith(" N m s/rad³ · position² · speed")
+    write_diagnosis(found, tmp_path / "diagnosis.json", "enriched.json")
+    file = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert file["hypothesis"] == found.hypothesis
 
 
 def test_the_enriched_model_can_be_read_and_predicts(written):

@@ -294,6 +294,7 @@ def test_only_joints_with_a_finding_show_what_it_is_worth():
     (drawn,) = [b for b in blocks if isinstance(b, Figure) and "has not seen" in b.caption]
     assert drawn.svg.count("with what is named") == 1
     assert drawn.svg.count("with the best decoy") == 2
+    assert drawn.svg.count("with a black box") == 2
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])

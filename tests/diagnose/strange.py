@@ -1,0 +1,37 @@
+"""A servo with a torque on its shaft that is in no catalogue."""
+
+import numpy as np
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, steps
+
+from sim2real.recording import Load, Recording
+
+FINE = 20
+
+
+def strange(seed, name, torque, seconds=12.0):
+    """Recording of a servo that ``torque(q, q_dot, t)`` in N m acts on as well."""
+    rng = np.random.default_rng(seed)
+    t = PERIOD * np.arange(round(seconds / PERIOD))
+    sent = steps(t, rng)
+    q, speed, angle, h = 0.0, 0.0, np.empty(t.size), PERIOD / FINE
+    for k in range(t.size):
+        angle[k] = q
+        for i in range(FINE):
+            now = t[k] + i * h
+            seen = sent[max(int(np.floor((now - LATENCY) / PERIOD + 1e-9)), 0)]
+            speed += h * (KP * (seen - q) - KD * speed + torque(q, speed, now)) / INERTIA
+            q += h * speed
+    noisy = angle + rng.normal(0, NOISE, t.size)
+    return Recording(
+        name, "servo", ("j1",), t, sent[:, None], noisy[:, None], {"j1": Load(INERTIA)}
+    )
+
+
+def position_damping(q, speed, t):
+    """More damping the further out, in no catalogue."""
+    return -0.15 * q**2 * speed
+
+
+def shaking(q, speed, t):
+    """Something else shakes the shaft: no function of what the joint does."""
+    return 0.05 * np.sin(2 * np.pi * 1.3 * t)
