@@ -21,6 +21,8 @@ from sim.swimmer import CONTROL_S, Swimmer
 AMPLITUDE = np.array([0.30, 0.45, 0.60])
 LAG = 1.2 * np.arange(3)
 HERTZ = 1.0
+VISCOSITY_M2_S = 5e-5
+"""The same at all sizes, so that only the cells differ: the least that is safe at 2 cm."""
 SECONDS, COUNTED = 10.0, 4.0
 
 
@@ -47,7 +49,9 @@ def main() -> None:
 
 def swim(cell: float, device: str) -> dict[str, float]:
     """Speed along the path over the last seconds, and where the robot went."""
-    swimmer = Swimmer(ROBOT, MODEL, cell_m=cell, device=device, threads=2)
+    swimmer = Swimmer(
+        ROBOT, MODEL, cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S, device=device, threads=2
+    )
     start, path = time.perf_counter(), []
     for k in range(round(SECONDS / CONTROL_S)):
         t = k * CONTROL_S

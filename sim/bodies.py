@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ VIRTUAL_MASS = 0.25
 """Share of the displaced water that is added to both sides of the equations of motion."""
 INSET = 0.35
 """How far, in cells, the surface is set in, as a solid share of half a cell acts like more."""
+THINNEST = 0.5
+"""Smallest half-width in cells: a thinner fin would slip between them."""
 _MARGIN = 3
 _NO_LIMIT = 1e6
 
@@ -86,7 +88,8 @@ class Bodies:
         E, L = fluid.boxes, hull.length.size
         J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
         device = fluid.device
-        water = displaced(hull, units.cell_m, inset * units.cell_m, flat)
+        seen = replace(hull, half_width=np.maximum(hull.half_width, THINNEST * units.cell_m))
+        water = displaced(seen, units.cell_m, inset * units.cell_m, flat)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
         mass, inertia, com = (
@@ -113,7 +116,7 @@ class Bodies:
         ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
         chain.limits = put(np.asarray(ends, dtype=np.float64).reshape(J, 2), wp.vec2d)
         chain.servo = put(rows, wp.float64)
-        active = active_effects(rows.reshape(E * J, -1)).reshape(E, J)
+        active = active_effects(rows.reshape(E * J, len(COLUMNS))).reshape(E, J)
         chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
         chain.widest = wp.float64(hull.half_width.max())
@@ -138,7 +141,7 @@ class Bodies:
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
-        half_width = hull.half_width / units.cell_m - inset
+        half_width = seen.half_width / units.cell_m - inset
         half_height = hull.half_height / units.cell_m - inset
         self._shape = (
             put((hull.length / units.cell_m).astype(np.float32), wp.float32),

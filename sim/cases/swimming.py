@@ -91,7 +91,7 @@ def swim(
     Args:
         gaits: One for each robot.
         cells: Cells a body length.
-        radii: Half-widths at nose, joints and tip in body lengths; at least half a cell each.
+        radii: Half-widths at nose, joints and tip in body lengths.
         reynolds: One or one for each robot.
         inset: How far the surface is set in, in cells.
         cycles: How long.
@@ -100,7 +100,7 @@ def swim(
     """
     cell = 1.0 / cells
     steps = _STEPS * cells
-    r = np.maximum(np.asarray(radii), 0.5 * cell)
+    r = np.asarray(radii)
     half = np.stack([r[:-1], (r[:-1] + r[1:]) / 2, r[1:]], axis=1)
     links = r.size - 1
     hull = Hull(np.full(links, (1 - r[0] - r[-1]) / links), half, half)
