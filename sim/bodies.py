@@ -119,11 +119,12 @@ class Bodies:
         active = active_effects(rows.reshape(E * J, len(COLUMNS))).reshape(E, J)
         chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
+        chain.push = room((E, N), wp.float64)
         chain.widest = wp.float64(hull.half_width.max())
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
-        s.torque, s.impulse, s.measured = (room((E, J), wp.float64) for _ in range(3))
+        s.torque, s.impulse, s.stop, s.measured = (room((E, J), wp.float64) for _ in range(4))
         s.clock = room((E,), wp.float64)
         s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
@@ -208,6 +209,11 @@ class Bodies:
         self.target.assign(
             np.ascontiguousarray(np.broadcast_to(velocities, shape), dtype=np.float64)
         )
+
+    def push(self, force: Array) -> None:
+        """Let outside forces act from now on: N, N, N m and N m at the joints, shape (E, N)."""
+        shape = self.chain.push.shape
+        self.chain.push.assign(np.ascontiguousarray(np.broadcast_to(force, shape), np.float64))
 
     def momentum(self) -> Array:
         """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.

@@ -19,6 +19,7 @@ class Chain:
         servo: Rows of the servo law's parameters, (E, J, columns).
         active: Effects that are on, (E, J).
         memory: Memory of the effects, (E, J, cells).
+        push: Outside forces along the coordinates, (E, N).
         widest: Largest half-width.
     """
 
@@ -30,6 +31,7 @@ class Chain:
     servo: wp.array3d(dtype=wp.float64)
     active: wp.array2d(dtype=wp.int32)
     memory: wp.array3d(dtype=wp.float64)
+    push: wp.array2d(dtype=wp.float64)
     widest: wp.float64
 
 
@@ -45,7 +47,7 @@ class Motion:
         before: Its velocity a step earlier, (E, L).
         force: Force and torque of the fluid on each link in the last step, (E, L).
         torque: Torque of each servo, (E, J).
-        impulse: Impulse of dry friction at each joint in the last step, (E, J).
+        impulse, stop: Impulses of dry friction and of the limit at each joint, (E, J).
         measured: Angle that each joint's sensor shows, (E, J).
         clock: Seconds since the start, (E,).
         sent, arrival: Set-points on their way and when they arrive, (E, J, RING).
@@ -61,6 +63,7 @@ class Motion:
     force: wp.array2d(dtype=wp.vec3d)
     torque: wp.array2d(dtype=wp.float64)
     impulse: wp.array2d(dtype=wp.float64)
+    stop: wp.array2d(dtype=wp.float64)
     measured: wp.array2d(dtype=wp.float64)
     clock: wp.array(dtype=wp.float64)
     sent: wp.array3d(dtype=wp.float64)

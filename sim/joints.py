@@ -14,7 +14,8 @@ from sim2real.servo.law import (
     shaft_inertia,
 )
 
-_SWEEPS = 12
+_SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
+"""Sweeps at most, and the change of a joint's rate in rad/s that ends them."""
 
 
 @wp.func
@@ -98,7 +99,12 @@ def stop_joints(
     for k in range(J):
         response(e, 3 + k, size, s)
         s.impulse[e, k] = wp.float64(0.0)
-    for _ in range(wp.static(_SWEEPS)):
+        s.stop[e, k] = wp.float64(0.0)
+    largest = wp.float64(1.0)
+    sweep = int(0)
+    while sweep < wp.static(_SWEEPS) and largest > wp.static(_SETTLED):
+        largest = wp.float64(0.0)
+        sweep += 1
         for k in range(J):
             v = s.b[e, 3 + k]
             own = s.inverse[e, 3 + k, 3 + k]
@@ -106,9 +112,13 @@ def stop_joints(
             change = wanted - s.impulse[e, k]
             s.impulse[e, k] = wanted
             v += own * change
-            low = (chain.limits[k][0] - s.q[e, 3 + k]) / h
-            high = (chain.limits[k][1] - s.q[e, 3 + k]) / h
-            change += (wp.clamp(v, wp.min(low, wp.max(v, high)), wp.max(high, low)) - v) / own
+            low = wp.min((chain.limits[k][0] - s.q[e, 3 + k]) / h, wp.float64(0.0))
+            high = wp.max((chain.limits[k][1] - s.q[e, 3 + k]) / h, wp.float64(0.0))
+            free = v - own * s.stop[e, k]
+            change -= s.stop[e, k]
+            s.stop[e, k] = (wp.clamp(free, low, high) - free) / own
+            change += s.stop[e, k]
+            largest = wp.max(largest, wp.abs(change) * own)
             for i in range(size):
                 s.b[e, i] += s.inverse[e, 3 + k, i] * change
     return 0

@@ -153,7 +153,7 @@ def advance(
     N = 2 + L
     J = L - 1
     for i in range(N):
-        s.b[e, i] = wp.float64(0.0)
+        s.b[e, i] = h * chain.push[e, i]
         for j in range(i + 1):
             s.A[e, i, j] = wp.float64(0.0)
     unit = grid.mass / grid.scale

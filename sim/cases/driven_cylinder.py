@@ -1,0 +1,93 @@
+"""A free cylinder that a force shakes in still water, at density ratios from 0.5 to 10."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import kv
+
+from sim.bodies import Bodies, Masses
+from sim.cases.case import Case, Curve, Figure
+from sim.fluid import Fluid
+from sim.lattice import D2Q9
+from sim.shape import Hull
+from sim.units import Units
+
+Array = NDArray[np.float64]
+
+RATIOS = (0.5, 0.9, 1.0, 1.1, 2.0, 10.0)
+_VISCOSITY, _PERIOD, _PERIODS = 0.02, 2000, 5
+_SPEED = 0.01
+
+
+def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
+    """Shake a cylinder 32 cells wide (16 if quick) at each ratio, all in one batch."""
+    diameter, ratios = (16, (1.0,)) if quick else (32, RATIOS)
+    side = 10 * diameter
+    speed = shaken(diameter, side, ratios, device=device, threads=threads)
+    exact = np.array([stokes_speed(diameter / 2, ratio) for ratio in ratios])
+    return Case(
+        name="driven_cylinder",
+        title="Free cylinder driven in still water",
+        source="Stokes, Trans. Camb. Phil. Soc. 9 (1851) 8; closed form with Bessel functions",
+        setup=f"D = {diameter} cells, {side} x {side} cells, periodic, viscosity {_VISCOSITY}, "
+        f"{_PERIOD} steps a period, {_PERIODS} periods",
+        figures=tuple(
+            Figure(f"speed at density ratio {ratio:g}, cells a step", ours, theirs, 0.03)
+            for ratio, ours, theirs in zip(ratios, speed, exact, strict=True)
+        ),
+        curves=(
+            Curve(
+                "Speed against density ratio", "density ratio", "speed (cells a step)",
+                np.array(ratios), speed, np.array(ratios), exact,
+            ),
+        ),
+    )  # fmt: skip
+
+
+def force(radius: float) -> float:
+    """Force per depth, in lattice units, that moves water of the cylinder's volume fast enough."""
+    return float(2 * np.pi * radius**2 * _SPEED * 2 * np.pi / _PERIOD)
+
+
+def stokes_speed(radius: float, ratio: float) -> float:
+    """Amplitude of the speed of a cylinder in unbounded fluid, in cells a step.
+
+    The force of the fluid is -i w rho pi a^2 U (1 + 4 K1(la) / (la K0(la))), l^2 = i w / nu.
+    """
+    omega = 2 * np.pi / _PERIOD
+    la = radius * np.sqrt(1j * omega / _VISCOSITY)
+    area = np.pi * radius**2
+    mass = ratio * area + area * (1 + 4 * kv(1, la) / (la * kv(0, la)))
+    return float(abs(force(radius) / (omega * mass)))
+
+
+def shaken(
+    diameter: int, side: int, ratios: Sequence[float], *, device: str, threads: int
+) -> Array:
+    """Amplitude of the speed over the last two periods, one box for each ratio."""
+    radius = diameter / 2
+    fluid = Fluid(
+        D2Q9, (side, side), viscosity=_VISCOSITY, boxes=len(ratios), device=device, threads=threads
+    )
+    hull = Hull(np.zeros(1), np.full((1, 3), radius), np.full((1, 3), radius))
+    mass = np.array(ratios)[:, None] * np.pi * radius**2
+    masses = Masses(mass, mass * radius**2 / 2, np.zeros_like(mass))
+    bodies = Bodies(fluid, hull, masses, Units(1.0, 1.0, 1.0, 1.0))
+    start = np.zeros((len(ratios), 3))
+    start[:, :2] = side / 2 + 0.3  # nowhere special on the grid
+    bodies.place(start)
+    push = np.zeros_like(start)
+    speed: list[Array] = []
+    for step in range(_PERIODS * _PERIOD):
+        push[:, 0] = force(radius) * np.cos(2 * np.pi * (step + 0.5) / _PERIOD)
+        bodies.push(push)
+        bodies.step()
+        if step >= (_PERIODS - 2) * _PERIOD:
+            speed.append(bodies.motion.v.numpy()[:, 0].copy())
+    t = 2 * np.pi * np.arange(len(speed)) / _PERIOD
+    basis = np.stack([np.cos(t), np.sin(t), np.ones_like(t), t], axis=1)
+    fit = np.linalg.lstsq(basis, np.array(speed), rcond=None)[0]
+    return np.asarray(np.hypot(fit[0], fit[1]))

@@ -1,0 +1,23 @@
+"""A three-joint fish and its servos, for tests."""
+
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.robot import Joint, Link, Robot, Servo
+
+SERVO = Servo("lx824", 1.67, 5.24, 0.00419)
+FISH = Robot(
+    "fish",
+    (
+        Link("head", 0.52, 0.20, 0.09, 0.12),
+        Link("middle", 0.26, 0.11, 0.08, 0.11),
+        Link("peduncle", 0.18, 0.10, 0.05, 0.10),
+        Link("tail", 0.14, 0.11, 0.02, 0.12),
+    ),
+    tuple(Joint(f"j{k}", SERVO, (-0.8, 0.8)) for k in (1, 2, 3)),
+)
+
+
+def servos(kp=2.2, kd=0.06, latency=0.068, effects=()):
+    """Three servos of one kind, with (effect, parameters) in each."""
+    fitted = tuple(FittedEffect(name, values) for name, values in effects)
+    joint = JointModel(kp, kd, latency, 0.002, effects=fitted)
+    return Model(joints={one.name: joint for one in FISH.joints})

@@ -1,0 +1,117 @@
+"""The swimmer as its users meet it: a batch of robots, control periods, states, refusals."""
+
+import numpy as np
+import pytest
+from swimming_robots import FISH, servos
+
+from sim.swimmer import CONTROL_S, Swimmer
+from sim2real.errors import InputError
+from sim2real.robot import Link, Robot
+
+BOX = (0.9, 0.9, 0.4)
+
+
+def small(**more):
+    return Swimmer(FISH, more.pop("model", servos()), dimensions=2, cell_m=0.04, box_m=BOX, **more)
+
+
+def beat(swimmer, periods, scale=1.0):
+    for k in range(periods):
+        wave = np.sin(2 * np.pi * 1.5 * CONTROL_S * k - 1.2 * np.arange(3))
+        swimmer.step(scale * np.array([0.3, 0.45, 0.6]) * wave)
+
+
+def test_states_have_a_leading_axis_of_environments():
+    swimmer = small(n_envs=2)
+    beat(swimmer, 10)
+    state = swimmer.state()
+    assert state.pose.shape == state.velocity.shape == (2, 3)
+    assert state.joint.shape == state.rate.shape == state.torque.shape == (2, 3)
+    assert state.force.shape == (2, 4, 3)
+    assert state.time == pytest.approx([10 * CONTROL_S] * 2)
+    assert np.array_equal(state.stopped, [-1, -1])
+    assert np.abs(state.joint).max() > 0.02
+
+
+def test_resetting_one_environment_leaves_the_others_alone():
+    swimmer, other = small(n_envs=2), small(n_envs=2)
+    for one in (swimmer, other):
+        beat(one, 8)
+    swimmer.reset(np.array([True, False]), pose=np.array([0.1, 0.2, 0.3]))
+    state = swimmer.state()
+    assert state.pose[0] == pytest.approx([0.1, 0.2, 0.3])
+    assert np.array_equal(state.joint[0], np.zeros(3))
+    assert np.array_equal(state.pose[1], other.state().pose[1])
+    fresh = small(n_envs=2)
+    fresh.reset(pose=np.array([0.1, 0.2, 0.3]))
+    for one in (swimmer, fresh, other):
+        beat(one, 4)
+    assert np.array_equal(swimmer.state().joint[0], fresh.state().joint[0])
+    assert np.array_equal(swimmer.state().pose[1], other.state().pose[1])
+
+
+def test_each_environment_can_have_its_own_model():
+    swimmer = small(n_envs=2, model=[servos(), servos(latency=0.2)])
+    beat(swimmer, 8)
+    joint = np.abs(swimmer.state().joint)
+    assert joint[0].max() > 1e-3
+    assert joint[1].max() < 1e-6
+
+
+def test_latency_is_what_the_model_says():
+    swimmer = small(model=servos(latency=0.05))
+    moved = []
+    for _ in range(4):
+        swimmer.step(np.full(3, 0.3))
+        moved.append(np.abs(swimmer.state().joint).max())
+    assert max(moved[:2]) < 1e-9 < moved[2]
+
+
+def test_following_goes_where_it_is_told():
+    swimmer = small()
+    swimmer.follow(np.array([0.1, 0.0, -0.1]), np.array([1.0, 0.0, -1.0]))
+    state = swimmer.state()
+    assert state.joint[0] == pytest.approx([0.1, 0.0, -0.1])
+    assert 0.5 < state.rate[0, 0] < 4.5  # the last step of the cubic; evenly it would be 5
+
+
+def test_a_robot_floats():
+    for dimensions in (2, 3):
+        swimmer = Swimmer(FISH, servos(), dimensions=dimensions, cell_m=0.01, box_m=(0.8, 0.8, 0.3))
+        displaced = swimmer.bodies.displaced[:, 0].sum()
+        assert displaced == pytest.approx(sum(link.mass_kg for link in FISH.links), rel=0.25)
+
+
+def test_a_supersonic_cell_stops_its_own_box():
+    swimmer = small(n_envs=2)
+    velocity = np.zeros((2, *swimmer.tank.size, 3))
+    velocity[1, 2, 3, 0, 0] = 0.5
+    swimmer.fluid.set(velocity=velocity)
+    beat(swimmer, 3)
+    state = swimmer.state()
+    assert state.stopped[0] == -1
+    assert state.stopped[1] >= 0
+    assert state.time[0] == pytest.approx(3 * CONTROL_S)
+    assert state.time[1] < CONTROL_S
+
+
+def refused(call, *parts):
+    with pytest.raises(InputError) as caught:
+        call()
+    line = str(caught.value)
+    assert "\n" not in line
+    for part in parts:
+        assert part in line
+
+
+def test_bad_input_is_refused_in_one_line():
+    swimmer = small(n_envs=2)
+    refused(lambda: swimmer.step(np.array([[0, 0, 0], [0, np.nan, 0]])), "environment 1", "finite")
+    refused(lambda: small(device="cuda:7"), "cuda:7", "cpu")
+    refused(lambda: Swimmer(FISH, servos(), box_m=(0.5, 0.5, 0.4)), "shorter than the box")
+    refused(lambda: small(substeps=3), "substeps", "even")
+    short = Link("head", 0.5, 0.02, 0.13, 0.12)
+    stub = Robot("stub", (short, *FISH.links[1:]), FISH.joints)
+    refused(lambda: Swimmer(stub, servos(), box_m=BOX), "overlap")
+    refused(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one a box")
+    refused(lambda: Swimmer(FISH, servos(), cell_m=0.0), "cell_m")
