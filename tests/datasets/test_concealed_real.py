@@ -12,32 +12,42 @@ from sim2real.recording import read_recording
 from sim2real.robot import match_joints, read_robot
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
+MODULES = (
+    "real",
+    "backgrounds",
+    "injections",
+    "interventions",
+    "real_effects",
+    "real_files",
+    "real_outside",
+)
 FEW = ["--null", "3", "--single", "3", "--double", "1", "--outside", "3"]
 
 
 @pytest.fixture(scope="module")
-def real():
-    """The generator; a script, in no package."""
+def code():
+    """The generator's modules by name; they import one another as scripts do."""
     sys.path.insert(0, str(FOLDER))
     try:
-        yield __import__("real")
+        yield {name: __import__(name) for name in MODULES}
     finally:
         sys.path.remove(str(FOLDER))
-        sys.modules.pop("real", None)
+        for name in MODULES:
+            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")
-def logs(real, realdata):
-    groups = real.backgrounds(realdata)
+def logs(code, realdata):
+    groups = code["backgrounds"].backgrounds(realdata)
     return {log.name: log for group in groups.values() for log in group}
 
 
 @pytest.fixture(scope="module")
-def sets(real, realdata, tmp_path_factory):
+def sets(code, realdata, tmp_path_factory):
     """Cases of T2 and T3: their folder and answer."""
     out = tmp_path_factory.mktemp("real")
     paths = [out / "t2", out / "t3"]
-    real.main([*map(str, paths), "--realdata", str(realdata), "--seed", "7"])
+    code["real"].main([*map(str, paths), "--realdata", str(realdata), "--seed", "7"])
     cases = []
     for path in paths:
         answers = json.loads((path / "answers.json").read_text())
@@ -63,10 +73,10 @@ def test_counts(sets):
     assert {a["tier"] for a in third} == {"T3"}
 
 
-def test_the_same_seed_gives_the_same_bytes(real, realdata, tmp_path):
+def test_the_same_seed_gives_the_same_bytes(code, realdata, tmp_path):
     for run in ("first", "again"):
         outs = [str(tmp_path / run / tier) for tier in ("t2", "t3")]
-        real.main([*outs, "--realdata", str(realdata), "--seed", "5", *FEW])
+        code["real"].main([*outs, "--realdata", str(realdata), "--seed", "5", *FEW])
     paths = sorted(p for p in (tmp_path / "first").rglob("*") if p.is_file())
     for path in paths:
         again = tmp_path / "again" / path.relative_to(tmp_path / "first")
@@ -80,9 +90,11 @@ def test_inputs_are_as_the_interface_says(sets):
             match_joints(read_recording(file), robot)
 
 
-def test_no_kind_leaks_through_names_sizes_or_sidecars(real, sets):
-    words = {*real.EFFECTS, *real.OUTSIDERS, "torque_off", "supply", "firmware", "kp", "seed"}
-    words |= {*real.XL330, real.DROP, "null", "trap", "single", "double", "outside"}
+def test_no_kind_leaks_through_names_sizes_or_sidecars(code, sets):
+    logs = code["backgrounds"]
+    words = {*code["real_effects"].EFFECTS, *code["real_outside"].OUTSIDERS}
+    words |= {"torque_off", "supply", "firmware", "kp", "seed", *logs.XL330, logs.DROP}
+    words |= {"null", "trap", "single", "double", "outside"}
     for path, answer in sum(sets, []):
         for file in (path / "inputs" / answer["case"]).iterdir():
             text = file.read_text()
@@ -99,14 +111,24 @@ def test_no_kind_leaks_through_names_sizes_or_sidecars(real, sets):
     assert all(len(rows) == 1 for rows in kinds.values())
 
 
-def test_references_and_nulls_are_untouched(real, sets, logs):
+def test_every_file_of_the_generator_is_hashed(code):
+    assert {f"{name}.py" for name in MODULES} == set(code["real_files"].GENERATOR)
+    with_it = [Path(sys.modules[name].__file__).read_text() for name in MODULES]
+    local = {path.stem for path in FOLDER.glob("*.py")}
+    used = set(re.findall(r"^(?:from|import) (\w+)", "\n".join(with_it), re.M)) & local
+    assert used <= set(MODULES)
+
+
+def test_references_and_nulls_are_untouched(code, sets, logs):
     for path, answer in sets[0]:
         for name, file in files(path, answer).items():
             if name.startswith("ref") or answer["kind"] == "null":
-                assert file.read_text() == real.table(logs[answer["background"][name]])
+                assert file.read_text() == code["real_files"].table(
+                    logs[answer["background"][name]]
+                )
 
 
-def test_what_is_hidden_is_there_and_only_in_its_windows(real, sets, logs):
+def test_what_is_hidden_is_there_and_only_in_its_windows(code, sets, logs):
     for path, answer in sets[0]:
         for name, file in files(path, answer).items():
             if name.startswith("ref") or answer["kind"] in ("null", "trap"):
@@ -134,12 +156,12 @@ def test_what_is_hidden_is_there_and_only_in_its_windows(real, sets, logs):
                     assert (when[0], when[-1]) == (start, stop)
 
 
-def test_truth_is_exact(real, logs):
+def test_truth_is_exact(code, logs):
     log, rng = logs["xl330_kp800_sin_time_square"], np.random.default_rng(0)
     t, command, angle = log.t, log.command[:, 0], log.position[:, 0]
 
     def put(name, p):
-        return real.EFFECTS[name].put(log, 0, p, rng)
+        return code["real_effects"].EFFECTS[name].put(log, 0, p, rng)
 
     assert np.abs(put("sensor_gain", {"gain": 1.1}).position[:, 0] - 1.1 * angle).max() < 1e-12
     coarse = put("encoder_quantization", {"step_rad": 5 * log.step}).position[:, 0]
