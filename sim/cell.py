@@ -2,7 +2,7 @@
 
 import warp as wp
 
-FLUID, SOLID, MOVING, SLIP, OUTLET = range(5)
+FLUID, SOLID, MOVING, SLIP, OUTLET, INLET = range(6)
 """What a cell is. Walls are cells too; a wall lies half-way between it and the fluid."""
 KIND, BODY, EDGE = 7, 64, 128
 """Bits of a cell's flag: its kind; covered by a body; at the edge of its box, where cells wrap."""

@@ -10,12 +10,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.cell import EDGE, FLUID, KIND, MOVING, OUTLET, SLIP, Box
+from sim.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box
 from sim.kernels import kernels
 from sim.lattice import Lattice
 from sim.populations import STORAGE
-from sim.walls import wall_kernels
+from sim.walls import let_out, wall_kernels
 from sim2real.errors import InputError
+from sim2real.warp_start import start_warp
 
 Array = NDArray[np.float32]
 CS2 = 1 / 3
@@ -64,11 +65,11 @@ class Fluid:
             size: Cells of one box (nx, ny) or (nx, ny, nz), walls included.
             viscosity: Kinematic viscosity, one or one for each box.
             boxes: How many.
-            walls: What each cell is (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``OUTLET``), shape
-                ``size``; all fluid where None.
-            normals: For free-slip cells and outlets the direction out of the fluid: 0 to 5 for +x,
-                -x, +y, -y, +z, -z; shape ``size``.
-            wall_velocity: Velocity of moving cells, shape (*size, 3).
+            walls: What each cell is (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``INLET``,
+                ``OUTLET``), shape ``size``; all fluid where None.
+            normals: For free-slip cells, inlets and outlets the direction out of the fluid: 0 to 5
+                for +x, -x, +y, -y, +z, -z; shape ``size``.
+            wall_velocity: Velocity of moving cells and inlets, shape (*size, 3).
             magic: Product of the two relaxation times less a half; 3/16 puts a straight no-slip
                 wall exactly half-way between cells.
             smagorinsky: Constant of the sub-grid viscosity; 0 for none.
@@ -92,7 +93,7 @@ class Fluid:
             found = f"{boxes * self.cells} cells in {boxes} boxes"
             raise InputError("fluid", "size", found, f"under {most} in one batch")
         self.kernels = kernels(lattice, storage, self.device.is_cuda)
-        self._walls, self._outlets = wall_kernels(lattice, storage)
+        self._walls, self._openings = wall_kernels(lattice, storage)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.total = self.cells, boxes * self.cells
@@ -128,8 +129,9 @@ class Fluid:
             edge[[0, -1]] |= EDGE
         flat = flatten(flags)
         self.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
-        active = np.flatnonzero(np.isin(flat & KIND, (MOVING, SLIP, OUTLET))).astype(np.int32)
-        self.fluid_cells = int(np.count_nonzero((flat & KIND) == FLUID))
+        kind = flat & KIND
+        active = np.flatnonzero(np.isin(kind, (MOVING, SLIP, INLET, OUTLET))).astype(np.int32)
+        self.fluid_cells = int(np.count_nonzero(kind == FLUID))
         normal = np.zeros(active.size, dtype=np.int32)
         if normals is not None:
             normal = flatten(normals.reshape(self.size))[active].astype(np.int32)
@@ -138,14 +140,16 @@ class Fluid:
             moving = flatten(velocity.reshape(*self.size, 3))[active]
         self.listed, self.normal = self._put(active, wp.int32), self._put(normal, wp.int32)
         self.wall_velocity = self._put(moving, wp.vec3)
-        inside = np.full(active.size, -1, dtype=np.int32)
-        for k in np.flatnonzero((flat[active] & KIND) == OUTLET):
-            sign = -1 if normal[k] % 2 == 0 else 1
-            inside[k] = (
-                active[k] + sign * (1, self.size[0], self.size[0] * self.size[1])[normal[k] // 2]
-            )
-        self._has_outlet = bool(np.any(inside >= 0))
-        self.inside = self._put(inside, wp.int32)
+        stride = np.array([1, self.size[0], self.size[0] * self.size[1]])[normal // 2]
+        before = active + np.where(normal % 2 == 0, -stride, stride)
+        openings = np.isin(kind[active], (INLET, OUTLET))
+        self._has_openings = bool(np.any(openings))
+        self._inside = self._put(np.where(openings, before, -1).astype(np.int32), wp.int32)
+        room, device = (self.boxes, active.size), self.device
+        self._through: Any = wp.zeros(room, dtype=wp.vec4, device=device)
+        self._outlets = int(np.count_nonzero(kind == OUTLET))
+        self._excess: Any = wp.zeros(self.boxes, dtype=wp.float32, device=device)
+        self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=device)
 
     def accelerate(self, acceleration: NDArray[Any]) -> None:
         """Let a body force act on all fluid from now on: shape (E, 3) or (3,), a step squared."""
@@ -159,20 +163,16 @@ class Fluid:
             self.collide_and_stream()
 
     def collide_and_stream(self) -> None:
-        """One step: walls, then all cells."""
+        """One step: openings, walls, then all cells."""
+        if self._has_openings:
+            self._flow_through()
         if self.listed.shape[0]:
-            if self._has_outlet:
-                self._launch(
-                    self._outlets,
-                    self.listed.shape[0],
-                    [self.f, self.flags, self.box, self.t, self.inside, self.wall_velocity],
-                )
             self._launch(
                 self._walls,
                 (self.boxes, self.listed.shape[0]),
                 [
                     self.f, self.flags, self.box, self.t, self.listed, self.normal,
-                    self.wall_velocity,
+                    self.wall_velocity, self._through, self._excess,
                 ],
             )  # fmt: skip
         total = self.boxes * self.cells
@@ -182,6 +182,18 @@ class Fluid:
             edges = np.linspace(0, total, self.threads + 1).astype(int)
             list(self._pool.map(self._collide, edges[:-1], np.diff(edges)))
         self.t = 1 - self.t
+
+    def _flow_through(self) -> None:
+        self._launch(
+            self._openings,
+            (self.boxes, self.listed.shape[0]),
+            [
+                self.f, self.flags, self.box, self.t, self.listed, self.normal, self._inside,
+                self.wall_velocity, self._through, self._net,
+            ],
+        )  # fmt: skip
+        outlets = float(max(self._outlets, 1))
+        self._launch(let_out, self.boxes, [self._net, outlets, self._excess])
 
     def _collide(self, first: int, count: int) -> None:
         self._launch(
@@ -261,7 +273,7 @@ def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     Raises:
         InputError: If there is none.
     """
-    wp.config.log_level = wp.LOG_ERROR
+    start_warp()
     try:
         return wp.get_device(name)
     except Exception:

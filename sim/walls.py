@@ -1,9 +1,14 @@
 """What walls do to the populations that arrive in them, before these turn back.
 
 A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285); a free-slip wall exchanges
-its cells' populations along the wall, so that they leave as from a mirror; an outlet at density 1
-turns them round by anti-bounce-back (Ginzburg et al., Commun. Comput. Phys. 3 (2008) 427). A wall
-at rest needs nothing.
+its cells' populations along the wall, so that they leave as from a mirror. A wall at rest needs
+nothing.
+
+Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet that of its
+own velocity and the density of the cell before it, an outlet that of the velocity of the cell
+before it and a density of 1 plus what flows out beyond what flows in, over the speed of sound. That
+is the density of a plane wave on its way out (Poinsot and Lele, J. Comput. Phys. 101 (1992) 104):
+between an inlet and a fixed density sound would stay, and a vortex street plays that organ pipe.
 """
 
 from dataclasses import dataclass
@@ -13,9 +18,11 @@ from typing import Any
 
 import warp as wp
 
-from sim.cell import KIND, MOVING, SLIP, Box, neighbour
+from sim.cell import INLET, KIND, MOVING, SLIP, Box, neighbour
 from sim.lattice import Lattice
 from sim.populations import populations
+
+_FIXED_POINT = float(2**32)
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ def _triple(x: list[int]) -> tuple[int, int, int]:
 
 @cache
 def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
-    """Kernels for walls, and for outlets' velocities."""
+    """Kernels for walls, and for what flows through inlets and outlets."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     made = populations(lattice, storage)
     Stored, Vector = made.Stored, made.Vector
@@ -71,6 +78,8 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
         listed: wp.array(dtype=wp.int32),
         normal: wp.array(dtype=wp.int32),
         velocity: wp.array(dtype=wp.vec3),
+        through: wp.array2d(dtype=wp.vec4),
+        excess: wp.array(dtype=wp.float32),
     ):
         """Wall cell k of box e; ``listed`` are the cells, counted in one box."""
         e, k = wp.tid()
@@ -116,6 +125,13 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
                         f[at_one] = held
             return
         u = velocity[k]
+        rest = float(0.0)
+        if kind != wp.static(MOVING):
+            sent = through[e, k]
+            u = wp.vec3(sent[0], sent[1], sent[2])
+            rest = sent[3]
+            if kind != wp.static(INLET):
+                rest = excess[e]
         j = neighbours(n, flag, box)
         p = load(f, n, j, t, box.total)
         out = Vector()
@@ -128,31 +144,54 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
             )
             a = p[2 * d + 1]
             b = p[2 * d + 2]
+            odd = wp.static(3.0 * w[2 * d + 1]) * cu
             if kind == wp.static(MOVING):
-                kick = wp.static(6.0 * w[2 * d + 1]) * cu
-                out[2 * d + 1] = b + kick
-                out[2 * d + 2] = a - kick
+                out[2 * d + 1] = b + 2.0 * odd
+                out[2 * d + 2] = a - 2.0 * odd
             else:
-                even = wp.static(2.0 * w[2 * d + 1]) * (4.5 * cu * cu - 1.5 * wp.dot(u, u))
-                out[2 * d + 1] = even - b
-                out[2 * d + 2] = even - a
+                bend = (1.0 + rest) * (4.5 * cu * cu - 1.5 * wp.dot(u, u))
+                even = wp.static(w[2 * d + 1]) * (rest + bend)
+                out[2 * d + 1] = even + (1.0 + rest) * odd
+                out[2 * d + 2] = even - (1.0 + rest) * odd
         store(f, n, j, t, box.total, out)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def outlets(
+    def openings(
         f: Stored,
         flags: wp.array(dtype=wp.uint8),
         box: Box,
         t: int,
+        listed: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=wp.int32),
         inside: wp.array(dtype=wp.int32),
         velocity: wp.array(dtype=wp.vec3),
+        through: wp.array2d(dtype=wp.vec4),
+        sums: wp.array(dtype=wp.int64),
     ):
-        """Give outlet cells the velocity of the fluid cell before them, that of the first box."""
-        k = wp.tid()
-        n = inside[k]
-        if n < 0:
-            return
-        m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
-        velocity[k] = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+        """Velocity at opening k of box e, and the density less 1 where that is an inlet.
 
-    return walls, outlets
+        ``inside`` are the fluid cells before the openings, negative where wall cell k is none;
+        ``sums`` gather what flows out less what flows in, as integers, whose order does not matter.
+        """
+        e, k = wp.tid()
+        if inside[k] < 0:
+            return
+        n = e * box.cells + inside[k]
+        m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
+        u = velocity[k]
+        if (int(flags[e * box.cells + listed[k]]) & wp.static(KIND)) != wp.static(INLET):
+            u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+        out = u[normal[k] // 2] * float(1 - 2 * (normal[k] % 2))
+        wp.atomic_add(sums, e, wp.int64(wp.float64(out) * wp.float64(wp.static(_FIXED_POINT))))
+        through[e, k] = wp.vec4(u[0], u[1], u[2], m[0])
+
+    return walls, openings
+
+
+@wp.kernel(enable_backward=False)
+def let_out(sums: wp.array(dtype=wp.int64), outlets: float, excess: wp.array(dtype=wp.float32)):
+    """Density less 1 at the ``outlets`` cells of box e's outlets."""
+    e = wp.tid()
+    net = wp.float64(sums[e]) / wp.float64(wp.static(_FIXED_POINT))
+    sums[e] = wp.int64(0)
+    excess[e] = wp.static(3.0**0.5) * float(net) / outlets

@@ -111,6 +111,26 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
 
 
+def _simulate(command: argparse.ArgumentParser) -> None:
+    command.add_argument("model", type=Path, metavar="MODEL", help="MODEL.json")
+    command.add_argument("commands", type=Path, metavar="COMMANDS", help="CSV: t_s, J.command_rad")
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="CSV", help="recording to write"
+    )
+    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
+    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
+    command.add_argument("--dimensions", type=int, choices=(2, 3), default=3)
+    command.add_argument("--walls", action="store_true", help="a closed box, not one that follows")
+
+
+def _validate(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
+    command.add_argument("--quick", action="store_true", help="seconds, with looser bars")
+    command.add_argument("--only", nargs="+", default=(), metavar="CASE")
+    command.add_argument("--out", type=Path, default=Path("reports/validation.html"))
+
+
 def _import(command: argparse.ArgumentParser) -> None:
     command.add_argument("source", type=Path, help="a log (.json), or a ROS 1 or 2 bag")
     command.add_argument(
@@ -161,6 +181,20 @@ _COMMANDS: tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None], str,
         _diagnose,
         "say which physics the fitted servos leave out, model it and show the fit improve",
         "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
+    ),
+    (
+        "simulate",
+        "sim.commands.simulate",
+        _simulate,
+        "swim a recording's commands in the lattice-Boltzmann pool",
+        "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
+    ),
+    (
+        "validate",
+        "sim.commands.validate",
+        _validate,
+        "run the published cases that the fluid is measured against",
+        "sim2real validate --only cavity --out reports/validation.html",
     ),
     (
         "import",

@@ -1,0 +1,25 @@
+"""A gentle start: a stream that sets in at once rings for long in a box with walls."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.fluid import Fluid
+
+
+class Ramp:
+    """Brings a fluid's inlets and moving walls from rest to their velocity, along a cosine."""
+
+    def __init__(self, fluid: Fluid, steps: int) -> None:
+        """Stop the walls of ``fluid``; they have their velocity after ``steps`` steps."""
+        self._fluid, self._steps = fluid, steps
+        self._velocity: Any = fluid.wall_velocity.numpy().copy()
+        self.at(0)
+
+    def at(self, step: int) -> None:
+        """Set the velocity that the walls have at this step; cheap once the ramp is over."""
+        if step <= self._steps:
+            share = 0.5 - 0.5 * np.cos(np.pi * step / self._steps)
+            self._fluid.wall_velocity.assign((share * self._velocity).astype(np.float32))

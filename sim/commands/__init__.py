@@ -1,0 +1,1 @@
+"""Commands that swim; ``sim2real.cli`` imports them when they run."""

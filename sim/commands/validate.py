@@ -1,0 +1,65 @@
+"""``sim2real validate``: the published cases, our figures beside theirs."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import pkgutil
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import sim.cases
+from sim.cases.case import Case, Figure
+from sim.fluid import find_device
+from sim.report import cases_section
+from sim2real.errors import InputError
+from sim2real.output import check_writable, provenance, write_json
+from sim2real.report.page import write_page
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the cases, print a line for each figure, write a page and its numbers."""
+    page = check_writable(options.out)
+    device = str(find_device(options.device))
+    done: list[tuple[Case, float]] = []
+    missed = 0
+    for name in chosen(options.only):
+        start = time.perf_counter()
+        case = importlib.import_module(f"sim.cases.{name}").run(device=device, quick=options.quick)
+        done.append((case, time.perf_counter() - start))
+        print(f"{case.title} ({done[-1][1]:.0f} s): {case.setup}", flush=True)
+        for figure in case.figures:
+            print("  " + line(figure), flush=True)
+            missed += not figure.met
+    content = [asdict(case) | {"seconds": seconds} for case, seconds in done]
+    for case in content:
+        del case["curves"]
+    write_json(page.with_suffix(".json"), {"device": device, "cases": content})
+    lead = f"{sum(len(c.figures) for c, _ in done)} figures on {device}, {missed} bars missed"
+    write_page(page, "Validation", lead, [cases_section(*one) for one in done], provenance([], 0))
+    print(f"\n{lead}\nreport: {page}")
+    return 1 if missed else 0
+
+
+def chosen(only: Sequence[str]) -> list[str]:
+    """Names of the cases to run.
+
+    Raises:
+        InputError: If there is no such case.
+    """
+    names = sorted(m.name for m in pkgutil.iter_modules(sim.cases.__path__) if m.name != "case")
+    names = [name for name in names if hasattr(importlib.import_module(f"sim.cases.{name}"), "run")]
+    for name in only:
+        if name not in names:
+            raise InputError("validate", "--only", name, f"one of {', '.join(names)}")
+    return [name for name in names if name in only or not only]
+
+
+def line(figure: Figure) -> str:
+    """One figure in one line."""
+    said = f"{figure.quantity}: {figure.ours:.5g}, reference {figure.reference:.5g}"
+    said += f", error {100 * figure.error:.2f} %"
+    if figure.bar is None:
+        return said
+    return f"{said}, bar {100 * figure.bar:g} %: {'met' if figure.met else 'MISSED'}"

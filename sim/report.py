@@ -1,0 +1,57 @@
+"""A validation case as a section of a page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim.cases.case import Case, Curve
+from sim2real.report.page import Block, Figure, Section, Table, Text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+
+def cases_section(case: Case, seconds: float) -> Section:
+    """What was reached beside what is published, and the curves."""
+    rows = [
+        (
+            figure.quantity,
+            f"{figure.ours:.5g}",
+            f"{figure.reference:.5g}",
+            f"{100 * figure.error:.2f} %",
+            "" if figure.bar is None else f"{100 * figure.bar:g} %",
+            "" if figure.bar is None else "met" if figure.met else "MISSED",
+        )
+        for figure in case.figures
+    ]
+    header = ("", "ours", "published", "error", "bar", "")
+    blocks: list[Block] = [Table(header, rows, caption=f"Source: {case.source}.")]
+    blocks += [Figure(_svg(curve), caption=curve.title) for curve in case.curves]
+    blocks.append(Text(f"{case.setup}; {seconds:.0f} s."))
+    met = sum(figure.met for figure in case.figures)
+    return Section(case.title, f"{met} of {len(case.figures)} figures within their bars.", blocks)
+
+
+def _svg(curve: Curve) -> str:
+    from sim2real.report.drawing import svg
+
+    return svg(_drawn(curve))
+
+
+def _drawn(curve: Curve) -> Drawing:
+    from sim2real.report.style import ACCENT, INK, house_style, new_figure
+
+    with house_style():
+        figure = new_figure(260, curve.title)
+        axes = figure.subplots()
+        style = "o-" if curve.x.size < 40 else "-"
+        axes.plot(curve.x, curve.y, style, color=INK, markersize=4, label="ours")
+        if curve.reference_x.size:
+            axes.plot(
+                curve.reference_x, curve.reference_y, "o", color=ACCENT, markersize=5,
+                fillstyle="none", label="published",
+            )  # fmt: skip
+            axes.legend(frameon=False)
+        axes.set_xlabel(curve.x_label)
+        axes.set_ylabel(curve.y_label)
+    return figure
