@@ -295,7 +295,7 @@ class Swimmer:
     def state(self) -> State:
         """Where the robots are and how they move."""
         s = self.bodies.motion
-        q, v = s.q.numpy(), s.v.numpy()
+        q, v = _copied(s.q), _copied(s.v)
         c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
         surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
         return State(
@@ -303,11 +303,16 @@ class Swimmer:
             velocity=np.stack([surge, sway, v[:, 2]], axis=1),
             joint=q[:, 3:],
             rate=v[:, 3:],
-            torque=s.torque.numpy(),
-            force=s.force.numpy(),
-            time=s.clock.numpy(),
-            stopped=self.fluid.stopped.numpy(),
+            torque=_copied(s.torque),
+            force=_copied(s.force),
+            time=_copied(s.clock),
+            stopped=_copied(self.fluid.stopped),
         )
+
+
+def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
+    """What a Warp array holds now: on a CPU ``numpy`` alone would go on changing."""
+    return np.array(array.numpy())
 
 
 def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:

@@ -30,6 +30,9 @@ def test_states_have_a_leading_axis_of_environments():
     assert state.force.shape == (2, 4, 3)
     assert state.time == pytest.approx([10 * CONTROL_S] * 2)
     assert np.array_equal(state.stopped, [-1, -1])
+    before = state.pose.copy()
+    beat(swimmer, 1)
+    assert np.array_equal(state.pose, before)  # a state is of its moment
     assert np.abs(state.joint).max() > 0.02
 
 

@@ -1,0 +1,103 @@
+"""``simulate`` and ``validate`` as their users run them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sim2real.cli import main
+from sim2real.model import JointModel, Model, write_model
+from sim2real.recording import read_recording
+
+ROBOT = """name = "fish"
+[[links]]
+name = "head"
+mass_kg = 0.6
+length_m = 0.25
+width_m = 0.10
+height_m = 0.12
+[[links]]
+name = "tail"
+mass_kg = {mass}
+length_m = 0.25
+width_m = 0.04
+height_m = 0.10
+[[joints]]
+name = "j1"
+servo = "s"
+limits_rad = [-0.8, 0.8]
+[servos.s]
+max_torque_Nm = 1.6
+no_load_speed_rad_s = 5.0
+position_step_rad = 0.004
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Robot, model and commands of half a second; a function that runs ``simulate`` on them."""
+    (tmp_path / "robot.toml").write_text(ROBOT.format(mass=0.4))
+    write_model(Model(joints={"j1": JointModel(2.0, 0.06, 0.04, 0.002)}), tmp_path / "model.json")
+    t = 0.02 * np.arange(26)
+    rows = [f"{x:.2f},{0.5 * np.sin(9 * x):.4f}" for x in t]
+    (tmp_path / "wave.csv").write_text("\n".join(["t_s,j1.command_rad", *rows]) + "\n")
+
+    def run(*more):
+        return main(
+            ["simulate", str(tmp_path / "model.json"), str(tmp_path / "wave.csv"),
+             "--robot", str(tmp_path / "robot.toml"), "--out", str(tmp_path / "swim.csv"),
+             "--dimensions", "2", "--cell-m", "0.04", *more]
+        )  # fmt: skip
+
+    run.folder = tmp_path
+    return run
+
+
+def test_commands_are_swum_into_a_pool_recording(files):
+    assert files() == 0
+    swim = read_recording(files.folder / "swim.csv")
+    assert swim.kind == "pool"
+    assert swim.t.size == 26
+    assert np.abs(swim.position[:3]).max() < 1e-6 < 0.05 < np.abs(swim.position).max()
+    assert set(swim.columns) == {"body.x_m", "body.y_m", "body.yaw_rad"}
+    assert np.ptp(swim.columns["body.yaw_rad"]) > 0.01
+
+
+def refused(capsys, status, *parts):
+    line = capsys.readouterr().err
+    assert status == 2
+    assert line.count("\n") == 1
+    for part in parts:
+        assert part in line
+
+
+def test_what_cannot_swim_is_refused_in_one_line(files, capsys):
+    refused(capsys, files("--device", "cuda:9"), "cuda:9")
+    refused(capsys, files("--cell-m", "0"), "cell_m")
+    wave, robot = files.folder / "wave.csv", files.folder / "robot.toml"
+    whole = wave.read_text()
+    wave.write_text(
+        whole.replace("0.10,", "0.10,nan #", 1).replace("nan #0", "nan").replace("#", "")
+    )
+    refused(capsys, files(), "wave.csv", "row")
+    wave.write_text(whole.replace("j1.", "j9."))
+    refused(capsys, files(), "j1.command_rad")
+    wave.write_text(whole)
+    robot.write_text(ROBOT.format(mass=0))
+    refused(capsys, files(), "mass_kg")
+    robot.write_text(ROBOT.format(mass=0.4).replace("length_m = 0.25", "length_m = 2.5"))
+    refused(capsys, files(), "shorter than the box")
+    assert not (files.folder / "swim.csv").exists()
+
+
+def test_validate_prints_its_figures_and_writes_a_page(tmp_path, capsys):
+    page = tmp_path / "validation.html"
+    assert main(["validate", "--quick", "--only", "taylor_green", "--out", str(page)]) == 0
+    printed = capsys.readouterr().out
+    assert "order of convergence" in printed
+    assert "met" in printed
+    assert "<svg" in page.read_text() or "order of convergence" in page.read_text()
+    case = json.loads(page.with_suffix(".json").read_text())["cases"][0]
+    assert case["name"] == "taylor_green"
+    assert main(["validate", "--only", "magic", "--out", str(page)]) == 2
+    assert "magic" in capsys.readouterr().err
