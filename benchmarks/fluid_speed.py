@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from sim.fluid import Fluid, find_device
-from sim.lattice import D2Q9, D3Q19
+from sim.lattice import D2Q9, D3Q19, Lattice
 from sim.swimmer import Swimmer
 from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -62,26 +62,17 @@ def main() -> None:
 
     copy = copied(device, 2**20 if options.tiny else (2**28 if device.is_cuda else 2**26))
     note(what="copy", GB_s=copy / 1e9)
-    for lattice, side in (
-        (D3Q19, 384 if device.is_cuda else 128),
-        (D2Q9, 8192 if device.is_cuda else 1024),
-    ):
-        side = 32 if options.tiny else side
+    for lattice, size in empty_boxes(device.is_cuda, options.tiny):
         for storage in ("float32", "float16"):
             for threads in (1,) if device.is_cuda else (1, options.threads):
-                size = (side,) * lattice.dimensions
                 fluid = Fluid(
-                    lattice,
-                    size,
-                    viscosity=0.01,
-                    storage=storage,
-                    device=str(device),
+                    lattice, size, viscosity=0.01, storage=storage, device=str(device),
                     threads=threads,
-                )
+                )  # fmt: skip
                 rate = fluid.cells * paced(device, partial(graph_steps, fluid), 10)
-                used = rate * 2 * lattice.Q * BYTES[storage]
-                note(what="empty", lattice=lattice.name, storage=storage, threads=threads,
-                     MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
+                used = rate * traffic(lattice, storage)
+                note(what="empty", lattice=lattice.name, size=size, storage=storage,
+                     threads=threads, MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
     for cell, boxes in batches(device.is_cuda, options.tiny):
         for storage in ("float32", "float16") if device.is_cuda else ("float32",):
             for E in boxes:
@@ -90,6 +81,20 @@ def main() -> None:
         note(**swimming(0.02, 1, "float32", "cpu", options.threads, copy, dimensions=2))
     if options.out:
         options.out.write_text(json.dumps({"device": device.name, "rows": rows}, indent=1))
+
+
+def traffic(lattice: Lattice, storage: str) -> int:
+    """Bytes that one update of one cell reads and writes: its populations and its flag."""
+    return 2 * lattice.Q * BYTES[storage] + 1
+
+
+def empty_boxes(cuda: bool, tiny: bool) -> list[tuple[Lattice, tuple[int, ...]]]:
+    """Lattices, and cells of a box for each."""
+    if tiny:
+        return [(D3Q19, (32, 32, 32)), (D2Q9, (32, 32))]
+    if not cuda:
+        return [(D3Q19, (128, 128, 128)), (D2Q9, (1024, 1024))]
+    return [(D3Q19, (384, 384, 384)), (D3Q19, (1024, 256, 256)), (D2Q9, (8192, 4096))]
 
 
 def batches(cuda: bool, tiny: bool) -> list[tuple[float, tuple[int, ...]]]:
@@ -146,7 +151,7 @@ def swimming(
     return {
         "what": "swimming", "lattice": lattice.name, "cell_m": cell, "boxes": E, "storage": storage,
         "cells": swimmer.fluid.cells, "substeps": swimmer.substeps, "control_steps_s": E * rate,
-        "MLUPS": updates / 1e6, "share_of_copy": updates * 2 * lattice.Q * BYTES[storage] / copy,
+        "MLUPS": updates / 1e6, "share_of_copy": updates * traffic(lattice, storage) / copy,
         "MB_per_box": swimmer.fluid.cells * memory / 1e6,
         "stopped": int((swimmer.state().stopped >= 0).sum()), "seconds": 0.02 * state["k"],
     }  # fmt: skip
