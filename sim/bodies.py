@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ VIRTUAL_MASS = 0.25
 INSET = 0.35
 """How far, in cells, the surface is set in, as a solid share of half a cell acts like more."""
 THINNEST = 0.5
-"""Smallest half-width in cells: a thinner fin would slip between them."""
+"""Smallest half-width and half-height in cells: a thinner fin would slip between them."""
 _MARGIN = 3
 _NO_LIMIT = 1e6
 
@@ -88,7 +88,10 @@ class Bodies:
         E, L = fluid.boxes, hull.length.size
         J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
         device = fluid.device
-        seen = replace(hull, half_width=np.maximum(hull.half_width, THINNEST * units.cell_m))
+        least = THINNEST * units.cell_m
+        seen = Hull(
+            hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
+        )
         water = displaced(seen, units.cell_m, inset * units.cell_m, flat)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
@@ -143,7 +146,7 @@ class Bodies:
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
         half_width = seen.half_width / units.cell_m - inset
-        half_height = hull.half_height / units.cell_m - inset
+        half_height = seen.half_height / units.cell_m - inset
         self._shape = (
             put((hull.length / units.cell_m).astype(np.float32), wp.float32),
             put(half_width.astype(np.float32), wp.vec3),
@@ -151,7 +154,7 @@ class Bodies:
         )
         reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
         self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
-        tall = int(np.ceil(hull.half_height.max() / units.cell_m)) + 1
+        tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
         nz = fluid.size[2]
         self._middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
         self._low = 0 if flat else max(0, int(self._middle) - tall)
