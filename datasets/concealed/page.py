@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bars import BARS, done, set_name, value
 from grade import NULLS, SURE, Row, detectable, share, summarize
 
 from sim2real.output import provenance
@@ -22,42 +23,6 @@ from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_fi
 
 STRENGTHS = np.geomspace(0.1, 3.0, 8)
 RATIOS = np.array([1.0, 3.0, 10.0, 30.0, 1e2, 3e2, 1e3, 1e4, 1e5])
-ONE_CASE = -1.0
-"""Stands for a bar of at most one case."""
-
-BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
-    ("An effect named at 0.9 where nothing is missing", "false_alarm", "≤", (0.01, 0.02, ONE_CASE)),
-    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90)),
-    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85)),
-    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None)),
-    ("Right component", "component", "≥", (0.98, 0.95, 0.90)),
-    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE)),
-    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None)),
-    ("Says unlisted of physics outside the catalogue", "outside_abstains", "≥", (0.90, 0.85, None)),
-    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75)),
-    ("Recoverable held-out error removed, median", "recovered_median", "≥", (0.95, 0.90, None)),
-    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25)),
-    ("Over 1 % worse held out where nothing is missing", "harm", "≤", (0.01, 0.01, None)),
-    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None)),
-)
-"""What is measured, and the bars of the three tiers; None is only reported."""
-ALSO = (
-    ("Nulls with any verdict but consistent", "nulls_flagged"),
-    ("Noticed, the undetectable too", "detection_all"),
-    ("First group right, the undetectable too", "group_first_all"),
-    ("First name in the oracle's group", "first_in_oracle_group"),
-    ("Mean size of the first group", "group_size"),
-    ("Brier score", "brier"),
-    ("Outside: a name at 0.9", "outside_confident_wrong"),
-    ("Recoverable error removed, tenth percentile", "recovered_p10"),
-    ("The same without jitter and loss", "recovered_p10_but_chance"),
-    ("Mean held-out change where nothing is missing", "harm_mean"),
-    ("Two effects, the undetectable too: both named", "doubles_both_all"),
-    ("Two effects: F1", "doubles_f1"),
-    ("Parameters of exact names: median relative error", "parameter_error_median"),
-    ("90 % intervals that hold the truth", "parameter_covered"),
-)
-IN_FULL = ("window_iou", "recovered_median", "recovered_p10", "recovered_p10_but_chance")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -69,12 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     found, rivals = ([json.loads(p.read_text()) for p in some] for some in
                      (options.results, options.rivals))  # fmt: skip
-    sections = [_done(found)]
+    sections = [done(found)]
     for one in found:
         for tier in one["tiers"]:
             rows = [row for row in one["cases"] if row["tier"] == tier]
-            label = tier if len(found) == 1 else f"{tier}, {one['set']}"
-            sections += _of_tier(label, one["tiers"][tier], rows)
+            sections += _of_tier(set_name(one, tier), one["tiers"][tier], rows)
     if rivals:
         sections.append(_rivals(found, rivals))
     sections += [_failures(found), _hashes(found)]
@@ -85,59 +49,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sections,
         provenance([*options.results, *options.rivals], None),
     )
-
-
-def _done(found: list[Row]) -> Section:
-    blocks: list[Block] = []
-    met = missed = 0
-    for one in found:
-        for tier, results in one["tiers"].items():
-            rows = [_bar_row(*bar, tier, results["metrics"]) for bar in BARS]
-            met += sum(row[3] == "met" for row in rows)
-            missed += sum(row[3] == "MISSED" for row in rows)
-            cases = ", ".join(f"{n} {kind}" for kind, n in results["counts"].items())
-            caption = f"{tier}, {one['set']}: {cases.replace('_', ' ')}. "
-            caption += "Intervals are 95 %; of shares by Clopper and Pearson."
-            blocks.append(Table(("", "bar", "measured", ""), rows, caption))
-            also = [(label, _value(results["metrics"][name], name)) for label, name in ALSO]
-            blocks.append(Table(("also measured", ""), also))
-    lead = f"{met} of {met + missed} bars are met" + (f", {missed} missed." if missed else ".")
-    return Section("Done when", lead, blocks)
-
-
-def _bar_row(
-    label: str, name: str, relation: str, bars: tuple[float | None, ...], tier: str, metrics: Row
-) -> tuple[str, str, str, str]:
-    number = ["T1", "T2", "T3"].index(tier) if tier in ("T1", "T2", "T3") else 0
-    bar, metric = bars[number], metrics[name]
-    measured = _value(metric, name)
-    if bar is None or metric.get("value") is None:
-        return label, "report" if bar is None else _bar_text(name, relation, bar), measured, ""
-    value = metric["count"] if bar == ONE_CASE else metric["value"]
-    limit = 1 if bar == ONE_CASE else bar
-    good = value <= limit if relation == "≤" else value >= limit
-    return label, _bar_text(name, relation, bar), measured, "met" if good else "MISSED"
-
-
-def _bar_text(name: str, relation: str, bar: float) -> str:
-    if bar == ONE_CASE:
-        return "≤ 1 case"
-    decimal = name in IN_FULL or name == "ece"
-    return f"{relation} {bar:.2f}" if decimal else f"{relation} {100 * bar:.0f} %"
-
-
-def _value(metric: Row, name: str = "") -> str:
-    """A metric as a cell: its value, and below it interval and counts."""
-    if metric.get("value") is None:
-        return "not measured"
-    counted = "count" in metric
-    percent = counted or name in ("heldout_drop_median", "harm_mean", "parameter_error_median")
-    factor, digits, unit = (100, 1, " %") if percent else (1, 3, "")
-    ends = metric.get("interval")
-    text = f"{factor * metric['value']:.{digits}f}{unit}\n"
-    if ends:
-        text += f"{factor * ends[0]:.{digits}f} to {factor * ends[1]:.{digits}f}{unit}, "
-    return text + (f"{metric['count']} of {metric['of']}" if counted else f"n = {metric['of']}")
 
 
 def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
@@ -162,23 +73,28 @@ def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
             "(detectable single effects and physics outside the catalogue).",
         )
     ]
-    power = Figure(
-        _power_figure(single),
-        "Single effects. Left against strength, 1 being nominal; right against the log-likelihood "
-        "ratio that one who knows all would see: noticed (grey), first group right (black), first "
-        "name right (red). Intervals are 95 %.",
-    )
-    ladder = Figure(
-        _ladder_figure(single),
-        "Detectable single effects, one column each: error on the recording that nobody was given, "
-        "in units of its noise. Grey the plain servo, red with what was named; 1 is the floor.",
-    )
-    return [
+    sections = [
         Section(f"Names: {label}", "Which effect was named first.", naming),
         Section(f"Probabilities: {label}", "Whether they mean what they say.", sure),
-        Section(f"Power: {label}", "How small an effect is found.", [power]),
-        Section(f"Held out: {label}", "Whether naming it helps on another motion.", [ladder]),
     ]
+    if any(row["llr"] is not None for row in single):
+        power = Figure(
+            _power_figure(single),
+            "Single effects. Left against strength, 1 being nominal; right against the "
+            "log-likelihood ratio that one who knows all would see: noticed (grey), first group "
+            "right (black), first name right (red). Intervals are 95 %.",
+        )
+        sections.append(Section(f"Power: {label}", "How small an effect is found.", [power]))
+    if any((row["heldout"] or {}).get("floor") for row in single):
+        ladder = Figure(
+            _ladder_figure(single),
+            "Detectable single effects, one column each: error on the recording that nobody was "
+            "given, in units of its noise. Grey the plain servo, red with what was named; 1 is the "
+            "floor.",
+        )
+        lead = "Whether naming it helps on another motion."
+        sections.append(Section(f"Held out: {label}", lead, [ladder]))
+    return sections
 
 
 def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
@@ -348,11 +264,11 @@ def _rivals(found: list[Row], rivals: list[Row]) -> Section:
         columns.append(summarize(rows)["metrics"])
     lines = []
     for label, name in labels:
-        cells = [_value(metrics[name], name) for metrics in columns]
+        cells = [value(metrics[name], name) for metrics in columns]
         short = [cell.rpartition(",")[0] or cell.partition("\n")[0] for cell in cells]
         lines.append([label, *("–" if cell == "not measured" else cell for cell in short)])
     lead = "What a user would do today, on the same recordings, graded by the same script."
-    caption = f"{len(answered)} cases. Small: 95 % intervals."
+    caption = f"{len(answered)} cases of {rivals[0]['set']}. Small: 95 % intervals."
     return Section("Baselines", lead, [Table(header, lines, caption)])
 
 

@@ -15,7 +15,17 @@ from sim2real.servo.predict import predict
 from sim2real.servo.trace import Trace
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
-MODULES = ("grade", "page", "rivals")
+MODULES = (
+    "grade",
+    "bars",
+    "page",
+    "rivals",
+    "rival_case",
+    "rival_bic",
+    "rival_torque",
+    "rival_sindy",
+    "rival_gp",
+)
 LOADS = {joint: Load(0.002, 0.1, 0.1) for joint in ("j1", "j2", "j3")}
 NOISE = {"step_rad": 0.0, "white_rad": 0.001, "wander_rad": 0.0, "wander_s": 1.0}
 FRICTION = ("coulomb_friction", "j2", {"torque_Nm": 0.05})
@@ -312,8 +322,8 @@ def test_rivals_march_adds_a_torque_to_the_plain_motion(code):
     plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
     plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
     wanted = Commands(t, {"j1": command}, LOADS)
-    case = code["rivals"].Case({"j1": [trace]}, {"j1": plain}, wanted)
-    drag = code["rivals"]._predicted(case, lambda state: -0.04 * state.v)["j1"]
+    case = code["rival_case"].Case({"j1": [trace]}, {"j1": plain}, wanted)
+    drag = code["rival_torque"].predicted(case, lambda state: -0.04 * state.v)["j1"]
     heavier = replace(case.model.joints["j1"], kd_Nms_per_rad=0.12)
     exact = predict(Model({"j1": heavier}), t, wanted.by_joint, LOADS)["j1"]
     free = predict(case.model, t, wanted.by_joint, LOADS)["j1"]
@@ -329,8 +339,43 @@ def test_rivals_lacking_torque_is_that_of_the_hidden_effect(code):
     trace = Trace("a", "a.csv", t, command["j2"], position, LOADS["j2"], np.ones(t.size, bool))
     plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
     plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
-    state, lacking = code["rivals"]._lacking([trace], plain)
+    state, lacking = code["rival_torque"].lacking_torque([trace], plain)
     np.testing.assert_allclose(lacking, -0.1 * np.sin(state.q), atol=0.01)
+
+
+def test_rivals_say_nothing_of_what_the_references_show_too(code):
+    Case, Said = code["rival_case"].Case, code["rival_case"].Said
+    both, news = entry("backlash", "j1", 1.0), entry("deadband", "j1", 1.0)
+    wanted = Commands(np.zeros(2), {}, {})
+    before = Case({}, {}, wanted)
+    method = {id(before): Said((both,), servos())}.get
+
+    def say(case):
+        return method(id(case), Said((both, news), servos()))
+
+    said = code["rivals"].news(Case({}, {}, wanted, before), say)
+    assert [one["effect"] for one in said.effects] == ["deadband"]
+    assert len(code["rivals"].news(Case({}, {}, wanted), say).effects) == 2
+
+
+def test_bars_side_by_side(code):
+    grade, bars = code["grade"], code["bars"]
+    metrics = grade.summarize([])["metrics"]
+    third = metrics | {
+        "false_alarm": grade.share([True] + [False] * 7),
+        "heldout_drop_median": {"value": 0.4, "of": 9, "interval": [-0.1, 0.6]},
+    }
+    sets = [("T1", metrics), ("T3", third)]
+    found = [
+        {"set": name, "tiers": {name: {"counts": {"null": 8}, "metrics": each}}}
+        for name, each in sets
+    ]
+    section = bars.done(found)
+    assert section.lead == "1 of 2 bars are met, 1 missed."
+    rows = {row[0]: row[1:] for row in section.blocks[0].rows}
+    assert rows["An effect named at 0.9 where nothing is missing"][1].startswith("met, 12.5 %\n")
+    assert rows["Held-out error removed, median"][1].startswith("MISSED, 40.0 %\n")
+    assert rows["Detectable physics noticed"][0] == "–\nbar ≥ 98 %; not measured"
 
 
 def test_curves_and_page(code, challenge, tmp_path):

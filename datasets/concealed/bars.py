@@ -1,0 +1,131 @@
+"""What was to be reached in each tier, and what was."""
+
+from __future__ import annotations
+
+from grade import Row
+
+from sim2real.report.page import Section, Table
+
+ONE_CASE = -1.0
+"""Stands for a bar of at most one case."""
+
+BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
+    ("An effect named at 0.9 where nothing is missing", "false_alarm", "≤", (0.01, 0.02, ONE_CASE)),
+    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90)),
+    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85)),
+    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None)),
+    ("Right component", "component", "≥", (0.98, 0.95, 0.90)),
+    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE)),
+    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None)),
+    ("Says unlisted of physics outside the catalogue", "outside_abstains", "≥", (0.90, 0.85, None)),
+    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75)),
+    ("Recoverable held-out error removed, median", "recovered_median", "≥", (0.95, 0.90, None)),
+    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25)),
+    ("Over 1 % worse held out where nothing is missing", "harm", "≤", (0.01, 0.01, None)),
+    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None)),
+)
+"""What is measured, and the bars of the three tiers; None is only reported."""
+ALSO = (
+    ("Nulls with any verdict but consistent", "nulls_flagged"),
+    ("Noticed, the undetectable too", "detection_all"),
+    ("First group right, the undetectable too", "group_first_all"),
+    ("First name in the oracle's group", "first_in_oracle_group"),
+    ("Mean size of the first group", "group_size"),
+    ("Brier score", "brier"),
+    ("Outside: a name at 0.9", "outside_confident_wrong"),
+    ("Recoverable error removed, tenth percentile", "recovered_p10"),
+    ("The same without jitter and loss", "recovered_p10_but_chance"),
+    ("Mean held-out change where nothing is missing", "harm_mean"),
+    ("Two effects, the undetectable too: both named", "doubles_both_all"),
+    ("Two effects: F1", "doubles_f1"),
+    ("Parameters of exact names: median relative error", "parameter_error_median"),
+    ("90 % intervals that hold the truth", "parameter_covered"),
+)
+IN_FULL = ("window_iou", "recovered_median", "recovered_p10", "recovered_p10_but_chance")
+TIERS = {
+    "T1": "simulated",
+    "T2": "put into real recordings",
+    "T3": "really changed",
+}
+
+
+def done(found: list[Row]) -> Section:
+    """All sets side by side, a row a measure."""
+    header, columns, captions = [""], [], []
+    for one in found:
+        for tier, results in one["tiers"].items():
+            header.append(f"{set_name(one, tier)}\n{TIERS.get(tier, tier)}")
+            columns.append((tier, results["metrics"]))
+            cases = ", ".join(f"{n} {kind}" for kind, n in results["counts"].items())
+            captions.append(f"{set_name(one, tier)}: {cases.replace('_', ' ')}.")
+    rows = [
+        (bar[0], *(_against(*bar[1:], tier, metrics) for tier, metrics in columns)) for bar in BARS
+    ]
+    also = [
+        (label, *(_plain(metrics[name], name) for _, metrics in columns)) for label, name in ALSO
+    ]
+    cells = [cell.partition("\n")[0] for row in rows for cell in row[1:]]
+    met, missed = (sum(cell.startswith(start) for cell in cells) for start in ("met", "MISSED"))
+    lead = f"{met} of {met + missed} bars are met" + (f", {missed} missed." if missed else ".")
+    every = [h.partition("\n")[0] for h, (_, m) in zip(header[1:], columns, strict=True)
+             if m["nulls_flagged"]["value"] == 1]  # fmt: skip
+    if every:
+        captions.append(
+            f"In {' and '.join(every)} all nulls were flagged, too: noticing means little."
+        )
+    captions.append("Intervals are 95 %; of shares by Clopper and Pearson.")
+    tables = [Table(header, rows, " ".join(captions)), Table(["Also measured", *header[1:]], also)]
+    return Section("Done when", lead, tables)
+
+
+def set_name(one: Row, tier: str) -> str:
+    """As the page calls the cases of a tier in a set."""
+    name = str(one["set"]).replace("_", " ")
+    return name if name.startswith(tier) else f"{tier}, {name}"
+
+
+def _against(
+    name: str, relation: str, bars: tuple[float | None, ...], tier: str, metrics: Row
+) -> str:
+    """A cell: what was measured and whether that is enough; below it bar, interval and counts."""
+    bar, metric = bars[list(TIERS).index(tier) if tier in TIERS else 0], metrics[name]
+    first, _, below = value(metric, name).partition("\n")
+    if metric.get("value") is None:
+        return "–" if bar is None else f"–\nbar {_bar_text(name, relation, bar)}; {first}"
+    if bar is None:
+        return f"{first}\nno bar; {below}"
+    verdict = "met" if _reached(name, relation, bar, metric) else "MISSED"
+    return f"{verdict}, {first}\nbar {_bar_text(name, relation, bar)}; {below}"
+
+
+def _plain(metric: Row, name: str) -> str:
+    return "–" if metric.get("value") is None else value(metric, name)
+
+
+def _reached(name: str, relation: str, bar: float, metric: Row) -> bool:
+    if bar == ONE_CASE:
+        return bool(metric["count"] <= 1)
+    if name == "heldout_drop_median" and not metric["interval"][0] > 0:
+        return False  # the interval must exclude 0, too
+    return bool(metric["value"] <= bar if relation == "≤" else metric["value"] >= bar)
+
+
+def _bar_text(name: str, relation: str, bar: float) -> str:
+    if bar == ONE_CASE:
+        return "≤ 1 case"
+    decimal = name in IN_FULL or name == "ece"
+    return f"{relation} {bar:.2f}" if decimal else f"{relation} {100 * bar:.0f} %"
+
+
+def value(metric: Row, name: str = "") -> str:
+    """A metric as a cell: its value, and below it interval and counts."""
+    if metric.get("value") is None:
+        return "not measured"
+    counted = "count" in metric
+    percent = counted or name in ("heldout_drop_median", "harm_mean", "parameter_error_median")
+    factor, digits, unit = (100, 1, " %") if percent else (1, 3, "")
+    ends = metric.get("interval")
+    text = f"{factor * metric['value']:.{digits}f}{unit}\n"
+    if ends:
+        text += f"{factor * ends[0]:.{digits}f} to {factor * ends[1]:.{digits}f}{unit}, "
+    return text + (f"{metric['count']} of {metric['of']}" if counted else f"n = {metric['of']}")
