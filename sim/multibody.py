@@ -235,15 +235,41 @@ def advance(
     s.clock[e] = s.clock[e] + h
 
 
+@wp.func
+def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
+    """Centre of the links' water, ``ahead`` seconds on at the links' velocities."""
+    at = wp.vec2d()
+    total = wp.float64(0.0)
+    for k in range(chain.length.shape[0]):
+        x = s.link[e, k] + ahead * s.twist[e, k]
+        at += chain.water[e, k][0] * wp.vec2d(x[0], x[1])
+        total += chain.water[e, k][0]
+    return at / total
+
+
 @wp.kernel(enable_backward=False)
-def move(chain: Chain, s: Motion, grid: OnGrid, stopped: wp.array(dtype=wp.int32)):
-    """Carry the coordinates on by one step, once the fluid has answered."""
+def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dtype=wp.int32)):
+    """Carry the coordinates on by one step, once the fluid has answered.
+
+    The links turn about one another, so their centre leaves the line of its velocity by the square
+    of the step, always to the same side: a flap alone would carry the robot along. The head is put
+    where the centre moves as its velocity says.
+    """
     e = wp.tid()
     if stopped[e] >= 0:
         return
+    free = mode != wp.static(HELD) and chain.water[e, 0][0] > wp.float64(0.0)
+    wanted = wp.vec2d()
+    if free:
+        wanted = middle(e, grid.step, chain, s)
     for i in range(s.q.shape[1]):
         s.q[e, i] = s.q[e, i] + grid.step * s.v[e, i]
     pose_links(e, chain, s)
+    if free:
+        off = wanted - middle(e, wp.float64(0.0), chain, s)
+        s.q[e, 0] = s.q[e, 0] + off[0]
+        s.q[e, 1] = s.q[e, 1] + off[1]
+        pose_links(e, chain, s)
     for k in range(s.q.shape[1] - 3):
         if (chain.active[e, k] & wp.static(SENSOR_BITS)) != 0:
             s.measured[e, k] = measured_angle(

@@ -96,7 +96,8 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
     """
     fine = cell / 6
     widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell
-    x = np.arange(-hull.length.sum() - widest, widest, fine)
+    count = 2 * round((hull.length.sum() / 2 + widest) / fine)  # a symmetric body gets equal halves
+    x = (np.arange(count) + 0.5 - count / 2) * fine - hull.length.sum() / 2
     y = np.arange(fine / 2, widest, fine)
     z = np.array([0.0]) if flat else np.arange(fine / 2, highest, fine)
     front = -np.concatenate([[0.0], np.cumsum(hull.length)[:-1]])

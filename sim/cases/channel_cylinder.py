@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import HELD, Bodies, Masses
+from sim.bodies import HELD, Bodies, Masses, inset_at
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.ramp import Ramp
 from sim.cell import INLET, OUTLET, SOLID
@@ -72,10 +72,11 @@ def hold(
 ) -> Held:
     """Hold the cylinder in the stream for so many diameters over the mean speed."""
     walls, normals, velocity = channel(diameter)
+    viscosity = _MEAN * diameter / reynolds
     fluid = Fluid(
         D2Q9,
         walls.shape,
-        viscosity=_MEAN * diameter / reynolds,
+        viscosity=viscosity,
         walls=walls,
         normals=normals,
         wall_velocity=velocity,
@@ -84,7 +85,8 @@ def hold(
     )
     radius = np.full((1, 3), diameter / 2)
     still = Masses(np.ones(1), np.ones(1), np.zeros(1))
-    cylinder = Bodies(fluid, Hull(np.zeros(1), radius, radius), still, Units(1.0, 1.0, 1.0, 1.0))
+    disc, units = Hull(np.zeros(1), radius, radius), Units(1.0, 1.0, 1.0, 1.0)
+    cylinder = Bodies(fluid, disc, still, units, inset=inset_at(viscosity))
     x, y = (c * diameter + 0.5 for c in CENTRE)
     cylinder.place(np.array([[x, y, 0.0]]))
     ramp = Ramp(fluid, round(_RAMP * diameter / _MEAN))

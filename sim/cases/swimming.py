@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,17 @@ _BOX = 80 / 13
 _STEPS = 52
 _SMAGORINSKY = 0.1
 _CYCLES, _COUNTED = 7, 3
+
+
+class Bending(Protocol):
+    """How a robot bends as time goes on, and where it looks at the start."""
+
+    @property
+    def heading(self) -> float:
+        """In rad."""
+
+    def joints(self, t: float) -> Array:
+        """Joint angles in rad at t cycles."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +87,15 @@ class Swum:
 
 
 def swim(
-    gaits: Sequence[Gait],
+    gaits: Sequence[Bending],
     cells: int,
     *,
-    radii: Sequence[float] = RADII,
+    radii: Sequence[float] | Array = RADII,
     reynolds: float | Array = REYNOLDS,
     inset: float = INSET,
+    smagorinsky: float = _SMAGORINSKY,
+    box: tuple[float, float] = (_BOX, _BOX),
+    steps: int | None = None,
     cycles: int = _CYCLES,
     device: str = "cpu",
     threads: int = 2,
@@ -94,24 +108,27 @@ def swim(
         radii: Half-widths at nose, joints and tip in body lengths.
         reynolds: One or one for each robot.
         inset: How far the surface is set in, in cells.
+        smagorinsky: Constant of the sub-grid viscosity.
+        box: Sides of a box in body lengths.
+        steps: Of a cycle; ``_STEPS`` for each cell where None.
         cycles: How long.
         device: Warp device.
         threads: CPU threads.
     """
     cell = 1.0 / cells
-    steps = _STEPS * cells
+    steps = _STEPS * cells if steps is None else steps
     r = np.asarray(radii)
     half = np.stack([r[:-1], (r[:-1] + r[1:]) / 2, r[1:]], axis=1)
     links = r.size - 1
     hull = Hull(np.full(links, (1 - r[0] - r[-1]) / links), half, half)
     units = Units(cell, 1.0 / steps, 1.0, 1000.0)
-    side = round(_BOX * cells)
+    size = round(box[0] * cells), round(box[1] * cells)
     fluid = Fluid(
         D2Q9,
-        (side, side),
+        size,
         boxes=len(gaits),
         viscosity=units.viscosity_lu(1.0) / np.asarray(reynolds),
-        smagorinsky=_SMAGORINSKY,
+        smagorinsky=smagorinsky,
         device=device,
         threads=threads,
     )
@@ -119,8 +136,10 @@ def swim(
     masses = Masses(1000 * true[:, 0], 1000 * true[:, 2], true[:, 1])
     bodies = Bodies(fluid, hull, masses, units, inset=inset)
     start = np.zeros((len(gaits), 2 + links))
-    start[:, :2] = side // 2 * cell  # a cell's middle, about which the grid is its mirror image
     start[:, 2] = [gait.heading for gait in gaits]
+    ahead = hull.length.sum() / 2 - true[0, 1]
+    for axis, side in enumerate(size):  # the middle between cells: the grid is its mirror image
+        start[:, axis] = (side // 2 - 0.5) * cell + ahead * np.cos(start[:, 2] - axis * np.pi / 2)
     start[:, 3:] = [gait.joints(0.0) for gait in gaits]
     bodies.place(start)
     path = [start[:, :3]]

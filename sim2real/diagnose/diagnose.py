@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.alike import Progress, sampled_alike
 from sim2real.diagnose.extras import Extras, extras
 from sim2real.diagnose.heldout import Unseen, held_out
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.naming import NAMED, fitted_effects, gathered, named_effects, rivals
+from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.result import Diagnosis, Ladder, Mismatch, NamedEffect, Verdict
 from sim2real.diagnose.rounding import coarse_step
 from sim2real.diagnose.search import Hypothesis, joined
@@ -76,7 +78,8 @@ def diagnose(
         InputError: If the recordings and the robot do not agree, or no joint moves.
     """
     case = Case(recordings, robot, model)
-    return diagnose_all([case], seed=seed, thorough=True, progress=progress)[0]
+    (found,) = diagnose_all([case], seed=seed, thorough=True, progress=until_then(progress))
+    return predicting(found, recordings, seed, progress)
 
 
 def diagnose_all(
@@ -97,6 +100,17 @@ def diagnose_all(
             and what the figures show as well.
         progress: Called with the share that is done.
     """
+    found: dict[int, Diagnosis] = {}
+    for group, step in sampled_alike([case.recordings for case in cases], progress):
+        some = _together([cases[k] for k in group], seed, device, step, thorough=thorough)
+        found |= dict(zip(group, some, strict=True))
+    return [found[k] for k in range(len(cases))]
+
+
+def _together(
+    cases: Sequence[Case], seed: int, device: str, progress: Progress, *, thorough: bool
+) -> list[Diagnosis]:
+    """Diagnose robots that were sampled alike."""
     rng = np.random.default_rng(seed)
     prepared = [_prepared(case) for case in cases]
     everyone = [joint for joints in prepared for joint in joints]
@@ -120,7 +134,6 @@ def diagnose_all(
         residual_angles(batch, joined([h.fit for h in some])) for some in (plain, rich)
     )
     ordinary = minimise(batch, joined([h.fit for h in plain]).servos, iterations=10, white=True)
-    simple = list(ordinary.servos.theta)
     unseen_plain = held_out(data, [h.fit.servos for h in plain], device=device)
     progress(0.85)
     unseen_rich = held_out(data, [h.fit.servos for h in rich], white=False, device=device)
@@ -133,7 +146,7 @@ def diagnose_all(
             [rich[j] for j in robot],
             [before[j] for j in robot],
             [after[j] for j in robot],
-            [simple[j] for j in robot],
+            [ordinary.servos.theta[j] for j in robot],
             [unseen_plain[j] for j in robot],
             [unseen_rich[j] for j in robot],
         )

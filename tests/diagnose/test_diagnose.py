@@ -1,12 +1,14 @@
 """From recordings to a diagnosis: dry friction by its name, nothing where nothing is missing."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, recording
 from strange import position_damping, strange
 
+from sim2real.diagnose.alike import sampled_alike
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
@@ -176,6 +178,28 @@ def test_robots_together_equal_one_at_a_time(rubbing, clean):
     assert names == [(e.effect, e.component) for e in rubbing.effects]
     estimates = (d.effects[0].parameters["torque_Nm"].mean for d in (found, rubbing))
     assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
+
+
+def test_robots_sampled_alike_share_a_batch():
+    fast, slow = two(), [thinned(one, 5) for one in two()]
+    done = []
+    groups = list(sampled_alike([fast, slow, fast], done.append))
+    assert [group for group, _ in groups] == [[0, 2], [1]]
+    for _, step in groups:
+        step(1.0)
+    assert done == pytest.approx([2 / 3, 1.0])
+
+
+def test_robots_sampled_otherwise_do_not_change_what_is_said(rubbing):
+    coarse = [thinned(one, 5) for one in two(**FRICTION)]
+    _, found = diagnose_all([Case(coarse, robot("j1")), Case(two(**FRICTION), robot("j1"))])
+    assert found.effects == rubbing.effects
+
+
+def thinned(one, factor):
+    """Every so manyeth sample."""
+    rows = np.s_[::factor]
+    return replace(one, t=one.t[rows], command=one.command[rows], position=one.position[rows])
 
 
 def beside(first, second):

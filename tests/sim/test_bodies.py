@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sim.bodies import HELD, KINEMATIC, Bodies, Masses
-from sim.cases import driven_cylinder
-from sim.cases.swimming import Gait, swim
+from sim.cases import driven_cylinder, hard_commands, momentum
+from sim.cases.swimming import SYMMETRIC, Gait, swim
 from sim.fluid import Fluid
 from sim.lattice import D2Q9, D3Q19
 from sim.shape import Hull, displaced
@@ -16,15 +16,15 @@ LENGTH = 26.0
 """Body length in cells; units are those of the lattice."""
 
 
-def fish(fluid, *, servo=(), limits=None, **more):
+def fish(fluid, *, radii=(0.085, 0.115, 0.06, 0.025, 0.02), servo=(), limits=None, **more):
     """Four links at density ratio 1, straight, in the middle of each box."""
-    r = np.array([0.085, 0.115, 0.06, 0.025, 0.02]) * LENGTH
+    r = np.array(radii) * LENGTH
     half = np.stack([r[:-1], (r[:-1] + r[1:]) / 2, r[1:]], axis=1)
     hull = Hull(np.full(4, (LENGTH - r[0] - r[-1]) / 4), half, half)
     true = displaced(hull, 1.0, 0.0, True)
-    rows = np.zeros((3, len(COLUMNS)))
+    rows = np.zeros((fluid.boxes, 3, len(COLUMNS)))
     for name, value in servo:
-        rows[:, COLUMNS.index(name)] = value
+        rows[:, :, COLUMNS.index(name)] = np.reshape(value, (-1, 1))
     masses = Masses(true[:, 0], true[:, 2], true[:, 1])
     units = Units(1.0, 1.0, 1.0, 1.0)
     bodies = Bodies(fluid, hull, masses, units, servos=rows, limits=limits, **more)
@@ -50,21 +50,16 @@ STIFF = (("kp_Nm_per_rad", 4.0), ("kd_Nms_per_rad", 400.0))
 
 
 def test_momentum_of_body_and_water_is_conserved():
-    fluid = water(160)
-    bodies = fish(fluid, servo=STIFF)
-    send(bodies, [0.4, -0.5, 0.6])
-    x, y = np.meshgrid(np.arange(160.0), np.arange(160.0), indexing="ij")
-    impulse = 0.0
-    for _ in range(200):
-        bodies.step()
-        impulse += np.abs(bodies.motion.force.numpy()[..., :2]).sum()
-    rho, u = (field[0, :, :, 0].astype(np.float64) for field in fluid.moments())
-    m = rho[..., None] * u
-    held = np.array([m[..., 0].sum(), m[..., 1].sum(), (x * m[..., 1] - y * m[..., 0]).sum()])
-    left = (held + bodies.momentum()[0]) / impulse
-    assert np.abs(bodies.motion.q.numpy()[0, 3:]).max() > 0.1
-    assert np.abs(left[:2]).max() < 1e-6
-    assert np.abs(left[2]) < 1e-5 * LENGTH
+    for figure in momentum.run(quick=True).figures:
+        assert figure.met, figure
+
+
+def test_servos_pay_for_all_motion():
+    found = hard_commands.shake(1.0, 3, np.random.default_rng(1))
+    lost = found.work - found.kinetic
+    assert np.all(found.stopped == -1)
+    assert np.all(lost > 0) and np.all(found.kinetic[-1] > 1e-3)
+    assert np.all(np.diff(lost, axis=0) > -1e-3 * found.work[-1])
 
 
 def test_a_driven_cylinder_moves_as_stokes_says():
@@ -86,6 +81,7 @@ def test_a_disc_and_a_ball_displace_what_they_should(lattice):
 def test_the_sums_over_a_body_are_those_of_what_it_displaces():
     fluid = water()
     bodies = fish(fluid)
+    bodies.place(bodies.motion.q.numpy() + [0.3, 0.2, 0.4, 0, 0, 0])  # nowhere special on the grid
     bodies.prescribe(np.zeros(6))
     bodies.step(HELD)
     flags = fluid.flags.numpy() & 64
@@ -155,10 +151,18 @@ def test_dry_friction_stops_a_joint_short():
 
 
 def test_boxes_of_a_batch_are_as_if_alone():
-    viscosity, angles = np.array([0.01, 0.05]), np.array([[0.3, 0.3, 0.3], [-0.2, 0.1, 0.4]])
-    together = fish(Fluid(D2Q9, (64, 64), viscosity=viscosity, boxes=2), servo=STIFF)
+    viscosity, gains = np.array([0.01, 0.05]), np.array([4.0, 2.0])
+    angles = np.array([[0.3, 0.3, 0.3], [-0.2, 0.1, 0.4]])
+
+    def damped(kp):
+        return (("kp_Nm_per_rad", kp), ("kd_Nms_per_rad", 400.0))
+
+    together = fish(Fluid(D2Q9, (64, 64), viscosity=viscosity, boxes=2), servo=damped(gains))
+    alone = [
+        fish(Fluid(D2Q9, (64, 64), viscosity=v), servo=damped(kp))
+        for v, kp in zip(viscosity, gains, strict=True)
+    ]
     send(together, angles)
-    alone = [fish(Fluid(D2Q9, (64, 64), viscosity=v), servo=STIFF) for v in viscosity]
     for one, angle in zip(alone, angles, strict=True):
         send(one, angle)
     for bodies in (together, *alone):
@@ -169,18 +173,51 @@ def test_boxes_of_a_batch_are_as_if_alone():
     assert not np.array_equal(both[0, 3:], both[1, 3:])
 
 
+def two_ways(headings, sides):
+    """How two robots move whose joints turn alike, or as mirror images: shape (2, 3)."""
+    bodies = fish(water(boxes=2))
+    start = bodies.motion.q.numpy().copy()
+    start[:, 2] = headings
+    bodies.place(start)
+    rates = np.zeros_like(start)
+    for step in range(240):
+        bend = np.array([0.001, -0.002, 0.003]) * np.cos(0.01 * step)
+        rates[:, 3:] = np.outer(sides, bend)
+        bodies.prescribe(rates)
+        bodies.step(KINEMATIC)
+    return (bodies.motion.q.numpy() - start)[:, :3]
+
+
 def test_the_mirror_image_swims_the_mirrored_way():
-    here, there = Gait(turn=0.1), Gait(turn=0.1, side=-1.0)
-    path = swim([here, there], 20, cycles=2).path
-    assert np.abs(path[-1, 0] - path[0, 0]).max() > 0.05
-    assert path[-1, 1, 0] == pytest.approx(path[-1, 0, 0], abs=0.01)
-    offset = path[0, 0, 1]
-    assert path[-1, 1, 1] - offset == pytest.approx(offset - path[-1, 0, 1], abs=0.01)
-    assert path[-1, 1, 2] == pytest.approx(-path[-1, 0, 2], abs=0.02)
+    moved, mirrored = two_ways([0.0, 0.0], [1, -1])
+    assert np.abs(moved).min() > 0.005
+    assert mirrored == pytest.approx(moved * [1, -1, -1], abs=1e-3 * np.abs(moved).max())
+
+
+def test_the_rotated_robot_swims_the_rotated_way():
+    (x, y, turned), rotated = two_ways([0.3, 0.3 + np.pi / 2], [1, 1])
+    assert rotated == pytest.approx([-y, x, turned], abs=1e-3 * np.hypot(x, y))
 
 
 def test_a_wave_swims_head_first_and_its_reverse_hardly():
-    swum = swim([Gait(), Gait(wave=-1.0), Gait(wave=0.0, amplitude=(0.6, 0.6, 0.6))], 26, cycles=4)
-    forward, reverse, _ = swum.advance()
+    more = {"box": (4.0, 3.0), "steps": 600, "cycles": 4}
+    forward, reverse = swim([Gait(), Gait(wave=-1.0)], 26, **more).advance()
     assert forward > 0.08
     assert reverse < forward / 2
+
+
+def test_a_flap_without_a_wave_drives_a_symmetric_body_nowhere():
+    bodies = fish(water(120), radii=SYMMETRIC)
+    start = bodies.motion.q.numpy().copy()
+    centre = 59.5  # half-way between cells, so that the grid is symmetric about it
+    start[:, :2] = centre
+    start[:, 0] += 2 * bodies.hull.length[0] - bodies.chain.com.numpy()[0, 0]
+    bodies.place(start)
+    for step in range(600):
+        rate = 0.6 * 2 * np.pi / 300 * np.cos(2 * np.pi * (step + 0.5) / 300)
+        bodies.prescribe([0, 0, 0, rate, rate, rate])
+        bodies.step(KINEMATIC)
+    link = bodies.motion.link.numpy()[0]
+    assert np.ptp(link[:, 1] - centre) < 0.1
+    assert abs(link[:, 0].mean() - centre) < 5e-3
+    assert abs(link[:, 2].mean()) < 1e-3

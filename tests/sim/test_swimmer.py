@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
+from sim.shape import displaced
 from sim.swimmer import CONTROL_S, Swimmer
+from sim.units import WATER_KG_M3
 from sim2real.errors import InputError
 from sim2real.robot import Link, Robot
 
@@ -81,8 +83,12 @@ def test_following_goes_where_it_is_told():
 def test_a_robot_floats():
     for dimensions in (2, 3):
         swimmer = Swimmer(FISH, servos(), dimensions=dimensions, cell_m=0.01, box_m=(0.8, 0.8, 0.3))
-        displaced = swimmer.bodies.displaced[:, 0].sum()
-        assert displaced == pytest.approx(sum(link.mass_kg for link in FISH.links), rel=0.25)
+        volume = displaced(swimmer.hull, 0.005, 0.0, dimensions == 2)[:, 0].sum()
+        volume *= swimmer.units.depth_m if dimensions == 2 else 1.0
+        mass = sum(link.mass_kg for link in FISH.links)
+        assert WATER_KG_M3 * volume == pytest.approx(mass, rel=0.05)
+        set_in = swimmer.bodies.displaced[:, 0].sum()
+        assert 0.6 * mass < set_in < mass
 
 
 def test_a_robot_thinner_than_the_cells_still_swims():
