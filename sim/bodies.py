@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim.chain import RING, Chain, Motion, OnGrid
 from sim.coupling import FIXED_POINT, SUMS, cover_kernel
+from sim.effects import OFF, Outside
 from sim.fluid import Fluid
 from sim.multibody import FREE, HELD, KINEMATIC, advance, move, start
 from sim.shape import Hull, displaced
@@ -38,10 +39,10 @@ def inset_at(viscosity: float) -> float:
     (Sangani and Acrivos, Int. J. Multiphase Flow 8 (1982) 193, 343): a disc or ball of 6 to 14
     cells, nowhere special on the grid, acts as if 0.34 - 1.5 sqrt(viscosity) cells larger, within
     0.03 for viscosities from 0.005 to 0.4, and the same in two and three dimensions. The constant
-    is that of faster flow, whose pressure feels the outermost cells: there the best insets lie 0.2
+    is that of faster flow, whose pressure feels the outermost cells: there the best insets lie 0.23
     higher (cylinder towed at Re 100 with 8 to 24 cells, spheres settling at Re 1.5 and 32).
     """
-    return 0.55 - 1.5 * float(np.sqrt(viscosity))
+    return 0.57 - 1.5 * float(np.sqrt(viscosity))
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Bodies:
         middle: float | None = None,
         inset: float = INSET,
         virtual_mass: float = VIRTUAL_MASS,
+        outside: Outside = OFF,
     ) -> None:
         """Put robots into a fluid, straight, at the origin, heading along x.
 
@@ -95,9 +97,11 @@ class Bodies:
                 ``sim2real.servo.parameters.COLUMNS``; slack joints where None.
             limits: Smallest and largest angle of each joint in rad, shape (J, 2).
             origin_m: World coordinates of the cell (0, 0).
-            middle: Height of the robot's middle in cells; that of the box where None.
+            middle: Height of the robot's middle in cells; that of the box where None. What rises
+                above the box's top is out of the water.
             inset: How far the surface is set in, in cells.
             virtual_mass: Share of the displaced water on both sides of the equations.
+            outside: What acts on the robots beside the water.
         """
         self.fluid, self.hull, self.units = fluid, hull, units
         E, L = fluid.boxes, hull.length.size
@@ -107,12 +111,15 @@ class Bodies:
         seen = Hull(
             hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
         )
-        water = displaced(seen, units.cell_m, inset * units.cell_m, flat)
+        nz = fluid.size[2]
+        self.middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
+        surface = (nz - 0.5 - self.middle) * units.cell_m
+        water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
         mass, inertia, com = (
             np.broadcast_to(np.asarray(x, dtype=np.float64), (E, L))
-            for x in (masses.mass, masses.inertia, masses.com)
+            for x in (masses.mass, masses.inertia, masses.com + outside.com)
         )
         inside = water[:, 2] + water[:, 0] * (com - water[:, 1]) ** 2
         net = np.stack([mass - water[:, 0], inertia - inside], axis=-1)
@@ -138,11 +145,22 @@ class Bodies:
         chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
         chain.push = room((E, N), wp.float64)
+        resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
+        resist[:, :, 2] *= water[:, 0]
+        resist[:, :, 3] *= inside
+        chain.side = put(np.broadcast_to(outside.side, (E, L)), wp.float64)
+        chain.resist = put(resist, wp.vec4d)
+        chain.skin = put(np.broadcast_to(outside.skin, (E, J, 4)), wp.vec4d)
+        chain.coupling = put(np.broadcast_to(outside.coupling, (E,)), wp.float64)
+        chain.tether = put(np.broadcast_to(outside.tether, (E, 3)), wp.vec3d)
+        chain.current = put(np.broadcast_to(outside.current, (E, 2)), wp.vec2d)
+        chain.trim = put(np.broadcast_to(outside.trim, (E, J)), wp.float64)
         chain.widest = wp.float64(hull.half_width.max())
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
-        s.torque, s.impulse, s.stop, s.measured = (room((E, J), wp.float64) for _ in range(4))
+        s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
+        s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
         s.clock = room((E,), wp.float64)
         s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
@@ -170,8 +188,6 @@ class Bodies:
         reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
         self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
         tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
-        nz = fluid.size[2]
-        self.middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
         self._low = 0 if flat else max(0, int(self.middle) - tall)
         self._high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
         self._cover = cover_kernel(fluid.lattice, fluid.storage)

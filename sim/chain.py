@@ -14,24 +14,39 @@ class Chain:
         mass: Mass and inertia of each link less those of the water inside it, (E, L).
         water: Mass and inertia of that water times the share that is virtual, (E, L).
         com: Distance of the centre of mass from the front end, (E, L).
+        side: Its distance to the left of the axis, (E, L).
         length: (L,).
         limits: Smallest and largest angle of each joint, (J,).
         servo: Rows of the servo law's parameters, (E, J, columns).
         active: Effects that are on, (E, J).
         memory: Memory of the effects, (E, J, cells).
         push: Outside forces along the coordinates, (E, N).
+        resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, mass across it in
+            kg, inertia in kg m2, (E, L).
+        skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (E, J).
+        coupling: N m/rad of the skin between neighbouring joints, (E,).
+        tether: N/m on the head, and the anchor's x and y, (E,).
+        current: Velocity of the pool against the cells, (E,).
+        trim: Angle by which each joint is off, (E, J).
         widest: Largest half-width.
     """
 
     mass: wp.array2d(dtype=wp.vec2d)
     water: wp.array2d(dtype=wp.vec2d)
     com: wp.array2d(dtype=wp.float64)
+    side: wp.array2d(dtype=wp.float64)
     length: wp.array(dtype=wp.float64)
     limits: wp.array(dtype=wp.vec2d)
     servo: wp.array3d(dtype=wp.float64)
     active: wp.array2d(dtype=wp.int32)
     memory: wp.array3d(dtype=wp.float64)
     push: wp.array2d(dtype=wp.float64)
+    resist: wp.array2d(dtype=wp.vec4d)
+    skin: wp.array2d(dtype=wp.vec4d)
+    coupling: wp.array(dtype=wp.float64)
+    tether: wp.array(dtype=wp.vec3d)
+    current: wp.array(dtype=wp.vec2d)
+    trim: wp.array2d(dtype=wp.float64)
     widest: wp.float64
 
 
@@ -48,6 +63,7 @@ class Motion:
         force: Force and torque of the fluid on each link in the last step, (E, L).
         torque: Torque of each servo, (E, J).
         impulse, stop: Impulses of dry friction and of the limit at each joint, (E, J).
+        strain: Angle to which the skin over each joint has relaxed, (E, J).
         measured: Angle that each joint's sensor shows, (E, J).
         clock: Seconds since the start, (E,).
         sent, arrival: Set-points on their way and when they arrive, (E, J, RING).
@@ -64,6 +80,7 @@ class Motion:
     torque: wp.array2d(dtype=wp.float64)
     impulse: wp.array2d(dtype=wp.float64)
     stop: wp.array2d(dtype=wp.float64)
+    strain: wp.array2d(dtype=wp.float64)
     measured: wp.array2d(dtype=wp.float64)
     clock: wp.array(dtype=wp.float64)
     sent: wp.array3d(dtype=wp.float64)

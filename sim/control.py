@@ -36,7 +36,7 @@ def send(
             arrives, wp.float64(number), zero, zero, now, zero, p, chain.memory[e, k],
             chain.active[e, k],
         )  # fmt: skip
-    s.sent[e, k, slot] = command[e, k]
+    s.sent[e, k, slot] = command[e, k] + chain.trim[e, k]
     s.arrival[e, k, slot] = arrives
     s.newest[e, k] = number
     if k == 0:
@@ -59,7 +59,8 @@ def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
         s.sent[e, k, 0] = s.q[e, 3 + k]
         s.arrival[e, k, 0] = wp.float64(-1.0)
         s.torque[e, k] = wp.float64(0.0)
-        s.measured[e, k] = s.q[e, 3 + k]
+        s.measured[e, k] = s.q[e, 3 + k] - chain.trim[e, k]
+        s.strain[e, k] = s.q[e, 3 + k]
         for i in range(chain.memory.shape[2]):
             chain.memory[e, k, i] = wp.float64(0.0)
 

@@ -20,6 +20,7 @@ import warp as wp
 from sim.chain import Chain, Motion, OnGrid
 from sim.joints import drive, stop_joints
 from sim.linear import factorise, solve
+from sim.outside import carried, pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.law import SENSOR_BITS, measured_angle
 
@@ -32,7 +33,10 @@ def joint_place(e: int, k: int, chain: Chain, s: Motion) -> wp.vec2d:
     """Where joint k is, which is the front end of link k + 1."""
     pose = s.link[e, k + 1]
     com = chain.com[e, k + 1]
-    return wp.vec2d(pose[0] + com * wp.cos(pose[2]), pose[1] + com * wp.sin(pose[2]))
+    side = chain.side[e, k + 1]
+    c = wp.cos(pose[2])
+    d = wp.sin(pose[2])
+    return wp.vec2d(pose[0] + com * c + side * d, pose[1] + com * d - side * c)
 
 
 @wp.func
@@ -58,16 +62,18 @@ def column(e: int, link: int, i: int, chain: Chain, s: Motion) -> wp.vec3d:
 def pose_links(e: int, chain: Chain, s: Motion) -> int:
     """Poses of the links from the coordinates."""
     heading = s.q[e, 2]
-    ahead = chain.com[e, 0]
-    x = s.q[e, 0] + ahead * wp.cos(heading)
-    y = s.q[e, 1] + ahead * wp.sin(heading)
+    com = chain.com[e, 0]
+    side = chain.side[e, 0]
+    x = s.q[e, 0] + com * wp.cos(heading) + side * wp.sin(heading)
+    y = s.q[e, 1] + com * wp.sin(heading) - side * wp.cos(heading)
     for k in range(chain.length.shape[0]):
         if k > 0:
             heading += s.q[e, 2 + k]
         c = wp.cos(heading)
         d = wp.sin(heading)
         com = chain.com[e, k]
-        s.link[e, k] = wp.vec3d(x - com * c, y - com * d, heading)
+        side = chain.side[e, k]
+        s.link[e, k] = wp.vec3d(x - com * c - side * d, y - com * d + side * c, heading)
         x -= chain.length[k] * c
         y -= chain.length[k] * d
     return 0
@@ -94,8 +100,9 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
         c = wp.cos(at[2])
         d = wp.sin(at[2])
         com = chain.com[e, k]
-        x = (at[0] + com * c - grid.origin[0]) / grid.cell
-        y = (at[1] + com * d - grid.origin[1]) / grid.cell
+        side = chain.side[e, k]
+        x = (at[0] + com * c + side * d - grid.origin[0]) / grid.cell
+        y = (at[1] + com * d - side * c - grid.origin[1]) / grid.cell
         grid.pose[e, k] = wp.vec4(float(x), float(y), float(c), float(d))
         grid.centre[e, k] = wp.vec2(
             float((at[0] - grid.origin[0]) / grid.cell), float((at[1] - grid.origin[1]) / grid.cell)
@@ -178,21 +185,28 @@ def advance(
         r = p + wp.vec3d(
             M * V[0] + w[0] * dV[0], M * V[1] + w[0] * dV[1], inertia * V[2] + w[1] * dV[2]
         )
+        tied = wp.float64(0.0)
+        if k == 0:
+            r += pull(e, h, chain, s)
+            tied = h * h * chain.tether[e][0]
+        r += carried(e, k, chain, s)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
             Ka = wp.vec3d(
-                (M + k0) * a[0] - ky * a[2],
-                (M + k0) * a[1] + kx * a[2],
+                (M + k0 + tied) * a[0] - ky * a[2],
+                (M + k0 + tied) * a[1] + kx * a[2],
                 (inertia + kr) * a[2] - ky * a[0] + kx * a[1],
             )
+            Ka += resist(e, k, h, a, chain, s)
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
     if mode == wp.static(FREE):
         for k in range(J):
             push = drive(e, k, h, chain, s)
-            s.b[e, 3 + k] = s.b[e, 3 + k] + push[0]
-            s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1]
+            over = skin(e, k, h, chain, s)
+            s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + over[0]
+            s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + over[1]
             friction[e, k] = push[2]
         factorise(e, 0, N, s)
         solve(e, N, s)
@@ -278,4 +292,5 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
             )  # fmt: skip
         else:
             s.measured[e, k] = s.q[e, 3 + k]
+        s.measured[e, k] = s.measured[e, k] - chain.trim[e, k]
     show(e, chain, s, grid)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from sim.section import RAMP
 from sim.units import WATER_KG_M3
@@ -66,11 +67,25 @@ def _profile(size: Array, nose: float, tip: float) -> Array:
     return np.stack([front, middle, back], axis=1)
 
 
-def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
-    """The hull with its heights scaled so that it displaces its own mass of water.
+def draught(hull: Hull, mass_kg: float) -> float | None:
+    """Height in m of the surface above the robot's middle when it floats; None where it sinks.
 
-    Widths and heights of a link are its largest, so sections fuller than the real ones would make a
-    robot that floats high. Archimedes' principle gives what they leave open.
+    It goes down until it displaces its own mass of water: Archimedes' principle.
+    """
+    step = max(float(hull.half_width.min()) / 2, hull.body_length / 150)
+
+    def spare(above: float) -> float:
+        volume = displaced(hull, step, 0.0, False, above)[:, 0].sum()
+        return float(WATER_KG_M3 * volume) - mass_kg
+
+    highest = float(hull.half_height.max())
+    if spare(highest) <= 0:
+        return None
+    return float(brentq(spare, -highest, highest, xtol=1e-4))
+
+
+def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
+    """The hull with its heights scaled so that it displaces its own mass, wholly under water.
 
     Returns:
         The hull, and the depth in m that stands for its heights in two dimensions.
@@ -81,7 +96,7 @@ def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
     return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
 
 
-def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
+def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:
     """What the straight hull displaces as the grid sees it: each cell counts for its nearest link.
 
     Args:
@@ -89,6 +104,7 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
         cell: Size of a cell in m.
         inset: How far the surface is set in, in m.
         flat: In two dimensions.
+        above: Height of the water's surface above the hull's middle in m.
 
     Returns:
         Volume in m3 (area in m2), distance of its centre from the link's front end in m, second
@@ -99,7 +115,10 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
     count = 2 * round((hull.length.sum() / 2 + widest) / fine)  # a symmetric body gets equal halves
     x = (np.arange(count) + 0.5 - count / 2) * fine - hull.length.sum() / 2
     y = np.arange(fine / 2, widest, fine)
-    z = np.array([0.0]) if flat else np.arange(fine / 2, highest, fine)
+    z = np.array([0.0])
+    if not flat:
+        layers = max(0, round((min(above, highest) + highest) / fine))
+        z = min(above, highest) - fine * (np.arange(layers) + 0.5)
     front = -np.concatenate([[0.0], np.cumsum(hull.length)[:-1]])
     X, Y = np.meshgrid(x, y, indexing="ij")
     off, width, height, depth = [], [], [], []
@@ -120,9 +139,9 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool) -> Array:
         stretched = np.maximum(np.hypot(o, z * ratio), 1e-12)
         slope = np.hypot(o, z * ratio**2) / stretched if not flat else 1.0
         share = np.clip(0.5 - (stretched - w) / slope / (RAMP * cell), 0, 1).sum(axis=1)
-        share *= 2 * fine**2 if flat else 4 * fine**3
+        share *= 2 * fine**2 if flat else 2 * fine**3
         back = start - X[mine]
-        volume = share.sum()
+        volume = max(float(share.sum()), 1e-12)
         centre = (share * back).sum() / volume
         out[k] = volume, centre, (share * ((back - centre) ** 2 + Y[mine] ** 2)).sum()
     return out

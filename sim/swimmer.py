@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from sim.bodies import FREE, KINEMATIC, Bodies, Masses
 from sim.control import HISTORY, calm, remember, send
+from sim.effects import outside
 from sim.fluid import Fluid
 from sim.lattice import D2Q9, D3Q19
-from sim.shape import Hull, afloat, hull_of
+from sim.shape import Hull, afloat, draught, hull_of
 from sim.tank import WINDOW_M, Tank, pool, window
 from sim.units import WATER_M2_S, Units
 from sim2real.errors import InputError
@@ -44,6 +45,7 @@ class State:
         velocity: Surge, sway and yaw rate of the head, in its own frame, shape (E, 3).
         joint: Joint angles, shape (E, J).
         rate: Joint rates, shape (E, J).
+        measured: Angles that the joints' sensors show, shape (E, J).
         torque: Torques of the servos in N m, shape (E, J).
         force: Force of the water on each link in N and torque about its centre of mass in N m,
             world frame, shape (E, L, 3).
@@ -55,6 +57,7 @@ class State:
     velocity: Array
     joint: Array
     rate: Array
+    measured: Array
     torque: Array
     force: Array
     time: Array
@@ -104,13 +107,14 @@ class Swimmer:
             dimensions: 2 (plan view) or 3.
             box_m: Length, width and depth of a box.
             walls: Close the box with walls; else it goes with the robot.
-            depth_m: Depth of the robot's middle below the surface; half-way down where None.
+            depth_m: Depth of the robot's middle below the surface, its heights scaled so that it
+                neither rises nor sinks. Where None it floats as deep as its mass takes it; one
+                that would sink swims half-way down.
             viscosity_m2_s: Effective viscosity, one or one for each box. Water's is below what such
                 cells can show, so this is a parameter to calibrate; as low as is safe where None.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
-            hull: The links' shape; from the robot's file where None. Its heights are scaled so that
-                the robot neither rises nor sinks.
+            hull: The links' shape; from the robot's file where None.
             storage: ``float32`` or ``float16`` for the populations.
             threads: CPU threads.
 
@@ -124,7 +128,8 @@ class Swimmer:
         flat = dimensions == 2
         self.hull = hull if hull is not None else hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
-        self.hull, depth = afloat(self.hull, sum(link.mass_kg for link in robot.links), flat)
+        mass = sum(link.mass_kg for link in robot.links)
+        self.hull, depth, under = _in_water(self.hull, mass, flat, depth_m, box_m[2])
         if substeps is None:
             substeps = 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
         if substeps < 2 or substeps % 2:
@@ -148,7 +153,11 @@ class Swimmer:
             threads=threads,
         )
         nx, ny, nz = self.tank.size
-        middle = self.tank.middle if depth_m is None else nz - 0.5 - depth_m / cell_m
+        self.outside = outside(robot, models, self.hull)
+        if self.outside.wall.any() or (walls and self.outside.current.any()):
+            name = "wall_effect" if self.outside.wall.any() else "pool_current with walls"
+            raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
+        middle = nz - 0.5 - under / cell_m
         self.bodies = Bodies(
             self.fluid,
             self.hull,
@@ -158,6 +167,7 @@ class Swimmer:
             limits=np.array([joint.limits_rad for joint in robot.joints]),
             origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
             middle=middle,
+            outside=self.outside,
         )
         self.step_count = 0
         J = len(robot.joints)
@@ -190,8 +200,7 @@ class Swimmer:
             q[:, 0] = self.hull.length.sum() / 2 - com
         else:
             q[:, :3] = pose
-        if joint is not None:
-            q[:, 3:] = joint
+        q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
@@ -199,7 +208,9 @@ class Swimmer:
             (E, fluid.cells),
             [on_device, fluid.f, fluid.flags, fluid.cells, fluid.stopped],
         )
-        self.bodies.place(q, mask=chosen)
+        v = np.zeros_like(q)
+        v[:, :2] = -self.outside.current  # at rest in the pool, whose water moves
+        self.bodies.place(q, v, mask=chosen)
         self._launch(remember, E, [on_device, self.bodies.chain, motion])
 
     def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
@@ -295,7 +306,9 @@ class Swimmer:
     def state(self) -> State:
         """Where the robots are and how they move."""
         s = self.bodies.motion
-        q, v = _copied(s.q), _copied(s.v)
+        q, v, clock = _copied(s.q), _copied(s.v), _copied(s.clock)
+        q[:, :2] += self.outside.current * clock[:, None]
+        v[:, :2] += self.outside.current
         c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
         surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
         return State(
@@ -303,9 +316,10 @@ class Swimmer:
             velocity=np.stack([surge, sway, v[:, 2]], axis=1),
             joint=q[:, 3:],
             rate=v[:, 3:],
+            measured=_copied(s.measured),
             torque=_copied(s.torque),
             force=_copied(s.force),
-            time=_copied(s.clock),
+            time=clock,
             stopped=_copied(self.fluid.stopped),
         )
 
@@ -338,6 +352,18 @@ def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
         if link.inertia_kgm2 is not None:
             inertia[:, k] = link.inertia_kgm2 * mass[:, k] / own[k]
     return Masses(mass, inertia, np.broadcast_to(middle, mass.shape))
+
+
+def _in_water(
+    hull: Hull, mass_kg: float, flat: bool, depth_m: float | None, water_m: float
+) -> tuple[Hull, float, float]:
+    """The hull, the depth that stands for its heights in 2D, the depth of its middle."""
+    if depth_m is None and not flat:
+        depth_m = draught(hull, mass_kg)
+        if depth_m is not None:
+            return hull, 0.0, depth_m
+    hull, depth = afloat(hull, mass_kg, flat)
+    return hull, depth, water_m / 2 if depth_m is None else depth_m
 
 
 def _servos(robot: Robot, models: Sequence[Model]) -> Array:

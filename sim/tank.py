@@ -23,14 +23,12 @@ class Tank:
         size: Cells (nx, ny, nz), walls included; nz is 1 in two dimensions.
         walls: What each cell is, shape ``size``.
         normals: Direction out of the fluid at the free surface, shape ``size``.
-        middle: Height of the water's middle in cells.
         sponge: Width in cells of the layer that lets nothing back; 0 where walls close the box.
     """
 
     size: tuple[int, int, int]
     walls: NDArray[np.uint8]
     normals: NDArray[np.int32]
-    middle: float
     sponge: int
 
 
@@ -57,4 +55,4 @@ def _tank(nx: int, ny: int, depth_m: float, cell_m: float, flat: bool, sponge: i
     walls, normals = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.int32)
     if not flat:
         walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # below it the surface, above it the floor
-    return Tank((nx, ny, nz), walls, normals, nz / 2, sponge)
+    return Tank((nx, ny, nz), walls, normals, sponge)

@@ -122,6 +122,8 @@ def _simulate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
     command.add_argument("--dimensions", type=int, choices=(2, 3), default=3)
     command.add_argument("--walls", action="store_true", help="a closed box, not one that follows")
+    command.add_argument("--picture", type=Path, metavar="PNG", help="the water at the end")
+    command.add_argument("--video", type=Path, metavar="MP4", help="the swim, at the speed of life")
 
 
 def _validate(command: argparse.ArgumentParser) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from sim.render import need, picture, save_picture
 from sim.swimmer import CONTROL_S, State, Swimmer
+from sim.video import FRAMES_PER_S, Video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_json
@@ -17,10 +20,19 @@ from sim2real.robot import Robot, read_robot
 
 Array = NDArray[np.float64]
 
+_EVERY = round(1 / CONTROL_S / FRAMES_PER_S)
+"""Control periods from one frame of a video to the next: it plays at the speed of life."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Swim, and write what a camera and the servos would have seen, as a pool recording."""
     check_writable(options.out)
+    for path, ending in ((options.picture, ".png"), (options.video, ".mp4")):
+        if path and path.suffix.lower() != ending:
+            raise InputError(path, "", repr(path.suffix), f"a name that ends in {ending}")
+    if options.picture:
+        need("PIL", "Pillow")
+        check_writable(options.picture)
     if options.out.resolve() == options.commands.resolve():
         raise InputError(options.out, "--out", "the file of the commands", "another file")
     robot, model = read_robot(options.robot), read_model(options.model)
@@ -36,11 +48,16 @@ def run(options: argparse.Namespace) -> int:
         threads=2,
     )
     states = [swimmer.state()]
-    for sent in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
-        swimmer.step(sent)
-        states.append(swimmer.state())
-        if states[-1].stopped[0] >= 0:
-            return _stopped(options, swimmer, states)
+    with Video(options.video) if options.video else nullcontext() as video:
+        for sent in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
+            swimmer.step(sent)
+            states.append(swimmer.state())
+            if states[-1].stopped[0] >= 0:
+                return _stopped(options, swimmer, states)
+            if video and swimmer.step_count % _EVERY == 0:
+                video.add(picture(swimmer))
+    if options.picture:
+        print(f"{save_picture(picture(swimmer), options.picture)}: the water at the end")
     write_recording(_recording(options, robot, t, command, states), options.out)
     size = f"{swimmer.units.cell_m:g} m cells, {options.dimensions} dimensions"
     print(f"{options.out}: {t.size} rows at {1 / CONTROL_S:.0f} Hz, {size}")
@@ -81,7 +98,7 @@ def _recording(
         joints=tuple(joint.name for joint in robot.joints),
         t=t,
         command=command,
-        position=np.array([state.joint[0] for state in states]),
+        position=np.array([state.measured[0] for state in states]),
         medium="water",
         source=f"Simulated, not measured: {options.model.name} on {options.commands.name}.",
         columns={"body.x_m": pose[:, 0], "body.y_m": pose[:, 1], "body.yaw_rad": pose[:, 2]},

@@ -101,3 +101,13 @@ def test_validate_prints_its_figures_and_writes_a_page(tmp_path, capsys):
     assert case["name"] == "taylor_green"
     assert main(["validate", "--only", "magic", "--out", str(page)]) == 2
     assert "magic" in capsys.readouterr().err
+
+
+def test_a_picture_and_a_video_of_the_swim(files, capsys):
+    folder = files.folder
+    given = ["--picture", str(folder / "end.png"), "--video", str(folder / "swim.mp4")]
+    assert files(*given) == 0
+    assert (folder / "end.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "swim.mp4").stat().st_size > 1000
+    assert files("--picture", str(folder / "end.jpg")) == 2
+    assert "a name that ends in .png" in capsys.readouterr().err

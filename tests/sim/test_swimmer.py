@@ -1,5 +1,7 @@
 """The swimmer as its users meet it: a batch of robots, control periods, states, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
@@ -80,15 +82,28 @@ def test_following_goes_where_it_is_told():
     assert 0.5 < state.rate[0, 0] < 4.5  # the last step of the cubic; evenly it would be 5
 
 
-def test_a_robot_floats():
-    for dimensions in (2, 3):
-        swimmer = Swimmer(FISH, servos(), dimensions=dimensions, cell_m=0.01, box_m=(0.8, 0.8, 0.3))
-        volume = displaced(swimmer.hull, 0.005, 0.0, dimensions == 2)[:, 0].sum()
-        volume *= swimmer.units.depth_m if dimensions == 2 else 1.0
-        mass = sum(link.mass_kg for link in FISH.links)
-        assert WATER_KG_M3 * volume == pytest.approx(mass, rel=0.05)
-        set_in = swimmer.bodies.displaced[:, 0].sum()
-        assert 0.6 * mass < set_in < mass
+@pytest.mark.parametrize(("dimensions", "depth_m"), [(2, None), (3, None), (3, 0.15)])
+def test_a_robot_floats(dimensions, depth_m):
+    box = {"cell_m": 0.01, "box_m": (0.8, 0.8, 0.3), "depth_m": depth_m}
+    swimmer = Swimmer(FISH, servos(), dimensions=dimensions, **box)
+    surface = np.inf
+    if dimensions == 3:
+        surface = (swimmer.tank.size[2] - 0.5 - swimmer.bodies.middle) * 0.01
+        assert surface == pytest.approx(0.15) if depth_m else abs(surface) < 0.01
+    volume = displaced(swimmer.hull, 0.005, 0.0, dimensions == 2, surface)[:, 0].sum()
+    volume *= swimmer.units.depth_m if dimensions == 2 else 1.0
+    mass = sum(link.mass_kg for link in FISH.links)
+    assert WATER_KG_M3 * volume == pytest.approx(mass, rel=0.05)
+    set_in = swimmer.bodies.displaced[:, 0].sum()
+    assert 0.6 * mass < set_in < mass
+
+
+def test_a_heavy_robot_is_under_water():
+    heavy = Robot(
+        "stone", tuple(replace(k, mass_kg=4 * k.mass_kg) for k in FISH.links), FISH.joints
+    )
+    swimmer = Swimmer(heavy, servos(), cell_m=0.04, box_m=BOX)
+    assert swimmer.bodies.middle == pytest.approx(swimmer.tank.size[2] - 0.5 - BOX[2] / 2 / 0.04)
 
 
 def test_a_robot_thinner_than_the_cells_still_swims():
