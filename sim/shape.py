@@ -8,6 +8,7 @@ view the radius is half the width; across, sections are ellipses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,15 @@ def draught(hull: Hull, mass_kg: float) -> float | None:
 
     It goes down until it displaces its own mass of water: Archimedes' principle.
     """
-    step = max(float(hull.half_width.min()) / 2, hull.body_length / 150)
+    parts = (hull.length, hull.half_width, hull.half_height)
+    return _draught(tuple(part.tobytes() for part in parts), hull.length.size, mass_kg)
+
+
+@lru_cache(maxsize=64)
+def _draught(parts: tuple[bytes, ...], links: int, mass_kg: float) -> float | None:
+    length, wide, high = (np.frombuffer(part) for part in parts)
+    hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
+    step = hull.body_length / 60
 
     def spare(above: float) -> float:
         volume = displaced(hull, step, 0.0, False, above)[:, 0].sum()

@@ -1,0 +1,260 @@
+"""The kernels of the reduced-order twin: a chain of links in water that is a force law.
+
+Each link carries water that goes along as it moves across its axis (Kirchhoff's impulse, with the
+turning moment that follows from it), and feels drag across and along it. At the tail's end the
+water keeps the momentum that it has: the reactive thrust of elongated bodies (Lighthill, Proc. R.
+Soc. B 179 (1971) 125), which per length of water m with speed w across and u along the tail is
+- m w u across it and + m w w / 2 along it. Drag is that of Morison et al. (1950), taken implicitly.
+The rest is that of ``sim.multibody``.
+"""
+
+import warp as wp
+
+from sim.chain import RING, Chain, Motion
+from sim.joints import drive, stop_joints
+from sim.linear import factorise, solve
+from sim.multibody import column, move_links, pose_links
+from sim.outside import pull, resist, skin
+from sim2real.effects import SIGNATURE
+from sim2real.servo.law import SENSOR_BITS, arrival_time, measured_angle
+
+POINTS = wp.constant(3)
+"""Points of Gauss's rule on a link."""
+
+
+@wp.struct
+class Water:
+    """The water's law; row by row in the shape that is given.
+
+    Attributes:
+        place: Distance of each point before the link's centre of mass in m, (E, L, POINTS).
+        mass: Water that goes along at each point in kg, (L, POINTS).
+        across: Drag across at each point in N s2/m2, (L, POINTS).
+        along: Drag along each link in N s2/m2, (L,).
+        tip: Water per length at the tail's end in kg/m, and how far behind the last link's centre
+            of mass it ends in m, (E,).
+        scale: Of across, along, mass, and of the thrust at the tail, (E,).
+        wall: Share that a wall one body length away adds to the thrust, (E,).
+        pool: Half the pool's length and width in m, and the body's length.
+        carried: Momentum and spin of the water that went along in the last step, (E, L).
+    """
+
+    place: wp.array3d(dtype=wp.float64)
+    mass: wp.array2d(dtype=wp.float64)
+    across: wp.array2d(dtype=wp.float64)
+    along: wp.array(dtype=wp.float64)
+    tip: wp.array(dtype=wp.vec2d)
+    scale: wp.array(dtype=wp.vec4d)
+    wall: wp.array(dtype=wp.float64)
+    pool: wp.vec3d
+    carried: wp.array2d(dtype=wp.vec3d)
+
+
+@wp.func
+def impulse(e: int, k: int, chain: Chain, s: Motion, water: Water) -> wp.vec3d:
+    """Momentum and spin of the water that goes along with link k at its velocity."""
+    at = s.link[e, k]
+    V = s.twist[e, k]
+    c = wp.cos(at[2])
+    d = wp.sin(at[2])
+    own = c * V[1] - d * V[0]
+    p = wp.float64(0.0)
+    spin = wp.float64(0.0)
+    for j in range(POINTS):
+        r = water.place[e, k, j]
+        m = water.scale[e][2] * water.mass[k, j] * (own + V[2] * r)
+        p += m
+        spin += m * r
+    return wp.vec3d(-p * d, p * c, spin)
+
+
+@wp.func
+def advance_twin(
+    e: int,
+    h: wp.float64,
+    chain: Chain,
+    s: Motion,
+    water: Water,
+    friction: wp.array2d(dtype=wp.float64),
+) -> int:
+    """One sub-step of robot e."""
+    zero = wp.float64(0.0)
+    L = chain.length.shape[0]
+    N = 2 + L
+    J = L - 1
+    for i in range(N):
+        s.b[e, i] = h * chain.push[e, i]
+        for j in range(i + 1):
+            s.A[e, i, j] = zero
+    scale = water.scale[e]
+    for k in range(L):
+        at = s.link[e, k]
+        V = s.twist[e, k]
+        c = wp.cos(at[2])
+        d = wp.sin(at[2])
+        ahead = c * V[0] + d * V[1]
+        own = c * V[1] - d * V[0]
+        a0 = zero
+        a1 = zero
+        a2 = zero
+        for j in range(POINTS):
+            r = water.place[e, k, j]
+            w = own + V[2] * r
+            both = scale[2] * water.mass[k, j] + h * scale[0] * water.across[k, j] * wp.abs(w)
+            a0 += both
+            a1 += both * r
+            a2 += both * r * r
+        along = h * scale[1] * water.along[k] * wp.abs(ahead)
+        m = chain.mass[e, k]
+        old = water.carried[e, k]
+        across = old[1] * c - old[0] * d
+        R = wp.vec3d(
+            m[0] * V[0] + old[0], m[0] * V[1] + old[1], m[1] * V[2] + old[2] - h * ahead * across
+        )
+        tied = zero
+        if k == 0:
+            R += pull(e, h, chain, s)
+            tied = h * h * chain.tether[e][0]
+        if k == L - 1:
+            tip = water.tip[e]
+            w = own - V[2] * tip[1]
+            near = zero
+            if water.wall[e] != zero:
+                gap = wp.min(water.pool[0] - wp.abs(at[0]), water.pool[1] - wp.abs(at[1]))
+                share = water.pool[2] / wp.max(gap, wp.float64(0.5) * water.pool[2])
+                near = water.wall[e] * share * share
+            mass = scale[3] * scale[2] * tip[0] * (wp.float64(1.0) + near)
+            f_n = -mass * w * ahead
+            f_t = wp.float64(0.5) * mass * w * w
+            R += h * wp.vec3d(f_t * c - f_n * d, f_t * d + f_n * c, -tip[1] * f_n)
+        for i in range(3 + k):
+            a = column(e, k, i, chain, s)
+            s.b[e, i] = s.b[e, i] + wp.dot(a, R)
+            at_n = c * a[1] - d * a[0]
+            f_n = a0 * at_n + a1 * a[2]
+            f_t = along * (c * a[0] + d * a[1])
+            Ka = wp.vec3d(
+                (m[0] + tied) * a[0] + f_t * c - f_n * d,
+                (m[0] + tied) * a[1] + f_t * d + f_n * c,
+                m[1] * a[2] + a1 * at_n + a2 * a[2],
+            )
+            Ka += resist(e, k, h, a, chain, s)
+            for j in range(i + 1):
+                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
+    for k in range(J):
+        push = drive(e, k, h, chain, s)
+        over = skin(e, k, h, chain, s)
+        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + over[0]
+        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + over[1]
+        friction[e, k] = push[2]
+    factorise(e, 0, N, s)
+    solve(e, N, s)
+    stop_joints(e, N, h, friction[e], chain, s)
+    for i in range(N):
+        s.v[e, i] = s.b[e, i]
+    move_links(e, chain, s)
+    for k in range(L):
+        water.carried[e, k] = impulse(e, k, chain, s, water)
+    s.clock[e] = s.clock[e] + h
+    return 0
+
+
+@wp.func
+def centre(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
+    """Centre of the links' mass, ``ahead`` seconds on at the links' velocities."""
+    at = wp.vec2d()
+    total = wp.float64(0.0)
+    for k in range(chain.length.shape[0]):
+        x = s.link[e, k] + ahead * s.twist[e, k]
+        at += chain.mass[e, k][0] * wp.vec2d(x[0], x[1])
+        total += chain.mass[e, k][0]
+    return at / total
+
+
+@wp.func
+def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+    """Carry the coordinates on; the centre of mass moves as its velocity says."""
+    wanted = centre(e, h, chain, s)
+    for i in range(s.q.shape[1]):
+        s.q[e, i] = s.q[e, i] + h * s.v[e, i]
+    pose_links(e, chain, s)
+    off = wanted - centre(e, wp.float64(0.0), chain, s)
+    s.q[e, 0] = s.q[e, 0] + off[0]
+    s.q[e, 1] = s.q[e, 1] + off[1]
+    for k in range(chain.length.shape[0]):
+        at = s.link[e, k]
+        s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
+    for k in range(s.q.shape[1] - 3):
+        seen = s.q[e, 3 + k]
+        if (chain.active[e, k] & wp.static(SENSOR_BITS)) != 0:
+            seen = measured_angle(
+                seen, seen, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
+                chain.memory[e, k], chain.active[e, k],
+            )  # fmt: skip
+        s.measured[e, k] = seen - chain.trim[e, k]
+    return 0
+
+
+@wp.func
+def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
+    """Put a set-point on its way to joint k."""
+    number = s.newest[e, k] + 1
+    slot = number % wp.static(RING)
+    zero = wp.float64(0.0)
+    p = chain.servo[e, k]
+    arrives = s.clock[e] + p[2]
+    if chain.active[e, k] != 0:
+        arrives = arrival_time(
+            arrives, wp.float64(number), zero, zero, s.clock[e], zero, p, chain.memory[e, k],
+            chain.active[e, k],
+        )  # fmt: skip
+    s.sent[e, k, slot] = u + chain.trim[e, k]
+    s.arrival[e, k, slot] = arrives
+    s.newest[e, k] = number
+    return 0
+
+
+@wp.kernel(enable_backward=False)
+def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.int32)):
+    """Pose robots as their coordinates say; only where ``mask`` is set."""
+    e = wp.tid()
+    if mask[e] == 0:
+        return
+    pose_links(e, chain, s)
+    move_links(e, chain, s)
+    for k in range(chain.length.shape[0]):
+        water.carried[e, k] = impulse(e, k, chain, s, water)
+
+
+@wp.kernel(enable_backward=False)
+def swim_twin(
+    first: int,
+    command: wp.array3d(dtype=wp.float64),
+    which: wp.array(dtype=wp.int32),
+    count: int,
+    substeps: int,
+    h: wp.float64,
+    chain: Chain,
+    s: Motion,
+    water: Water,
+    friction: wp.array2d(dtype=wp.float64),
+    track: wp.array3d(dtype=wp.float64),
+):
+    """Control periods of robot e, its commands those of signal ``which``.
+
+    ``track`` takes x, y, heading and the measured angles at the end of each period, if it has room.
+    """
+    _ = wp.static(SIGNATURE)
+    e = first + wp.tid()
+    J = s.newest.shape[1]
+    for n in range(count):
+        for k in range(J):
+            send_twin(e, k, command[which[e], n, k], chain, s)
+        for _i in range(substeps):
+            advance_twin(e, h, chain, s, water, friction)
+            move_twin(e, h, chain, s)
+        if n < track.shape[1]:
+            for i in range(3):
+                track[e, n, i] = s.q[e, i]
+            for k in range(J):
+                track[e, n, 3 + k] = s.measured[e, k]

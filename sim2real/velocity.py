@@ -1,0 +1,47 @@
+"""The one estimator of body velocities from poses, for fits, figures and policies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 0.22
+"""Length of the window: 11 samples at 50 Hz."""
+
+
+def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array:
+    """Surge, sway and yaw rate from poses in the world.
+
+    The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964) 1627),
+    turned by the smoothed heading. Missing poses are bridged by a line first.
+
+    Args:
+        t: Times in s, shape (T,), increasing; taken as even.
+        pose: x, y in m and heading in rad, shape (T, 3), NaN where missing.
+        window_s: Length of the window in s.
+
+    Returns:
+        Surge and sway in m/s, yaw rate in rad/s, shape (T, 3).
+
+    Raises:
+        ValueError: If there are fewer than five poses.
+    """
+    period = float(np.median(np.diff(t)))
+    odd = 2 * max(1, round(window_s / period / 2)) + 1
+    size = min(max(odd, 5), t.size - 1 + t.size % 2)
+    filled = np.empty_like(pose)
+    for k in range(3):
+        known = np.isfinite(pose[:, k])
+        if known.sum() < 5:
+            raise ValueError(f"{known.sum()} poses, five are needed")
+        values = np.unwrap(pose[known, k]) if k == 2 else pose[known, k]
+        filled[:, k] = np.interp(t, t[known], values)
+    slope = savgol_filter(filled, size, 2, deriv=1, delta=period, axis=0)
+    heading = savgol_filter(filled[:, 2], size, 2)
+    c, s = np.cos(heading), np.sin(heading)
+    surge = c * slope[:, 0] + s * slope[:, 1]
+    sway = c * slope[:, 1] - s * slope[:, 0]
+    return np.stack([surge, sway, slope[:, 2]], axis=1)

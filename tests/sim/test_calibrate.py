@@ -1,0 +1,84 @@
+"""Calibration on swims of the twin itself: what was put in comes out, on what was held out too."""
+
+import json
+
+import numpy as np
+import pytest
+from swimming_robots import FISH, servos
+
+from sim.calibrate import calibrate, effect_parameters, servo_parameters
+from sim.swimmer import CONTROL_S
+from sim.swims import Swim, by_twin, simulated, swim_of, with_values
+from sim2real.cli import main
+from sim2real.errors import InputError
+from sim2real.recording import Recording
+
+TIMES = CONTROL_S * np.arange(600)
+SENT = np.array(
+    [min(1.0, t) * np.array([0.3, 0.45, 0.6]) * np.sin(2 * np.pi * t - 1.2 * np.arange(3))
+     + 0.2 * np.sin(0.8 * t) for t in TIMES]
+)  # fmt: skip
+
+
+def swum(truth, seed=0):
+    rng = np.random.default_rng(seed)
+    empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)))
+    (signals,) = simulated(empty, [with_values(servos(), truth)], by_twin(FISH))
+    noise = rng.standard_normal(signals.shape) * [0.005, 0.005, 0.02, 0.002, 0.002, 0.002]
+    return Swim("made", TIMES, SENT, np.zeros(3), signals + noise)
+
+
+def test_what_was_put_in_comes_out():
+    truth = {
+        "form_drag.coefficient": 0.5,
+        "added_mass.ratio": 0.3,
+        "j1.latency_s": 0.08,
+        "j2.latency_s": 0.068,
+        "j3.latency_s": 0.06,
+    }
+    free = [*effect_parameters("form_drag"), *effect_parameters("added_mass")]
+    free += servo_parameters(servos(), FISH)
+    found = calibrate([swum(truth)], servos(), free, by_twin(FISH))
+    for p, best, (low, high) in zip(found.free, found.best, found.interval(0.999), strict=True):
+        assert low < truth[p.name] < high, p.name
+        assert best == pytest.approx(truth[p.name], rel=0.35), p.name
+    assert found.rmse[1, 0] < 0.7 * found.rmse[0, 0]
+    assert found.rmse[1, :3] == pytest.approx([0.005, 0.005, 0.02], rel=0.2)
+
+
+def test_camera_effects_are_seen_through():
+    truth = {"camera_latency.latency_s": 0.1, "camera_rotation.angle_rad": 0.1}
+    free = [*effect_parameters("camera_latency"), *effect_parameters("camera_rotation")]
+    found = calibrate([swum(truth)], servos(), free, by_twin(FISH))
+    assert found.best == pytest.approx([0.1, 0.1], rel=0.1)
+
+
+def test_a_bench_recording_is_no_swim():
+    t = CONTROL_S * np.arange(20)
+    bench = Recording("bench", "servo", ("j1", "j2", "j3"), t, np.zeros((20, 3)), np.zeros((20, 3)))
+    with pytest.raises(InputError, match="body.x_m: found no such column"):
+        swim_of(bench, FISH)
+
+
+def test_the_shipped_swims_are_calibrated_by_the_command(tmp_path, capsys):
+    out = tmp_path / "calibrated.json"
+    given = ["datasets/pool/clean.csv", "--robot", "datasets/pool/robot.toml"]
+    given += ["--model", "datasets/pool/model.json", "--no-plots"]
+    assert main(["calibrate", *given, "--out", str(out)]) == 0
+    written = json.loads(out.read_text())
+    fit = written["fit"]
+    for signal in ("surge", "sway"):
+        figures = fit[f"body.{signal}"]
+        assert figures["heldout"] < 0.85 * figures["heldout_before"]
+    low, high = written["body"]["interval"]["j1.latency_s"]
+    assert low < 0.066 < high  # what truth.json says
+    assert "held-out error" in capsys.readouterr().out
+
+
+def test_a_model_without_the_servos_is_refused(tmp_path, capsys):
+    (tmp_path / "model.json").write_text('{"schema": "sim2real.model/1", "joints": {}}')
+    given = ["datasets/pool/clean.csv", "--robot", "datasets/pool/robot.toml"]
+    given += ["--model", str(tmp_path / "model.json"), "--out", str(tmp_path / "c.json")]
+    assert main(["calibrate", *given]) == 2
+    assert "the robot's joint j1" in capsys.readouterr().err
+    assert not (tmp_path / "c.json").exists()

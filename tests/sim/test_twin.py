@@ -1,0 +1,128 @@
+"""The reduced-order twin: the swimmer's interface, a force law for its water."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from swimming_robots import FISH, servos
+
+from sim.swimmer import CONTROL_S
+from sim.twin import Coefficients, Twin
+from sim.twin_kernel import start_twin
+from sim2real.body import listed
+from sim2real.errors import InputError
+
+DRY = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def wave(t, scale=1.0):
+    return scale * np.array([0.3, 0.45, 0.6]) * np.sin(2 * np.pi * t - 1.2 * np.arange(3))
+
+
+def signal(seconds, scale=1.0, sign=1.0):
+    times = CONTROL_S * np.arange(round(seconds / CONTROL_S))
+    return np.array([sign * min(1.0, t) * wave(t, scale) for t in times])
+
+
+def test_states_are_those_of_the_swimmer():
+    twin = Twin(FISH, servos(), n_envs=3)
+    twin.step(np.zeros(3))
+    state = twin.state()
+    assert state.pose.shape == state.velocity.shape == (3, 3)
+    assert state.joint.shape == state.measured.shape == state.rate.shape == (3, 3)
+    assert state.time == pytest.approx([CONTROL_S] * 3)
+    assert np.abs(state.velocity).max() < 1e-9
+
+
+def test_steps_and_a_whole_swim_are_the_same():
+    sent = signal(1.0)
+    one, other = Twin(FISH, servos(), n_envs=2), Twin(FISH, servos(), n_envs=2)
+    track = one.swim(sent)
+    for command in sent:
+        other.step(command)
+    assert np.array_equal(track[:, -1, :3], other.state().pose)
+    assert np.array_equal(track[:, -1, 3:], other.state().measured)
+
+
+def test_it_swims_head_first_and_its_mirror_image_mirrors():
+    twin = Twin(FISH, servos(), n_envs=2)
+    both = np.array([signal(6.0), signal(6.0, sign=-1.0)])
+    track = twin.swim(both, np.arange(2))
+    assert (track[:, -1, 0] - track[:, 0, 0] > 0.2).all()
+    assert track[0, :, 1] == pytest.approx(-track[1, :, 1], abs=1e-9)
+    assert track[0, :, 2] == pytest.approx(-track[1, :, 2], abs=1e-9)
+
+
+def test_halving_the_step_changes_little():
+    ends = []
+    for substeps in (8, 16):
+        twin = Twin(FISH, servos(), substeps=substeps)
+        track = twin.swim(signal(8.0))
+        ends.append(track[0, -1, 0] - track[0, 0, 0])
+    assert ends[0] == pytest.approx(ends[1], rel=0.01)
+
+
+def test_without_water_momentum_stays():
+    twin = Twin(FISH, servos(), coefficients=DRY)
+    start = twin.chain.mass.numpy()[0, :, :1] * twin.motion.link.numpy()[0, :, :2]
+    twin.swim(signal(2.0))
+    end = twin.chain.mass.numpy()[0, :, :1] * twin.motion.link.numpy()[0, :, :2]
+    assert start.sum(axis=0) == pytest.approx(end.sum(axis=0), abs=1e-9)
+    spin = twin.motion.twist.numpy()[0]
+    at, mass = twin.motion.link.numpy()[0], twin.chain.mass.numpy()[0]
+    total = mass[:, 1] * spin[:, 2] + mass[:, 0] * (at[:, 0] * spin[:, 1] - at[:, 1] * spin[:, 0])
+    assert abs(total.sum()) < 1e-5
+
+
+def test_water_only_takes_energy_from_slack_joints():
+    slack = servos(kp=1e-9, kd=0.0)
+    twin = Twin(FISH, slack, coefficients=Coefficients(5.0, 5.0, 0.5, 0.0, 0.5))
+    q, v = twin.motion.q.numpy(), np.array([[0.3, 0.1, 1.0, 2.0, -2.0, 1.0]])
+    twin.motion.v.assign(v)
+    twin.motion.q.assign(q)
+    ones = wp.array(np.ones(1, np.int32), dtype=wp.int32)
+    wp.launch(start_twin, dim=1, inputs=[twin.chain, twin.motion, twin.water, ones])
+    energy = []
+    for _ in range(50):
+        mass, V = twin.chain.mass.numpy()[0], twin.motion.twist.numpy()[0]
+        P = twin.water.carried.numpy()[0]
+        own = mass[:, 0] * (V[:, 0] ** 2 + V[:, 1] ** 2) + mass[:, 1] * V[:, 2] ** 2
+        energy.append(0.5 * float(own.sum() + (P * V).sum()))
+        twin.step(np.zeros(3))
+    assert energy[-1] < 0.8 * energy[0]
+    assert (np.diff(energy) < 1e-4 * energy[0]).all()
+
+
+def test_a_minute_of_hard_commands_does_not_blow_up():
+    rng = np.random.default_rng(3)
+    models = [
+        replace(
+            servos(kp=k, kd=0.02 * k),
+            body={"effects": listed({"skin_elasticity.stiffness_Nm_per_rad": float(s)})},
+        )
+        for k, s in zip(rng.uniform(0.5, 6, 8), rng.uniform(0, 2, 8), strict=True)
+    ]
+    laws = [Coefficients(*np.exp(rng.normal(0, 1, 3)), 0.2, 1.0) for _ in models]
+    twin = Twin(FISH, models, n_envs=8, coefficients=laws)
+    sent = 0.8 * np.sign(rng.standard_normal((600, 3))).repeat(5, axis=0)
+    track = twin.swim(sent)
+    assert np.isfinite(track).all()
+    assert np.abs(np.diff(track[..., :2], axis=1)).max() < 0.1
+
+
+def test_a_wall_effect_drives_harder_near_a_wall():
+    body = {"effects": listed({"wall_effect.ratio": 1.0})}
+    twin = Twin(FISH, [servos(), replace(servos(), body=body)], n_envs=2,
+                coefficients=Coefficients(1.5, 1.0, 1.0, 1.0, 0.0))  # fmt: skip
+    twin.reset(pose=np.tile([0.0, 1.5, 0.0], (2, 1)))
+    track = twin.swim(signal(4.0))
+    assert track[1, -1, 0] > 1.02 * track[0, -1, 0]
+
+
+def test_bad_input_is_refused():
+    twin = Twin(FISH, servos())
+    with pytest.raises(InputError, match="environment 0, expected finite"):
+        twin.step(np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(InputError, match="2 models"):
+        Twin(FISH, [servos()] * 2, n_envs=3)
