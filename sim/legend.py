@@ -1,11 +1,15 @@
-"""Colours of a picture, and what tells their meaning: key, scale and time."""
+"""Colours of a picture, and what tells their meaning: key, scale, time, heading, cells."""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sim.plane import Plane
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -34,12 +38,12 @@ def _table() -> Array:
     return np.stack([np.interp(at, range(len(stops)), channel) for channel in stops.T], axis=1)
 
 
-def lettered(image: Image, time: float, pixels: float, vorticity: float) -> Image:
-    """The picture with the time, a scale and a key to its colours.
+def lettered(image: Image, seen: Plane, pixels: float, vorticity: float) -> Image:
+    """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
 
     Args:
         image: The picture.
-        time: In s.
+        seen: What it shows.
         pixels: Of a metre.
         vorticity: In 1/s, what has the full colour.
     """
@@ -49,8 +53,9 @@ def lettered(image: Image, time: float, pixels: float, vorticity: float) -> Imag
     page = Pillow.fromarray(image)
     draw = ImageDraw.Draw(page)
     unit = page.width / _DRAWN_FOR
-    font, small = (ImageFont.load_default(size * unit) for size in (26, 19))
+    font, small = (ImageFont.load_default(size * unit) for size in (30, 22))
     left, right, low = 32 * unit, page.width - 32 * unit, page.height - 32 * unit
+    top = 34 * unit
 
     def write(
         x: float,
@@ -63,16 +68,19 @@ def lettered(image: Image, time: float, pixels: float, vorticity: float) -> Imag
             (x, y), text, INK, with_font, anchor, stroke_width=2.5 * unit, stroke_fill="white"
         )
 
-    write(left, low, f"{time:.2f} s", "ls", font)
+    write(left, top, f"cells of {100 * seen.cell:.3g} cm", "lt")
+    write(left, low, f"{seen.time:.2f} s", "ls", font)
+    write(left + 125 * unit, low, f"heading {round(np.degrees(seen.links[0, 2]))}°", "ls", font)
     long = _SCALE_M * pixels
     draw.line((right - long, low, right, low), INK, round(4 * unit))
     write(right - long / 2, low - 12 * unit, f"{_SCALE_M:g} m", "ms")
-    wide, high, top = round(220 * unit), round(12 * unit), round(34 * unit)
+    wide, high = round(220 * unit), round(12 * unit)
     shades = np.tile(colours(np.linspace(-1, 1, wide)), (high, 1, 1)).astype(np.uint8)
-    corner = round(right) - wide, top
+    corner = round(right) - wide, round(top)
     page.paste(Pillow.fromarray(shades), corner)
-    draw.rectangle((*corner, corner[0] + wide, top + high), None, RULE)
-    write(corner[0], top + high + 8 * unit, f"-{vorticity:g}", "ma")
-    write(corner[0] + wide / 2, top + high + 8 * unit, "vorticity, 1/s", "ma")
-    write(corner[0] + wide, top + high + 8 * unit, f"{vorticity:g}", "ma")
+    draw.rectangle((*corner, corner[0] + wide, corner[1] + high), None, RULE)
+    under = corner[1] + high + 8 * unit
+    write(corner[0], under, f"-{vorticity:g}", "ma")
+    write(corner[0] + wide / 2, under, "vorticity, 1/s", "ma")
+    write(corner[0] + wide, under, f"{vorticity:g}", "ma")
     return np.asarray(page)

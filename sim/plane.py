@@ -50,7 +50,9 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     bodies, tank, e = swimmer.bodies, swimmer.tank, range(swimmer.n_envs)[environment]
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
     spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
-    origin = np.array(bodies.grid.origin)
+    time = float(bodies.motion.clock.numpy()[e])
+    drift = swimmer.outside.current[e] * time  # the box goes with the pool's water
+    origin = np.array(bodies.grid.origin) + drift
     if tank.sponge:
         middle = bodies.grid.position.numpy()[e].astype(np.float64)
         first = np.rint(middle - (np.array([nx, ny]) - 1) / 2).astype(int)
@@ -63,7 +65,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     links, com = bodies.motion.link.numpy()[e].copy(), bodies.chain.com.numpy()[e][:, None]
     ahead = np.stack([np.cos(links[:, 2]), np.sin(links[:, 2])], axis=1)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    links[:, :2] += com * ahead - bodies.chain.side.numpy()[e][:, None] * left
+    links[:, :2] += drift + com * ahead - bodies.chain.side.numpy()[e][:, None] * left
     return Plane(
         vorticity=spin / swimmer.units.step_s,
         corner=(float(corner[0]), float(corner[1])),
@@ -71,7 +73,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
         centre=(float(centre[0]), float(centre[1])),
         size=(size[0] * cell, size[1] * cell),
         links=links,
-        time=float(bodies.motion.clock.numpy()[e]),
+        time=time,
     )
 
 

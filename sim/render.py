@@ -14,12 +14,12 @@ from sim.plane import Plane, depth, plane_of
 from sim.shape import Hull
 from sim.swimmer import Swimmer
 from sim2real.errors import InputError
-from sim2real.output import write_whole
+from sim2real.output import check_writable, write_whole
 
 VORTICITY = 10.0
 """Vorticity in 1/s that has the full colour."""
 _GRID_M = 0.25
-_STROKE = 0.002
+_STROKE = 0.0026
 """Width of the outline, as a share of the picture's width."""
 
 
@@ -46,7 +46,20 @@ def picture(
     canvas = colours(_zoomed(seen, x, y) / vorticity)
     _blend(canvas, 0.16 * np.maximum(_lines(x, pixels), _lines(y, pixels)[:, None]), RULE)
     _draw_robot(canvas, swimmer.hull, seen.links, x, y)
-    return lettered(np.rint(canvas).astype(np.uint8), seen.time, pixels, vorticity)
+    return lettered(np.rint(canvas).astype(np.uint8), seen, pixels, vorticity)
+
+
+def check_picture(path: str | os.PathLike[str]) -> Path:
+    """Make sure, before any work, that a picture can be made and written to ``path``.
+
+    Raises:
+        InputError: If it does not end in .png, Pillow is not installed, or the folder can't be
+            made or written.
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")
+    need("PIL", "Pillow")
+    return check_writable(path)
 
 
 def save_picture(image: Image, path: str | os.PathLike[str]) -> Path:
@@ -105,8 +118,12 @@ def _lines(along: Array, pixels: float) -> Array:
 
 def _draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> None:
     """Fill, joints and outline, smooth to a part of a pixel: drawn from the signed distance."""
-    columns = np.flatnonzero(np.abs(x - links[:, 0].mean()) < hull.body_length)
-    rows = np.flatnonzero(np.abs(y - links[:, 1].mean()) < hull.body_length)
+    back = links[-1, :2] - hull.length[-1] * np.array([np.cos(links[-1, 2]), np.sin(links[-1, 2])])
+    ends, margin = np.vstack([links[:, :2], back]), 1.2 * hull.half_width.max()
+    columns, rows = (
+        np.flatnonzero((along > at.min() - margin) & (along < at.max() + margin))
+        for along, at in ((x, ends[:, 0]), (y, ends[:, 1]))
+    )
     if not columns.size or not rows.size:
         return
     part = canvas[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
@@ -121,4 +138,5 @@ def _draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> 
 
 
 def _blend(canvas: Array, share: Array, colour: tuple[int, int, int]) -> None:
-    canvas += share[..., None] * (np.array(colour) - canvas)
+    touched = share > 0
+    canvas[touched] += share[touched, None] * (np.array(colour) - canvas[touched])

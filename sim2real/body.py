@@ -164,7 +164,7 @@ CAMERA: tuple[BodyEffect, ...] = (
     BodyEffect(
         "dropped_frames",
         "some frames are lost and the last pose is repeated",
-        (_P("probability", "", 0.05, 0.0, 0.9),),
+        (_P("probability", "", 0.05, 0.0, 0.4),),
         camera=True,
     ),
 )

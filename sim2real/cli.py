@@ -123,7 +123,23 @@ def _simulate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--dimensions", type=int, choices=(2, 3), default=3)
     command.add_argument("--walls", action="store_true", help="a closed box, not one that follows")
     command.add_argument("--picture", type=Path, metavar="PNG", help="the water at the end")
-    command.add_argument("--video", type=Path, metavar="MP4", help="the swim, at the speed of life")
+    command.add_argument("--video", type=Path, metavar="MP4", help="the swim, or a .gif of it")
+
+
+def _calibrate(command: argparse.ArgumentParser) -> None:
+    command.add_argument("recordings", nargs="+", type=Path, metavar="POOL", help="NAME.csv")
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument("--model", type=Path, required=True, help="MODEL.json of the servos")
+    command.add_argument("--out", type=Path, required=True, metavar="MODEL", help="MODEL.json")
+    command.add_argument("--fit-gains", action="store_true", help="not only the servos' latency")
+    command.add_argument("--fluid", action="store_true", help="go on in the fluid (a GPU's work)")
+    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
+    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
+    command.add_argument("--steps", type=int, default=5, help="most steps of a round in the fluid")
+    command.add_argument(
+        "--held-out", type=float, default=1 / 3, help="share of each swim to score on (default 1/3)"
+    )
+    command.add_argument("--no-plots", action="store_true", help="write no MODEL.RECORDING.png")
 
 
 def _validate(command: argparse.ArgumentParser) -> None:
@@ -131,6 +147,26 @@ def _validate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quick", action="store_true", help="seconds, with looser bars")
     command.add_argument("--only", nargs="+", default=(), metavar="CASE")
     command.add_argument("--out", type=Path, default=Path("reports/validation.html"))
+
+
+def _density(command: argparse.ArgumentParser) -> None:
+    command.add_argument("robot", type=Path, metavar="ROBOT", help="robot.toml")
+    command.add_argument("--model", type=Path, help="MODEL.json to put the densities into")
+    command.add_argument("--out", type=Path, metavar="MODEL", help="the model with them")
+    command.add_argument("--png", type=Path, metavar="PNG", help="how the mass is spread")
+
+
+def _ranges(command: argparse.ArgumentParser) -> None:
+    _recordings(command)
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument("--model", type=Path, required=True, help="MODEL.json")
+    command.add_argument("--out", type=Path, required=True, metavar="RANGES", help="ranges.json")
+    command.add_argument("--steps", type=int, default=2000, help="of each chain (default 2000)")
+    command.add_argument("--walkers", type=int, default=32, help="of each chain (default 32)")
+    command.add_argument(
+        "--held-out", metavar="NAME", help="recording to check on, not sample (default: the last)"
+    )
+    command.add_argument("--no-page", action="store_true", help="write no RANGES.html")
 
 
 def _import(command: argparse.ArgumentParser) -> None:
@@ -171,6 +207,21 @@ _COMMANDS: tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None], str,
         "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
     ),
     (
+        "density",
+        "sim2real.commands.density",
+        _density,
+        "say how a robot's mass is spread along it, link by link",
+        "sim2real density robot.toml --model model.json --out weighed.json",
+    ),
+    (
+        "ranges",
+        "sim2real.commands.ranges",
+        _ranges,
+        "make randomization ranges, each from data, and a posterior sample",
+        "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
+        "--out ranges.json",
+    ),
+    (
         "predict",
         "sim2real.commands.predict",
         _predict,
@@ -179,7 +230,7 @@ _COMMANDS: tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None], str,
     ),
     (
         "diagnose",
-        "sim2real.commands.diagnose",
+        "sim.commands.diagnose",
         _diagnose,
         "say which physics the fitted servos leave out, model it and show the fit improve",
         "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
@@ -190,6 +241,13 @@ _COMMANDS: tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None], str,
         _simulate,
         "swim a recording's commands in the lattice-Boltzmann pool",
         "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
+    ),
+    (
+        "calibrate",
+        "sim.commands.calibrate",
+        _calibrate,
+        "fit the body in the water to swims in a pool",
+        "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
     ),
     (
         "validate",

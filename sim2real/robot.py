@@ -13,7 +13,10 @@ from sim2real.structured import Fields, finite_number, read_toml
 
 @dataclass(frozen=True)
 class Link:
-    """One rigid link, SI units; ``com_m`` is measured from its front end."""
+    """One rigid link, SI units; ``com_m`` is measured from its front end.
+
+    ``mass_sd_kg`` and ``length_sd_m`` say how sure scale and ruler are (standard deviations).
+    """
 
     name: str
     mass_kg: float
@@ -23,6 +26,8 @@ class Link:
     material: str | None = None
     com_m: float | None = None
     inertia_kgm2: float | None = None
+    mass_sd_kg: float | None = None
+    length_sd_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,8 @@ def _link(fields: Fields) -> Link:
         material=fields.text("material") if "material" in fields else None,
         com_m=optional("com_m"),
         inertia_kgm2=optional("inertia_kgm2"),
+        mass_sd_kg=optional("mass_sd_kg"),
+        length_sd_m=optional("length_sd_m"),
     )
 
 

@@ -15,8 +15,8 @@ WINDOW_S = 0.22
 def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array:
     """Surge, sway and yaw rate from poses in the world.
 
-    The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964) 1627),
-    turned by the smoothed heading. Missing poses are bridged by a line first.
+    The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964)
+    1627), turned by the smoothed heading. Missing poses are bridged by a line first.
 
     Args:
         t: Times in s, shape (T,), increasing; taken as even.

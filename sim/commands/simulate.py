@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.render import need, picture, save_picture
+from sim.render import check_picture, picture, save_picture
 from sim.swimmer import CONTROL_S, State, Swimmer
-from sim.video import FRAMES_PER_S, Video
+from sim.video import FRAMES_PER_S, Video, check_video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_json
@@ -27,14 +27,13 @@ _EVERY = round(1 / CONTROL_S / FRAMES_PER_S)
 def run(options: argparse.Namespace) -> int:
     """Swim, and write what a camera and the servos would have seen, as a pool recording."""
     check_writable(options.out)
-    for path, ending in ((options.picture, ".png"), (options.video, ".mp4")):
-        if path and path.suffix.lower() != ending:
-            raise InputError(path, "", repr(path.suffix), f"a name that ends in {ending}")
     if options.picture:
-        need("PIL", "Pillow")
-        check_writable(options.picture)
-    if options.out.resolve() == options.commands.resolve():
-        raise InputError(options.out, "--out", "the file of the commands", "another file")
+        check_picture(options.picture)
+    if options.video:
+        check_video(options.video)
+    others = (options.commands, options.model, options.robot, options.picture, options.video)
+    if options.out.resolve() in {other.resolve() for other in others if other}:
+        raise InputError(options.out, "--out", "a file that is named twice", "one of its own")
     robot, model = read_robot(options.robot), read_model(options.model)
     commands = read_commands(options.commands)
     t, command = every_period(commands, robot, str(options.commands))
@@ -55,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
             if states[-1].stopped[0] >= 0:
                 return _stopped(options, swimmer, states)
             if video and swimmer.step_count % _EVERY == 0:
-                video.add(picture(swimmer))
+                video.add(picture(swimmer, width=video.width))
     if options.picture:
         print(f"{save_picture(picture(swimmer), options.picture)}: the water at the end")
     write_recording(_recording(options, robot, t, command, states), options.out)

@@ -15,6 +15,8 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
+_THROUGHOUT = 0.9
+"""Share of the time from which a mismatch is there all the time."""
 _WORDS = {
     "position": "it depends on the position: torque is missing at some angles",
     "speed": "it depends on the speed and its sign: just after reversals above all",
@@ -94,6 +96,9 @@ def _where(
     best = max(smooth.shares, key=lambda state: smooth.shares[state])
     telling = smooth.shares[best] > _TELLING
     words = _WORDS[best] if telling else "in no state in particular"
+    shaded = sum(b - a for w in when for a, b in w)
+    if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
+        return f"throughout: {words}" if telling else "throughout"
     if intermittent and any(when):
         stretches = [
             f"{a:.1f} to {b:.1f} s of {t.name}"

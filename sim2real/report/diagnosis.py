@@ -73,13 +73,25 @@ _MEAN = (
 )
 _LIMITS = (
     "How weak an effect could at best be and still be noticed; to be sure, take several times "
-    "this; a dash where it could not be noticed at any strength tried."
+    "this. A limit on torque, speed or acceleration is the stronger the lower it is: one below the "
+    "number would have been noticed. A dash: these recordings can't show it at any strength tried."
+)
+_DOUBTFUL, _WORTH_A_BAR = 0.1, 0.05
+_DOUBT = (
+    "Made-up effects that mean nothing do nearly as well here as those that are named: decoys put "
+    "the share of wrong names at {rate}. Something is missing, but don't trust what it is called; "
+    "the names are no surer than that, and the bars below are what the evidence says by itself."
 )
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """What is missing, in words, numbers and figures."""
-    blocks: list[Block] = [_verdict(diagnosis), *map(_effect, diagnosis.effects)]
+    blocks: list[Block] = [_verdict(diagnosis)]
+    most = 1.0
+    if diagnosis.effects and diagnosis.false_discovery_rate > _DOUBTFUL:
+        blocks.append(Note("warn", _DOUBT.format(rate=sure(diagnosis.false_discovery_rate))))
+        most -= diagnosis.false_discovery_rate
+    blocks += [_effect(effect, most) for effect in diagnosis.effects]
     for mismatch in diagnosis.mismatch:
         blocks += _where(diagnosis, mismatch)
     blocks += _sound(diagnosis)
@@ -101,21 +113,23 @@ def _verdict(diagnosis: Diagnosis) -> Note:
     return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", sentence)
 
 
-def _effect(effect: NamedEffect) -> Note:
+def _effect(effect: NamedEffect, most: float) -> Note:
+    """The finding, no surer than the decoys let it be."""
+    probability = min(effect.probability, most)
     if len(effect.group) < 2:
-        return Note("info", f"{effect.statement} {how_sure(effect.probability)}")
+        return Note("info", f"{effect.statement} {how_sure(probability)}")
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
         first, *others = map(plain, effect.group)
         sentences.append(f"These recordings cannot tell {first} from {listed(others, 'or')}.")
-    sentences.append(how_sure(effect.probability, of="that it is one of them"))
+    sentences.append(how_sure(probability, of="that it is one of them"))
     return Note("info", " ".join(sentences))
 
 
 def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     joint = mismatch.signal.rpartition(".")[0] or mismatch.component
     sentence = (
-        f"On data not used for the fit, the plain servo is off by {milliradians(mismatch.rmse)} "
+        f"On what was left out of the fit, the plain servo is off by {milliradians(mismatch.rmse)} "
         f"(root mean square); the sensor's noise is {milliradians(mismatch.noise)}. "
         f"{100 * mismatch.share:.0f} % of the squared error is not noise. "
         f"Where it shows: {mismatch.where or 'not known'}."
@@ -131,6 +145,7 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         bars = [
             Bar(_STATES.get(name, name), x, f"{100 * x:.0f} %", strong=k == 0)
             for k, (name, x) in enumerate(ranked)
+            if k == 0 or x >= _WORTH_A_BAR
         ]
         drawing = bar_figure({"": bars}, f"{joint}: what the missing torque depends on", full=0.2)
         blocks.append(figure(drawing, _DEPENDENCE.format(joint=joint)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sim2real.diagnose.result import Diagnosis, Estimate, Ladder, NamedEffect
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_bars import Bar, bar_figure
-from sim2real.report.diagnosis_words import per_inertia, plain, size, spoken, sure
+from sim2real.report.diagnosis_words import listed, per_inertia, plain, size, spoken, sure
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Table, Text
 from sim2real.report.quantity import milliradians, quantities
@@ -91,23 +91,47 @@ def _named(effect: NamedEffect) -> Bar:
 
 
 def _removed(diagnosis: Diagnosis) -> str:
-    sentences = []
+    together: dict[tuple[str, float, float], tuple[list[str], float | None]] = {}
     for effect in diagnosis.effects:
         before, after, share = (
             effect.heldout.get(name)
             for name in ("rmse_before", "rmse_after", "recoverable_removed")
         )
         if before is not None and after is not None:
-            of_it = "" if share is None else f", {100 * share:.0f} % of what can be removed"
-            sentences.append(
-                f"On data not used for the fit, {plain(effect.effect)} ({effect.component}) brings "
-                f"the error from {milliradians(before)} to {milliradians(after)}{of_it}."
-            )
+            names, _ = together.setdefault((effect.component, before, after), ([], share))
+            names.append(plain(effect.effect))
+    sentences = []
+    for (component, before, after), (names, share) in together.items():
+        of_it = "" if share is None else f", {100 * share:.0f} % of what can be removed"
+        verb = "bring" if len(names) > 1 else "brings"
+        sentences.append(
+            f"On what was left out of the fit (though not out of the choice), {listed(names)} "
+            f"({component}) {verb} the error from {milliradians(before)} to "
+            f"{milliradians(after)}{of_it}."
+        )
     rate = diagnosis.false_discovery_rate
     if rate > 0:
         sentences.append(f"Tests with decoys put the share of wrong names at {sure(rate)}.")
     every = "Every effect in the catalogue was tried in turn, alone and with others."
-    return " ".join([every, *dict.fromkeys(sentences)])
+    return " ".join([every, *sentences, *_written(diagnosis)])
+
+
+def _written(diagnosis: Diagnosis) -> list[str]:
+    """What the written model holds besides the names, which it may, as it is to predict."""
+    named = {name for effect in diagnosis.effects for name in (effect.group or (effect.effect,))}
+    more = {
+        fitted.effect
+        for joint in diagnosis.model.joints.values()
+        for fitted in joint.effects
+        if fitted.effect not in named
+    }
+    if not more:
+        return []
+    kinds = listed([plain(name) for name in sorted(more)])
+    return [
+        f"The model that is written was chosen to predict best and holds {kinds} as well; that is "
+        "no claim that they are there."
+    ]
 
 
 def _ladders(diagnosis: Diagnosis) -> list[Block]:

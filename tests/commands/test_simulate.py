@@ -103,11 +103,19 @@ def test_validate_prints_its_figures_and_writes_a_page(tmp_path, capsys):
     assert "magic" in capsys.readouterr().err
 
 
-def test_a_picture_and_a_video_of_the_swim(files, capsys):
+def test_a_picture_and_a_video_of_the_swim(files):
     folder = files.folder
     given = ["--picture", str(folder / "end.png"), "--video", str(folder / "swim.mp4")]
     assert files(*given) == 0
     assert (folder / "end.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "swim.mp4").stat().st_size > 1000
-    assert files("--picture", str(folder / "end.jpg")) == 2
-    assert "a name that ends in .png" in capsys.readouterr().err
+
+
+def test_pictures_that_cannot_be_written_are_refused_before_anything_is_read(files, capsys):
+    folder = files.folder
+    (folder / "model.json").unlink()
+    refused(capsys, files("--picture", str(folder / "end.jpg")), "a name that ends in .png")
+    refused(capsys, files("--video", str(folder / "swim.avi")), "ends in .mp4 or .gif")
+    refused(capsys, files("--video", str(folder / "robot.toml" / "swim.mp4")), "robot.toml")
+    end = str(folder / "end.png")
+    refused(capsys, files("--picture", end, "--out", end), "named twice")

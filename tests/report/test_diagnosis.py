@@ -359,3 +359,21 @@ def test_error_of_a_mean_counts_independent_stretches():
         _, means, errors = binned(np.sin((0.3 + 0.01 * wave) * t), smooth, t)
         inside.append(np.mean(np.abs(means) < 2 * errors))
     assert 0.85 < np.mean(inside) < 0.99
+
+
+def test_names_are_no_surer_than_the_decoys_let_them_be():
+    text, _ = said(replace(EXPLAINED, false_discovery_rate=0.6))
+    assert "decoys put the share of wrong names at 60" in text
+    assert "98\u00a0% sure" not in text.replace(" ", "\u00a0")
+    assert "40 % sure" in text.replace("\u00a0", " ")
+
+
+def test_what_the_written_model_holds_besides_the_names_is_no_claim():
+    servo = replace(
+        next(iter(EXPLAINED.model.joints.values())),
+        effects=(FittedEffect("backlash", {"gap_rad": 0.02}),),
+    )
+    model = replace(EXPLAINED.model, joints={**EXPLAINED.model.joints, "j2": servo})
+    text, _ = said(replace(EXPLAINED, model=model))
+    assert "chosen to predict best and holds play" in text
+    assert "no claim that they are there" in text

@@ -1,11 +1,13 @@
 """Pictures and videos of a swim."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
 from sim.plane import depth, plane_of
-from sim.render import picture, save_picture
+from sim.render import check_picture, picture, save_picture
 from sim.swimmer import Swimmer
 from sim.video import Video
 from sim2real.errors import InputError
@@ -29,6 +31,19 @@ def test_the_outline_is_where_the_links_are():
     ]  # fmt: skip
 
 
+def test_a_current_carries_the_outline_along():
+    current = {"effect": "pool_current", "parameters": {"u_m_s": 0.2, "v_m_s": -0.1}}
+    model = replace(servos(), body={"effects": [current]})
+    swimmer = Swimmer(FISH, model, dimensions=2, cell_m=0.04, box_m=BOX)
+    for _ in range(50):
+        swimmer.step(np.zeros(3))
+    seen, (x, y, _) = plane_of(swimmer), swimmer.state().pose[0]
+    assert depth(swimmer.hull, seen.links, np.array([x]), np.array([y]))[0] < -0.03
+    assert seen.corner[0] < x < seen.corner[0] + BOX[0]
+    assert np.hypot(*(np.array([x, y]) - seen.centre)) < 0.25
+    assert seen.centre[0] > 0.1
+
+
 def test_water_at_rest_is_white_and_a_vortex_has_its_sign():
     swimmer = fish()
     assert np.abs(plane_of(swimmer).vorticity).max() < 1e-6
@@ -39,33 +54,65 @@ def test_water_at_rest_is_white_and_a_vortex_has_its_sign():
     assert spin.min() < -0.5
 
 
+def test_the_robot_is_drawn_where_it_is_and_the_way_it_heads():
+    swimmer = fish(walls=True)
+    swimmer.reset(pose=np.array([0.15, -0.1, np.pi / 2]))
+    image = picture(swimmer, width=360)  # 400 pixels of a metre, the world's origin in the middle
+    row, column = image.shape[0] // 2 + 40, 180 + 60
+    assert image[row, column].tolist() == [250, 247, 240]
+    body = (image == [250, 247, 240]).all(axis=2)
+    assert np.ptp(np.flatnonzero(body.any(axis=1))) > 2 * np.ptp(np.flatnonzero(body.any(axis=0)))
+
+
 def test_a_picture_shows_the_robot_and_is_a_png(tmp_path):
     image = picture(fish(), width=320)
     assert image.shape[1] == 320
     assert image.shape[0] % 2 == 0
+    dark = image.max(axis=2) < 150
+    assert not (dark[:3].any() or dark[-3:].any() or dark[:, :3].any() or dark[:, -3:].any())
+    assert all(part.any() for part in (dark[:40, :90], dark[-40:, :90], dark[-40:, -90:]))
     middle = image[image.shape[0] // 2, 160]
     assert middle.tolist() == [250, 247, 240]
     written = save_picture(image, tmp_path / "fish.png")
     assert written.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_video_appears_whole_or_not_at_all(tmp_path):
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_a_video_appears_whole_or_not_at_all(tmp_path, ending):
     av = pytest.importorskip("av")
-    swimmer, path = fish(), tmp_path / "swim.mp4"
+    swimmer, path = fish(), tmp_path / f"swim.{ending}"
     with Video(path) as video:
         for _ in range(3):
             swimmer.step(np.array([0.3, 0.3, 0.3]))
-            video.add(picture(swimmer, width=160))
+            last = picture(swimmer, width=160)
+            video.add(last)
             assert not path.exists()
     with av.open(str(path)) as file:
-        assert sum(1 for _ in file.decode(video=0)) == 3
-    with pytest.raises(RuntimeError), Video(tmp_path / "broken.mp4") as video:
+        frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+    assert len(frames) == 3
+    assert np.abs(frames[-1].astype(int) - last).mean() < 4
+    with pytest.raises(RuntimeError), Video(tmp_path / f"broken.{ending}") as video:
         video.add(picture(swimmer, width=160))
         raise RuntimeError
-    assert [p.name for p in tmp_path.iterdir()] == ["swim.mp4"]
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_missing_folder_is_refused_at_once(tmp_path):
+def test_a_video_is_streamed(tmp_path):
+    """What is written grows while frames come, so that none has to be kept."""
+    rng, size = np.random.default_rng(1), []
+    with Video(tmp_path / "noise.gif") as video:
+        for _ in range(20):
+            video.add(rng.integers(0, 255, (240, 320, 3), dtype=np.uint8))
+            size.append(next(tmp_path.iterdir()).stat().st_size)
+    assert size[-1] > 1.5 * size[9] > 0
+
+
+def test_what_cannot_be_written_is_refused_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="swim"):
         Video(tmp_path / "file" / "swim.mp4")
+    with pytest.raises(InputError, match=r"'.avi', expected a name that ends in .mp4 or .gif"):
+        Video(tmp_path / "swim.avi")
+    with pytest.raises(InputError, match=r"ends in .png"):
+        check_picture(tmp_path / "swim.jpg")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]

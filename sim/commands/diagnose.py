@@ -1,0 +1,56 @@
+"""``sim2real diagnose``: of servos, or of the body where the recordings are of a pool."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+from tqdm import tqdm
+
+from sim.diagnose_swims import diagnose_swims
+from sim.swims import by_twin, swim_of
+from sim2real.commands import diagnose as servos
+from sim2real.diagnose.result import write_diagnosis
+from sim2real.errors import InputError
+from sim2real.model import read_model, write_model
+from sim2real.output import check_writable, provenance
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+
+def run(options: argparse.Namespace) -> int:
+    """Diagnose the body from swims, the servos from anything else."""
+    recordings = [read_recording(path) for path in options.recordings]
+    swims = [one for one in recordings if one.kind == "pool" and "body.x_m" in one.columns]
+    if not swims:
+        return servos.run(options)
+    if len(swims) < len(recordings):
+        other = next(one for one in recordings if one not in swims)
+        where = other.path or other.name
+        raise InputError(where, "kind", "a recording of a bench", "swims alone, or servos alone")
+    if options.model is None:
+        raise InputError("diagnose", "--model", "none", "MODEL.json of the servos, to swim with")
+    out = check_writable(options.out)
+    robot, model = read_robot(options.robot), read_model(options.model)
+    with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
+        found = diagnose_swims(
+            [swim_of(one, robot) for one in swims],
+            model,
+            robot,
+            by_twin(robot),
+            progress=lambda share: bar.update(round(100 * share) - bar.n),
+        )
+    inputs = [*options.recordings, options.robot, options.model]
+    found = replace(found, provenance=provenance(inputs, options.seed))
+    enriched = out.with_name(f"{out.stem}.enriched.json")
+    write_model(found.model, enriched)
+    write_diagnosis(found, out, enriched.name)
+    print(f"verdict: {found.verdict}")
+    for effect in found.effects:
+        print(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
+    if found.effects:
+        before, after = (found.effects[0].heldout[k] for k in ("rmse_before", "rmse_after"))
+        print(f"  error of the speed on what was held out: {before:.4f} m/s, now {after:.4f} m/s")
+    for rival in found.rivals[:3]:
+        print(f"  considered: {rival.effect} ({rival.component}), {100 * rival.probability:.0f} %")
+    return 0

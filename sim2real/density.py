@@ -1,0 +1,73 @@
+"""How a robot's mass is spread along it: the normalised density of each link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+Z90 = 1.645
+
+
+@dataclass(frozen=True)
+class Density:
+    """Normalised density of L links, 1 where mass per length is the robot's own.
+
+    Attributes:
+        links: Their names.
+        value: Densities, shape (L,).
+        sd: What scale and ruler leave open, shape (L,); None where no link says how sure it is.
+        mass_kg, length_m: As weighed and measured, shape (L,).
+    """
+
+    links: tuple[str, ...]
+    value: Array
+    sd: Array | None
+    mass_kg: Array
+    length_m: Array
+
+    @property
+    def interval(self) -> Array | None:
+        """Ends of 90 % intervals, shape (2, L)."""
+        return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
+
+
+def normalised_density(robot: Robot) -> Density:
+    """Mass per length of each link over that of the robot: rho_i = (m_i / l_i) sum(l) / sum(m).
+
+    Source: Lin, Liu, Wang (2024), Sec. III-B.1. Errors of masses and lengths are taken for
+    independent and small: their standard deviations go through the derivatives of the logarithm,
+
+        d log rho_i = dm_i / m_i - dl_i / l_i + sum(dl) / sum(l) - sum(dm) / sum(m).
+    """
+    mass, length = (np.array([getattr(x, n) for x in robot.links]) for n in ("mass_kg", "length_m"))
+    value = mass / length * length.sum() / mass.sum()
+    given = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
+    sd = None
+    if given:
+        mass_sd, length_sd = (
+            np.array([getattr(x, n) or 0.0 for x in robot.links])
+            for n in ("mass_sd_kg", "length_sd_m")
+        )
+        by_mass = np.diag(1 / mass) - 1 / mass.sum()
+        by_length = 1 / length.sum() - np.diag(1 / length)
+        sd = value * np.sqrt(
+            (by_mass * mass_sd) ** 2 @ np.ones(mass.size)
+            + (by_length * length_sd) ** 2 @ np.ones(mass.size)
+        )
+    return Density(tuple(x.name for x in robot.links), value, sd, mass, length)
+
+
+def with_density(model: Model, density: Density) -> Model:
+    """The model with ``body.normalised_density``, and ``normalised_density_sd`` where known."""
+    body = dict(model.body) | {"normalised_density": [float(x) for x in density.value]}
+    body.pop("normalised_density_sd", None)
+    if density.sd is not None:
+        body["normalised_density_sd"] = [float(x) for x in density.sd]
+    return replace(model, body=body)

@@ -1,0 +1,133 @@
+"""The optimum and the normal distribution about it: where a chain starts and how it is scaled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.posterior.likelihood import ServoData
+from sim2real.servo.minimise import Servos, minimise
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 40
+WIDEST = 2.0
+"""Largest standard deviation of a coordinate, where the recordings say nothing of it."""
+_REACH = 1.0
+"""Distance of the differences that sharpen it, in standard deviations."""
+_ROUNDS, _LONGEST_STEP = 8, 4.0
+_STAYS = 0.1
+"""A step below it, in standard deviations, ends the search."""
+_FLATTEST, _STEEPEST = 0.02, 50.0
+"""Curvatures beyond these, relative to what was thought, are taken for noise of differences."""
+
+
+@dataclass(frozen=True)
+class Laplace:
+    """A normal distribution in unbounded coordinates, and the noise found with it.
+
+    Attributes:
+        centre: Coordinates of the optimum, shape (F,).
+        factor: Lower triangle with ``factor @ factor.T`` the covariance, shape (F, F).
+        autoregression: Coefficients of the noise, shape (p,).
+        noise_sd: Standard deviation of the innovations in rad.
+    """
+
+    centre: Array
+    factor: Array
+    autoregression: Array
+    noise_sd: float
+
+    def coordinates(self, w: Array) -> Array:
+        """Unbounded coordinates of standardised ones (..., F)."""
+        return np.asarray(self.centre + w @ self.factor.T)
+
+
+def laplace(data: ServoData) -> Laplace:
+    """Fit the joint and take the curvature of its log-posterior there.
+
+    The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
+    Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
+    """
+    priors = data.priors
+    start = priors.values(priors.coordinates(data.row[data.columns]))
+    low, high = (np.array([[getattr(p, end) for p in priors.each]]) for end in ("low", "high"))
+    unit = np.maximum(np.abs(start), 0.01 * np.minimum(high[0] - low[0], 1.0))[None]
+    theta = data.theta(start[None])
+    columns = np.array([data.columns], dtype=np.int32)
+    servos = Servos(np.zeros(1, dtype=np.int32), theta, columns, unit, low, high)
+    found = minimise(data.batch, servos, iterations=ITERATIONS)
+    gram = found.gram[0].sum(axis=0)
+    variance = gram[0, 0] / max(float(found.count[0]) - found.autoregression.shape[1], 1.0)
+    centre = priors.coordinates(found.servos.theta[0, data.columns])
+    slope = priors.slope(centre) / unit[0]
+    share = 0.5 * (1 + np.tanh(0.5 * centre))
+    information = gram[1:, 1:] / variance * np.outer(slope, slope)
+    information += np.diag(2 * share * (1 - share) + 1 / WIDEST**2)
+    level, directions = np.linalg.eigh(information)
+    covariance = (directions / np.maximum(level, 1 / WIDEST**2)) @ directions.T
+    return Laplace(
+        centre=centre,
+        factor=np.linalg.cholesky(covariance),
+        autoregression=found.autoregression[0].copy(),
+        noise_sd=float(np.sqrt(variance)),
+    )
+
+
+def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplace:
+    """Move to the optimum of what is sampled, and take the curvature there.
+
+    The fit's own rollouts are coarser than those of the sampler, which in sharp posteriors puts it
+    some standard deviations off. Newton's method on central differences, whose reach of a standard
+    deviation looks past kinks that friction and play leave.
+
+    Args:
+        start: Where the fit ended.
+        log_posterior: Log-posterior of unbounded coordinates (B, F), shape (B,).
+    """
+    best, found = float(log_posterior(start.centre[None])[0]), start
+    for _ in range(_ROUNDS):
+        differences = _differences(found, log_posterior)
+        if differences is None:
+            break
+        slope, curvature = differences
+        level, directions = np.linalg.eigh(curvature)
+        level = np.clip(level, _FLATTEST, _STEEPEST)
+        step = directions @ ((directions.T @ slope) / level)
+        step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+        centre = found.coordinates(step)
+        value = float(log_posterior(centre[None])[0])
+        covariance = found.factor @ (directions / level) @ directions.T @ found.factor.T
+        found = replace(found, factor=np.linalg.cholesky(0.5 * (covariance + covariance.T)))
+        if not value > best:
+            break
+        best, found = value, replace(found, centre=centre)
+        if np.linalg.norm(step) < _STAYS:
+            break
+    return found
+
+
+def _differences(
+    at: Laplace, log_posterior: Callable[[Array], Array]
+) -> tuple[Array, Array] | None:
+    """Slope (F,) of the log-posterior and minus its curvature (F, F), standardised.
+
+    None where the log-posterior is not finite all around.
+    """
+    F, h = at.centre.size, _REACH
+    unit, pairs = h * np.eye(F), list(combinations(range(F), 2))
+    corners = [a * unit[i] + b * unit[j] for i, j in pairs for a in (1, -1) for b in (1, -1)]
+    points = np.array([np.zeros(F), *unit, *-unit, *corners])
+    value = log_posterior(at.coordinates(points))
+    if not np.isfinite(value).all():
+        return None
+    ahead, back, corner = value[1 : F + 1], value[F + 1 : 2 * F + 1], value[2 * F + 1 :]
+    curvature = np.diag(2 * value[0] - ahead - back) / h**2
+    for k, (i, j) in enumerate(pairs):
+        across = corner[4 * k] - corner[4 * k + 1] - corner[4 * k + 2] + corner[4 * k + 3]
+        curvature[i, j] = curvature[j, i] = -across / (4 * h**2)
+    return (ahead - back) / (2 * h), curvature

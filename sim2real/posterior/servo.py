@@ -1,0 +1,164 @@
+"""From the recordings of one servo to a sample of its posterior."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.effects import SIGNATURE
+from sim2real.errors import InputError
+from sim2real.model import JointModel
+from sim2real.posterior.chain import (
+    Chain,
+    LogDensity,
+    clear_leftovers,
+    new_chain,
+    read_chain,
+    run_chain,
+)
+from sim2real.posterior.convergence import Convergence, convergence, sample
+from sim2real.posterior.laplace import Laplace, laplace, sharpened
+from sim2real.posterior.likelihood import Likelihood, ServoData, loaded, servo_data
+from sim2real.posterior.prior import Priors, servo_priors
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+STEPS, WALKERS = 2000, 32
+
+
+@dataclass(frozen=True)
+class ServoPosterior:
+    """A sample of the posterior of one servo.
+
+    Attributes:
+        priors: What was assumed; names and units of the F parameters are theirs.
+        values: The sample, shape (N, F), the walkers of one step beside each other.
+        convergence: How well the chain has mixed.
+        optimum: Values at the optimum, shape (F,).
+        noise_sd: Standard deviation of the innovations at the optimum in rad.
+        autoregression: Coefficients of the noise, shape (p,).
+        data: What it was sampled from.
+        exact: Whether the servo was solved in closed form, rather than in sub-steps.
+        chain: All steps.
+    """
+
+    priors: Priors
+    values: Array
+    convergence: Convergence
+    optimum: Array
+    noise_sd: float
+    autoregression: Array
+    data: ServoData
+    exact: bool
+    chain: Chain
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.priors.names
+
+    def quantiles(self, *shares: float) -> Array:
+        """Quantiles of each parameter, shape (len(shares), F)."""
+        return np.asarray(np.quantile(self.values, shares, axis=0))
+
+
+def sample_servo(
+    traces: Sequence[Trace],
+    joint: JointModel,
+    *,
+    seed: int = 0,
+    steps: int = STEPS,
+    walkers: int = WALKERS,
+    priors: Priors | None = None,
+    file: Path | None = None,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> ServoPosterior:
+    """Sample gains, latency and the parameters of the effects that the model holds.
+
+    Args:
+        traces: Recordings of the joint.
+        joint: Its model, where the search for the optimum starts.
+        seed: Seed of the chain.
+        steps: Steps of each walker, those that ``file`` holds included.
+        walkers: Walkers, at least twice as many as parameters.
+        priors: What is assumed; ``servo_priors`` where None.
+        file: Where the chain lives; it goes on from there. In memory only where None.
+        progress: Called with the steps made.
+
+    Returns:
+        The sample. Whether it may be believed is ``convergence.reached``.
+
+    Raises:
+        InputError: If ``file`` holds the chain of other recordings, or there are too few walkers.
+    """
+    given = [loaded(trace, joint) for trace in traces]
+    data = servo_data(given, joint, priors or servo_priors(joint))
+    F = len(data.priors.each)
+    if walkers < 2 * F:
+        raise InputError("--walkers", "", str(walkers), f"at least {2 * F} for {F} parameters")
+    chain = _begun(data, seed, walkers, file)
+    origin = chain.origin
+    start = Laplace(
+        origin["centre"], origin["factor"], origin["autoregression"], float(origin["noise_sd"])
+    )
+    likelihood = Likelihood(data, start.autoregression)
+    log_posterior = _log_posterior(likelihood)
+    progress(chain.steps)
+    chain = run_chain(chain, lambda w: log_posterior(start.coordinates(w)), steps, file, progress)
+    found = convergence(chain)
+    return ServoPosterior(
+        priors=data.priors,
+        values=data.priors.values(start.coordinates(sample(chain, found))),
+        convergence=found,
+        optimum=data.priors.values(start.centre),
+        noise_sd=start.noise_sd,
+        autoregression=start.autoregression,
+        data=data,
+        exact=likelihood.exact,
+        chain=chain,
+    )
+
+
+def _log_posterior(likelihood: Likelihood) -> LogDensity:
+    """Log-posterior of unbounded coordinates (B, F), up to a constant."""
+    priors = likelihood.data.priors
+
+    def log_posterior(z: Array) -> Array:
+        found = likelihood(priors.values(z)) + priors.log_density(z)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    return log_posterior
+
+
+def _begun(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:
+    """The chain in ``file``, or a new one from the optimum."""
+    mark = _fingerprint(data, seed, walkers)
+    if file is not None:
+        clear_leftovers(file)
+    if file is not None and file.exists():
+        chain = read_chain(file)
+        if chain.fingerprint != mark:
+            found = "the chain of other recordings, another model or seed"
+            raise InputError(file, "", found, "its own; remove the file to begin anew")
+        return chain
+    start = laplace(data)
+    start = sharpened(start, _log_posterior(Likelihood(data, start.autoregression)))
+    origin = {name: np.asarray(value) for name, value in vars(start).items()}
+    return new_chain(walkers, len(data.priors.each), seed, origin, mark)
+
+
+def _fingerprint(data: ServoData, seed: int, walkers: int) -> str:
+    """SHA-256 of everything that the chain depends on, but its length."""
+    digest = hashlib.sha256(f"{SIGNATURE} {data.priors.each} {seed} {walkers}".encode())
+    digest.update(data.row.tobytes())
+    for trace in data.traces:
+        digest.update(str(trace.load).encode())
+        for values in (trace.t, trace.command, trace.position, trace.used):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,141 @@
+"""One randomization range, and the file of them, ``ranges.json``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from sim2real.output import write_json
+from sim2real.structured import Fields, read_json
+
+SCHEMA = "sim2real.ranges/1"
+
+Period = Literal["episode", "step"]
+
+
+@dataclass(frozen=True)
+class Range:
+    """What one parameter is drawn from.
+
+    Names: ``command_latency_s`` (of all joints), ``J.latency_offset_s`` (of joint J beyond it),
+    ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER``, ``J.position_noise_rad``,
+    ``body.position_noise_m``, ``body.yaw_noise_rad``, ``body.normalised_density.LINK``,
+    ``body.EFFECT.PARAMETER``, ``EFFECT.PARAMETER`` (supply and link).
+
+    Attributes:
+        parameter: Its name.
+        distribution: Uniform between ``first`` and ``second``, or normal of mean ``first`` and
+            standard deviation ``second``.
+        first, second: See ``distribution``; SI.
+        unit: Their unit; empty for a pure number.
+        period: Whether it is drawn once an episode or anew at every step.
+        source: Which recordings and which quantiles it comes from, in words.
+    """
+
+    parameter: str
+    distribution: Literal["uniform", "normal"]
+    first: float
+    second: float
+    unit: str
+    period: Period
+    source: str
+
+    def content(self) -> dict[str, Any]:
+        """The entry as it stands in the file."""
+        names = ("low", "high") if self.distribution == "uniform" else ("mean", "sd")
+        return {
+            "parameter": self.parameter,
+            "distribution": self.distribution,
+            **dict(zip(names, (self.first, self.second), strict=True)),
+            "unit": self.unit,
+            "period": self.period,
+            "source": self.source,
+        }
+
+
+def uniform(
+    parameter: str, low: float, high: float, unit: str, source: str, period: Period = "episode"
+) -> Range:
+    """A range between two ends."""
+    return Range(parameter, "uniform", float(low), float(high), unit, period, source)
+
+
+def normal(
+    parameter: str, mean: float, sd: float, unit: str, source: str, period: Period = "episode"
+) -> Range:
+    """A range about a mean."""
+    return Range(parameter, "normal", float(mean), float(sd), unit, period, source)
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """All ranges of one robot.
+
+    Attributes:
+        entries: The ranges.
+        posterior: File of the joint posterior sample, relative to the file of the ranges; empty
+            where none was sampled.
+        notes: What a user must know, one sentence each.
+        provenance: Command line, versions, seed and SHA-256 of the inputs.
+    """
+
+    entries: Sequence[Range]
+    posterior: str = ""
+    notes: Sequence[str] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def named(self, parameter: str) -> Range | None:
+        """The range of a parameter, or None."""
+        return next((entry for entry in self.entries if entry.parameter == parameter), None)
+
+
+def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
+    """Write ``ranges.json``.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "ranges": [entry.content() for entry in ranges.entries],
+        "posterior": ranges.posterior or None,
+        "notes": list(ranges.notes),
+        "provenance": dict(ranges.provenance),
+    }
+    write_json(path, content)
+
+
+def read_ranges(path: str | os.PathLike[str]) -> Ranges:
+    """Read ``ranges.json``.
+
+    Raises:
+        InputError: If the file or one of its fields is not as the format says.
+    """
+    top = Fields(path, "", read_json(path, SCHEMA))
+    notes = top.content.get("notes", [])
+    if not isinstance(notes, list):
+        raise top.error("notes", "a list of sentences")
+    return Ranges(
+        entries=tuple(_read(entry) for entry in top.tables("ranges")),
+        posterior=top.text("posterior") if top.content.get("posterior") else "",
+        notes=tuple(str(note) for note in notes),
+        provenance=top.table("provenance").content,
+    )
+
+
+def _read(fields: Fields) -> Range:
+    period, source = fields.text("period"), fields.text("source", "")
+    name, unit = fields.text("parameter"), fields.text("unit", "")
+    if period not in ("episode", "step"):
+        raise fields.error("period", "'episode' or 'step'")
+    every: Period = "episode" if period == "episode" else "step"
+    kind = fields.text("distribution")
+    if kind == "uniform":
+        low = fields.number("low")
+        return uniform(name, low, fields.number("high", low=low), unit, source, every)
+    if kind == "normal":
+        mean, sd = fields.number("mean"), fields.number("sd", low=0)
+        return normal(name, mean, sd, unit, source, every)
+    raise fields.error("distribution", "'uniform' or 'normal'")

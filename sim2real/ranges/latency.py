@@ -1,0 +1,120 @@
+"""How late commands take effect, episode by episode, and how far that varies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.model import Model
+from sim2real.posterior.likelihood import loaded
+from sim2real.ranges.episode_fit import episode_latencies
+from sim2real.ranges.episodes import labelled
+from sim2real.ranges.spread import LAW_SD_S
+from sim2real.recording import Recording
+from sim2real.servo.trace import Trace, traces
+
+Array = NDArray[np.float64]
+
+ENOUGH_RECORDINGS = 5
+"""With fewer recordings, windows of them count as episodes: latency may drift within one."""
+WINDOW_S = 6.0
+LEAST_SAMPLES = 100
+"""Samples of a window that are worth a fit of three parameters and their noise."""
+LARGEST_SD_S = 0.01
+"""A latency less sure than this says nothing of a spread."""
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """Latency of the commands of each episode.
+
+    Attributes:
+        episodes: What each is: a recording, or a window of one.
+        seconds: Latency that all joints share, shape (E,).
+        sd: How sure each is, shape (E,).
+        offset: What each joint has beyond it in s, and how sure that is.
+        windows: Whether episodes are windows.
+        dropped: Fits that were too unsure to count.
+    """
+
+    episodes: Sequence[str]
+    seconds: Array
+    sd: Array
+    offset: Mapping[str, tuple[float, float]]
+    windows: bool
+    dropped: int
+
+
+def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None:
+    """Find the latency of every episode; None where no joint of the model moves.
+
+    Gains are found anew, shared by all episodes of a joint on one load, in one medium: in the water
+    they are not those of the bench. Effects stay as the model has them.
+
+    Args:
+        recordings: Recordings of any kind with commands and measured angles.
+        model: The fitted servos.
+    """
+    labels = labelled(recordings)
+    given = [
+        (recording, labels[recording.file], joint, loaded(one, model.joints[joint]))
+        for recording in recordings
+        for joint in model.joints
+        for one in traces([recording], joint)
+    ]
+    windows = len({name for _, name, _, _ in given}) < ENOUGH_RECORDINGS
+    if windows:
+        given = [(r, n, j, w) for r, name, j, one in given for n, w in _windows(name, one)]
+    if not given:
+        return None
+    alike = [(joint, r.kind, r.medium, one.load) for r, _, joint, one in given]
+    group = np.array([alike.index(one) for one in alike])
+    models = [model.joints[joint] for _, _, joint, _ in given]
+    value, sd = episode_latencies([one for *_, one in given], models, group)
+    sure = sd < LARGEST_SD_S
+    if not sure.any():
+        return None
+    kept = [(n, j) for (_, n, j, _), good in zip(given, sure, strict=True) if good]
+    return _combined(kept, value[sure], sd[sure], windows, int(np.sum(~sure)))
+
+
+def _windows(name: str, whole: Trace) -> list[tuple[str, Trace]]:
+    """Stretches of one recording, each simulated from its start but scored by itself."""
+    found = []
+    for start in np.arange(whole.t[0], whole.t[-1], WINDOW_S):
+        inside = whole.used & (whole.t >= start) & (whole.t < start + WINDOW_S)
+        moves = np.ptp(whole.command[(whole.t >= start) & (whole.t < start + WINDOW_S)]) > 0
+        if inside.sum() >= LEAST_SAMPLES and moves:
+            found.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
+    return found
+
+
+def _combined(
+    kept: Sequence[tuple[str, str]], value: Array, sd: Array, windows: bool, dropped: int
+) -> Latencies:
+    """Split latencies into what all joints of an episode share and what each joint adds.
+
+    Weighted least squares on latency = episode + joint, the joints' parts adding up to 0; errors
+    are raised to what the fit leaves, where that is more.
+    """
+    episodes = list(dict.fromkeys(name for name, _ in kept))
+    joints = list(dict.fromkeys(joint for _, joint in kept))
+    E, J = len(episodes), len(joints)
+    design = np.zeros((len(kept), E + J))
+    for k, (name, joint) in enumerate(kept):
+        design[k, episodes.index(name)] = 1.0
+        design[k, E + joints.index(joint)] = 1.0
+    weight = 1 / np.maximum(sd, LAW_SD_S)
+    tie = np.concatenate([np.zeros(E), np.full(J, weight.max() * 1e3)])
+    matrix = np.vstack([design * weight[:, None], tie])
+    target = np.append(value * weight, 0.0)
+    covariance = np.linalg.pinv(matrix.T @ matrix)
+    answer = covariance @ matrix.T @ target
+    freedom = len(kept) - E - J + 1
+    left = float(np.sum((matrix @ answer - target) ** 2))
+    inflated = np.sqrt(np.diag(covariance) * max(left / freedom if freedom > 0 else 1.0, 1.0))
+    offset = {j: (float(answer[E + k]), float(inflated[E + k])) for k, j in enumerate(joints)}
+    return Latencies(episodes, answer[:E], inflated[:E], offset, windows, dropped)

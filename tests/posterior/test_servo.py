@@ -1,0 +1,139 @@
+"""One servo's posterior: right, exact where it says so, and refusing what is not its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from sim2real.errors import InputError
+from sim2real.model import FittedEffect, JointModel
+from sim2real.posterior.check import predictive_check
+from sim2real.posterior.laplace import laplace
+from sim2real.posterior.likelihood import Likelihood
+from sim2real.posterior.sample import joint_sample, read_sample, to_arviz, write_sample
+from sim2real.posterior.servo import sample_servo
+from sim2real.recording import Load
+
+JOINT = JointModel(2.0, 0.05, 0.06, simulated.INERTIA, load=Load(simulated.INERTIA))
+TRUTH = np.array([simulated.KP, simulated.KD, simulated.LATENCY])
+FRICTION = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
+
+
+@pytest.fixture(scope="module")
+def given():
+    return simulated.traced(1)
+
+
+@pytest.fixture(scope="module")
+def found(given):
+    return sample_servo([given], JOINT, steps=400)
+
+
+def test_it_finds_the_servo_and_says_how_sure(found):
+    low, middle, high = found.quantiles(0.01, 0.5, 0.99)
+    assert (low < TRUTH).all() and (high > TRUTH).all()
+    np.testing.assert_allclose(middle, TRUTH, rtol=0.01)
+    assert found.exact and found.convergence.reached
+    assert found.noise_sd == pytest.approx(simulated.NOISE, rel=0.15)
+
+
+def test_with_much_data_it_is_nearly_normal(found):
+    start = laplace(found.data)
+    z = found.priors.coordinates(found.values)
+    expected = start.factor @ start.factor.T
+    np.testing.assert_allclose(np.cov(z.T), expected, rtol=0.25, atol=1e-7)
+
+
+def test_closed_form_and_substeps_agree(found):
+    closed = Likelihood(found.data, found.autoregression)
+    theta = found.data.theta(found.values[:: found.values.shape[0] // 20])
+    stepped = replace(closed.servo, substep_s=found.data.substep_s)
+    difference = np.log(closed.servo.energy(theta) / stepped.energy(theta))
+    assert np.std(0.5 * closed.freedom * difference) < 0.1
+
+
+def test_an_effect_of_the_model_is_sampled():
+    truth = {"coulomb_friction": {"torque_Nm": 0.05}}
+    trace = simulated.traced(2, seconds=8.0, **truth)
+    found = sample_servo([trace], replace(JOINT, effects=(FRICTION,)), steps=120)
+    low, high = found.quantiles(0.01, 0.99)
+    assert not found.exact
+    assert found.names[3] == "coulomb_friction.torque_Nm" and low[3] < 0.05 < high[3]
+
+
+def test_noise_that_is_correlated_widens_it(given, found):
+    rng = np.random.default_rng(4)
+    wander = np.zeros(given.t.size)
+    for k in range(1, wander.size):
+        wander[k] = 0.95 * wander[k - 1] + 0.0015 * np.sqrt(1 - 0.95**2) * rng.standard_normal()
+    wide = sample_servo([replace(given, position=given.position + wander)], JOINT, steps=400)
+    assert wide.values.std(axis=0)[0] > 1.15 * found.values.std(axis=0)[0]
+
+
+def test_it_goes_on_from_its_file(given, found, tmp_path):
+    file = tmp_path / "chain.npz"
+    for steps in (150, 400):
+        again = sample_servo([given], JOINT, steps=steps, file=file)
+    assert np.array_equal(again.chain.coordinates, found.chain.coordinates)
+    assert np.array_equal(again.values, found.values)
+
+
+def test_what_a_kill_left_is_cleared(given, tmp_path):
+    file = tmp_path / "chain.npz"
+    (tmp_path / ".chain.npz.half").write_bytes(b"half")
+    sample_servo([given], JOINT, steps=5, file=file)
+    assert [one.name for one in tmp_path.iterdir()] == ["chain.npz"]
+
+
+def test_the_chain_of_other_data_is_refused(given, tmp_path):
+    file = tmp_path / "chain.npz"
+    sample_servo([given], JOINT, steps=5, file=file)
+    other = replace(given, position=given.position + 1e-6)
+    for trace, seed in ((other, 0), (given, 1)):
+        with pytest.raises(InputError, match="remove the file"):
+            sample_servo([trace], JOINT, steps=5, file=file, seed=seed)
+
+
+def test_too_few_walkers(given):
+    with pytest.raises(InputError, match="at least 6 for 3 parameters"):
+        sample_servo([given], JOINT, walkers=5)
+
+
+def test_predictions_of_a_recording_never_seen(found):
+    unseen = simulated.traced(7)
+    check = predictive_check(found, JOINT, unseen, np.random.default_rng(0))
+    for level, share in check.covered.items():
+        assert share == pytest.approx(level, abs=0.06)
+    assert check.holds and check.rmse == pytest.approx(simulated.NOISE, rel=0.15)
+
+
+def test_predictions_fail_where_physics_is_missing(found):
+    loose = simulated.traced(7, backlash={"gap_rad": 0.05})
+    check = predictive_check(found, JOINT, loose, np.random.default_rng(0))
+    assert not check.holds
+
+
+def test_sample_of_all_joints(found, tmp_path):
+    sample = joint_sample({"j1": found, "j2": found}, np.random.default_rng(0))
+    write_sample(sample, tmp_path / "posterior.npz")
+    again = read_sample(tmp_path / "posterior.npz")
+    assert again.names == sample.names and again.units == sample.units
+    assert np.array_equal(again.values, sample.values)
+    assert again.names[0] == "j1.kp_Nm_per_rad" and again.units[2] == "s"
+    within = np.corrcoef(again.values[:, :2].T)[0, 1]
+    assert within == pytest.approx(np.corrcoef(found.values[:, :2].T)[0, 1], abs=0.06)
+    assert abs(np.corrcoef(again.values[:, [0, 3]].T)[0, 1]) < 0.08
+
+
+def test_a_file_that_is_no_sample(tmp_path):
+    (tmp_path / "posterior.npz").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="found no sample"):
+        read_sample(tmp_path / "posterior.npz")
+
+
+def test_for_arviz(found):
+    pytest.importorskip("arviz")
+    posterior = to_arviz(found).posterior
+    assert dict(posterior.sizes)["chain"] == 32
+    assert float(posterior["latency_s"].mean()) == pytest.approx(TRUTH[2], rel=0.01)

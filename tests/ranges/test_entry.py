@@ -1,0 +1,51 @@
+import json
+
+import pytest
+
+from sim2real.errors import InputError
+from sim2real.ranges.entry import Ranges, normal, read_ranges, uniform, write_ranges
+
+RANGES = Ranges(
+    (
+        uniform("command_latency_s", 0.048, 0.088, "s", "forty swims"),
+        normal("body.position_noise_m", 0.0, 0.05, "m", "forty swims", "step"),
+    ),
+    "posterior.npz",
+    ("a note",),
+    {"seed": 0},
+)
+
+
+def test_written_and_read(tmp_path):
+    write_ranges(RANGES, tmp_path / "ranges.json")
+    assert read_ranges(tmp_path / "ranges.json") == RANGES
+
+
+def test_the_file_is_as_the_interface_says(tmp_path):
+    write_ranges(RANGES, tmp_path / "ranges.json")
+    content = json.loads((tmp_path / "ranges.json").read_text())
+    assert content["schema"] == "sim2real.ranges/1"
+    assert content["ranges"][0] == {
+        "parameter": "command_latency_s", "distribution": "uniform", "low": 0.048, "high": 0.088,
+        "unit": "s", "period": "episode", "source": "forty swims",
+    }  # fmt: skip
+    assert {"mean", "sd"} < content["ranges"][1].keys()
+
+
+@pytest.mark.parametrize(
+    "field, value, where",
+    [
+        ("distribution", "cauchy", "ranges[0].distribution"),
+        ("period", "day", "ranges[0].period"),
+        ("high", 0.01, "ranges[0].high"),
+        ("low", None, "ranges[0].low"),
+    ],
+)
+def test_a_spoilt_file(tmp_path, field, value, where):
+    write_ranges(RANGES, tmp_path / "ranges.json")
+    content = json.loads((tmp_path / "ranges.json").read_text())
+    content["ranges"][0][field] = value
+    (tmp_path / "ranges.json").write_text(json.dumps(content))
+    with pytest.raises(InputError) as error:
+        read_ranges(tmp_path / "ranges.json")
+    assert error.value.where == where
