@@ -25,6 +25,7 @@ validate-gpu: .venv/installed   ## the fluid's published cases and resolution, o
 bench: .venv/installed   ## speed and memory, as ratios
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/fluid_speed.py
+	$(BIN)/python benchmarks/twin_speed.py
 
 lint: .venv/installed   ## format and fix what can be fixed
 	$(BIN)/ruff check --fix .

@@ -12,6 +12,8 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from sim.legend import BODY, INK, Image, colours
 from sim.render import need
@@ -131,14 +133,10 @@ def _in_all(image: Image) -> Any:  # noqa: ANN401 - PyAV is optional
 def _in_few_colours(image: Image) -> Any:  # noqa: ANN401
     """A GIF knows 256 colours. One palette serves all frames, as none is there to choose from."""
     from av import VideoFrame
-    from PIL import Image as Pillow
 
-    palette = _palette()
-    chosen = Pillow.new("P", (1, 1))
-    chosen.putpalette(palette.tobytes())
-    index = Pillow.fromarray(image).quantize(palette=chosen, dither=Pillow.Dither.NONE)
+    red, green, blue = image.transpose(2, 0, 1) >> 2
     opaque = np.full((256, 1), 255, dtype=np.uint8)
-    both: Any = np.asarray(index), np.hstack([opaque, palette])
+    both: Any = _nearest()[red, green, blue], np.hstack([opaque, _palette()])
     return VideoFrame.from_ndarray(both, format="pal8")
 
 
@@ -148,3 +146,11 @@ def _palette() -> Image:
     share = np.linspace(0, 1, 28)[:, None]
     edges = [np.array(INK) * share + np.array(on) * (1 - share) for on in (BODY, (255, 255, 255))]
     return np.rint(np.vstack([colours(np.linspace(-1, 1, 200)), *edges])).astype(np.uint8)
+
+
+@cache
+def _nearest() -> NDArray[np.uint8]:
+    """Index of the palette's nearest colour to each of 6 bits a channel, shape (64, 64, 64)."""
+    levels = np.linspace(0, 255, 64)
+    all_colours = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    return np.asarray(KDTree(_palette()).query(all_colours)[1], dtype=np.uint8)
