@@ -33,5 +33,5 @@ lint: .venv/installed   ## format and fix what can be fixed
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[report,ros,sim,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[report,ros,sim,rl,hardware,dev]'
 	touch $@

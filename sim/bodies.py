@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,10 @@ from sim.coupling import FIXED_POINT, SUMS, cover_kernel
 from sim.effects import OFF, Outside
 from sim.fluid import Fluid
 from sim.multibody import FREE, HELD, KINEMATIC, advance, move, start
+from sim.rows import Masses, chain_rows, change_rows, make_rows
 from sim.shape import Hull, displaced
 from sim.units import Units
 from sim2real.servo.parameters import CELLS, COLUMNS
-from sim2real.servo.rollout import active_effects
 
 Array = NDArray[np.float64]
 
@@ -43,21 +42,6 @@ def inset_at(viscosity: float) -> float:
     higher (cylinder towed at Re 100 with 8 to 24 cells, spheres settling at Re 1.5 and 32).
     """
     return 0.57 - 1.5 * float(np.sqrt(viscosity))
-
-
-@dataclass(frozen=True)
-class Masses:
-    """What the links weigh; shape (E, L) or (L,), SI.
-
-    Attributes:
-        mass: Mass in kg.
-        inertia: Moment of inertia about the centre of mass in kg m2.
-        com: Distance of the centre of mass from the link's front end in m.
-    """
-
-    mass: Array
-    inertia: Array
-    com: Array
 
 
 class Bodies:
@@ -117,13 +101,7 @@ class Bodies:
         water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
-        mass, inertia, com = (
-            np.broadcast_to(np.asarray(x, dtype=np.float64), (E, L))
-            for x in (masses.mass, masses.inertia, masses.com + outside.com)
-        )
-        inside = water[:, 2] + water[:, 0] * (com - water[:, 1]) ** 2
-        net = np.stack([mass - water[:, 0], inertia - inside], axis=-1)
-        virtual = virtual_mass * np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
+        self._virtual = virtual_mass
 
         def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
@@ -135,26 +113,12 @@ class Bodies:
         if servos is not None:
             rows[:] = servos
         chain = self.chain = Chain()
-        chain.mass, chain.water = put(net, wp.vec2d), put(virtual, wp.vec2d)
-        chain.com = put(com, wp.float64)
+        make_rows(chain, self._rows(masses, rows, outside), device)
         chain.length = put(hull.length, wp.float64)
         ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
         chain.limits = put(np.asarray(ends, dtype=np.float64).reshape(J, 2), wp.vec2d)
-        chain.servo = put(rows, wp.float64)
-        active = active_effects(rows.reshape(E * J, len(COLUMNS))).reshape(E, J)
-        chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
         chain.push = room((E, N), wp.float64)
-        resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
-        resist[:, :, 2] *= water[:, 0]
-        resist[:, :, 3] *= inside
-        chain.side = put(np.broadcast_to(outside.side, (E, L)), wp.float64)
-        chain.resist = put(resist, wp.vec4d)
-        chain.skin = put(np.broadcast_to(outside.skin, (E, J, 4)), wp.vec4d)
-        chain.coupling = put(np.broadcast_to(outside.coupling, (E,)), wp.float64)
-        chain.tether = put(np.broadcast_to(outside.tether, (E, 3)), wp.vec3d)
-        chain.current = put(np.broadcast_to(outside.current, (E, 2)), wp.vec2d)
-        chain.trim = put(np.broadcast_to(outside.trim, (E, J)), wp.float64)
         chain.widest = wp.float64(hull.half_width.max())
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
@@ -192,6 +156,28 @@ class Bodies:
         self._high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
         self._cover = cover_kernel(fluid.lattice, fluid.storage)
         self.place(np.zeros((E, N)))
+
+    def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
+        """The arrays of robots with these masses, servos and effects."""
+        E, L = servos.shape[0], self.hull.length.size
+        rows = chain_rows(masses, servos, outside, E)
+        water = self.displaced
+        mass, inertia = (np.broadcast_to(x, (E, L)) for x in (masses.mass, masses.inertia))
+        inside = water[:, 2] + water[:, 0] * (rows["com"] - water[:, 1]) ** 2
+        rows["mass"] = np.stack([mass - water[:, 0], inertia - inside], axis=-1)
+        carried = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
+        rows["water"] = self._virtual * carried
+        resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
+        resist[:, :, 2] *= water[:, 0]
+        resist[:, :, 3] *= inside
+        rows["resist"] = resist
+        return rows
+
+    def adopt(
+        self, which: NDArray[np.intp], masses: Masses, servos: Array, outside: Outside
+    ) -> None:
+        """Give some robots other masses, servos and effects, one row each."""
+        change_rows(self.chain, self._rows(masses, servos, outside), which)
 
     def place(
         self, q: Array, v: Array | None = None, mask: NDArray[np.bool_] | None = None

@@ -10,18 +10,19 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.bodies import FREE, KINEMATIC, Bodies, Masses
+from sim.bodies import FREE, KINEMATIC, Bodies
 from sim.control import HISTORY, calm, remember, send
 from sim.effects import outside
 from sim.fluid import Fluid
 from sim.lattice import D2Q9, D3Q19
+from sim.live import Live
+from sim.rows import changed, masses, servo_rows
 from sim.shape import Hull, afloat, draught, hull_of
 from sim.tank import WINDOW_M, Tank, pool, window
 from sim.units import WATER_M2_S, Units
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.servo.parameters import joint_row
 
 Array = NDArray[np.float64]
 
@@ -163,7 +164,7 @@ class Swimmer:
             self.hull,
             masses(robot, models, self.hull),
             self.units,
-            servos=_servos(robot, models),
+            servos=servo_rows(robot, models),
             limits=np.array([joint.limits_rad for joint in robot.joints]),
             origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
             middle=middle,
@@ -213,6 +214,18 @@ class Swimmer:
         self.bodies.place(q, v, mask=chosen)
         self._launch(remember, E, [on_device, self.bodies.chain, motion])
 
+    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+        """Give the robots of some boxes other models, before their ``reset``.
+
+        Args:
+            which: Indices of the boxes, shape (n,).
+            models: Their models.
+        """
+        other = outside(self.robot, models, self.hull)
+        own = masses(self.robot, models, self.hull)
+        self.bodies.adopt(which, own, servo_rows(self.robot, models), other)
+        self.outside = changed(self.outside, other, which, self.n_envs)
+
     def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
         """Send set-points and advance by one control period.
 
@@ -232,6 +245,15 @@ class Swimmer:
                 found = f"{values[row].tolist()} in environment {row}"
                 raise InputError("swimmer", "command", found, "finite angles")
             self._command.assign(np.ascontiguousarray(values))
+        self._run(FREE)
+
+    def live(self) -> Live:
+        """The live state, on the device."""
+        s = self.bodies.motion
+        return Live(self._command, s.q, s.v, s.measured, s.clock, self.fluid.stopped)
+
+    def advance(self) -> None:
+        """Advance by one control period with the set-points in ``live().command``."""
         self._run(FREE)
 
     def follow(self, joint: Array, rate: Array | None = None) -> None:
@@ -329,31 +351,6 @@ def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
     return np.array(array.numpy())
 
 
-def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
-    """Masses of the links, by the model's normalised densities where it has them.
-
-    A normalised density is (m_i / l_i) (sum l / sum m): Lin, Liu, Wang (2024), Sec. III-B.1. An
-    inertia that the file lacks is that of an elliptic cylinder.
-    """
-    total = sum(link.mass_kg for link in robot.links)
-    length = np.array([link.length_m for link in robot.links])
-    width = np.array([link.width_m for link in robot.links])
-    own = np.array([link.mass_kg for link in robot.links])
-    mass = np.tile(own, (len(models), 1))
-    for row, model in zip(mass, models, strict=True):
-        if "normalised_density" in model.body:
-            row[:] = np.asarray(model.body["normalised_density"]) * total * length / length.sum()
-    middle = np.array(
-        [link.length_m / 2 if link.com_m is None else link.com_m for link in robot.links]
-    )
-    middle[0] -= hull.half_width[0, 0]  # the hull's first axis begins behind the nose
-    inertia = mass * (length**2 / 12 + width**2 / 16)
-    for k, link in enumerate(robot.links):
-        if link.inertia_kgm2 is not None:
-            inertia[:, k] = link.inertia_kgm2 * mass[:, k] / own[k]
-    return Masses(mass, inertia, np.broadcast_to(middle, mass.shape))
-
-
 def _in_water(
     hull: Hull, mass_kg: float, flat: bool, depth_m: float | None, water_m: float
 ) -> tuple[Hull, float, float]:
@@ -364,25 +361,6 @@ def _in_water(
             return hull, 0.0, depth_m
     hull, depth = afloat(hull, mass_kg, flat)
     return hull, depth, water_m / 2 if depth_m is None else depth_m
-
-
-def _servos(robot: Robot, models: Sequence[Model]) -> Array:
-    rows = []
-    for model in models:
-        for joint in robot.joints:
-            if joint.name not in model.joints:
-                known = ", ".join(model.joints) or "none"
-                raise InputError("model", "joints", f"{known}", f"the robot's joint {joint.name}")
-            servo = model.joints[joint.name]
-            if servo.per_inertia:
-                raise InputError(
-                    "model", f"joints.{joint.name}", "gains per unit of inertia",
-                    "gains in N m, from recordings that state their loads",
-                )  # fmt: skip
-            row = joint_row(servo, None, joint.name)
-            row[4] = 0.0  # no pendulum in the water
-            rows.append(row)
-    return np.array(rows).reshape(len(models), len(robot.joints), -1)
 
 
 def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 
 from sim.chain import RING, Chain, Motion
 from sim.control import remember
-from sim.effects import outside
+from sim.effects import Outside, outside
+from sim.live import Live
+from sim.rows import chain_rows, change_rows, changed, make_rows, masses, servo_rows
 from sim.shape import Hull, afloat, draught, hull_of
-from sim.swimmer import CONTROL_S, State, _servos, masses
+from sim.swimmer import CONTROL_S, State
 from sim.tank import POOL_M
 from sim.twin_kernel import Water, start_twin, swim_twin
 from sim.units import WATER_KG_M3
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.servo.parameters import CELLS, COLUMNS
-from sim2real.servo.rollout import active_effects
+from sim2real.servo.parameters import CELLS
 
 Array = NDArray[np.float64]
 
@@ -124,13 +125,29 @@ class Twin:
         self.step_count = 0
         self.reset()
 
+    def _rows(
+        self, models: Sequence[Model], laws: Sequence[Coefficients], more: Outside
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+        """The arrays of robots with these models: of the chain, and of the water's law."""
+        E, L = len(models), len(self.robot.links)
+        own = masses(self.robot, models, self.hull)
+        chain = chain_rows(own, servo_rows(self.robot, models), more, E)
+        chain["mass"] = np.stack([own.mass, own.inertia], axis=-1)
+        chain["water"] = np.zeros((E, L, 2))
+        resist = np.array(np.broadcast_to(more.resist, (E, L, 4)))
+        scale = np.array([[c.across, c.along, c.added_mass, c.thrust] for c in laws])
+        scale[:, 2] *= 1 + resist[:, 0, 2]  # added mass belongs to the law here
+        resist[:, :, 2:] = 0.0
+        share = self.hull.length / self.hull.length.sum()
+        resist[:, :, 0] += np.array([c.linear for c in laws])[:, None] * share
+        chain["resist"] = resist
+        place, tip = self._places(chain["com"])
+        wall = np.broadcast_to(more.wall, (E,))
+        return chain, {"place": place, "tip": tip, "scale": scale, "wall": wall}
+
     def _build(self, models: list[Model], laws: list[Coefficients]) -> None:
         E, L = self.n_envs, len(self.robot.links)
-        J, N, more = L - 1, L + 2, self.outside
-        own = masses(self.robot, models, self.hull)
-        com = np.broadcast_to(own.com + more.com, (E, L))
-        rows = _servos(self.robot, models)
-        place, water, across, along, tip = self._geometry(com)
+        J, N = L - 1, L + 2
 
         def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             return wp.array(np.ascontiguousarray(values), dtype=kind, device=self.device)
@@ -138,28 +155,15 @@ class Twin:
         def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
             return wp.zeros(shape, dtype=kind, device=self.device)
 
-        resist = np.array(np.broadcast_to(more.resist, (E, L, 4)))
-        scale = np.array([[c.across, c.along, c.added_mass, c.thrust] for c in laws])
-        scale[:, 2] *= 1 + resist[:, 0, 2]  # added mass belongs to the law here
-        resist[:, :, 2:] = 0.0
-        share = self.hull.length / self.hull.length.sum()
-        resist[:, :, 0] += np.array([c.linear for c in laws])[:, None] * share
-        chain = self.chain = Chain()
-        chain.mass = put(np.stack([own.mass, own.inertia], axis=-1), wp.vec2d)
-        chain.water = room((E, L), wp.vec2d)
-        chain.com, chain.length = put(com, wp.float64), put(self.hull.length, wp.float64)
-        chain.side = put(np.broadcast_to(more.side, (E, L)), wp.float64)
-        chain.resist, chain.push = put(resist, wp.vec4d), room((E, N), wp.float64)
-        chain.skin = put(np.broadcast_to(more.skin, (E, J, 4)), wp.vec4d)
-        chain.coupling = put(np.broadcast_to(more.coupling, (E,)), wp.float64)
-        chain.tether = put(np.broadcast_to(more.tether, (E, 3)), wp.vec3d)
-        chain.current = put(np.broadcast_to(more.current, (E, 2)), wp.vec2d)
-        chain.trim = put(np.broadcast_to(more.trim, (E, J)), wp.float64)
+        rows, law_rows = self._rows(models, laws, self.outside)
+        chain, law = Chain(), Water()
+        self.chain, self.water = chain, law
+        make_rows(chain, rows, self.device)
+        make_rows(law, law_rows, self.device)
+        chain.length = put(self.hull.length, wp.float64)
+        chain.push = room((E, N), wp.float64)
         limits = np.array([joint.limits_rad for joint in self.robot.joints])
         chain.limits = put(limits.reshape(J, 2), wp.vec2d)
-        chain.servo = put(rows, wp.float64)
-        active = active_effects(rows.reshape(E * J, len(COLUMNS))).reshape(E, J)
-        chain.active = put(active, wp.int32)
         chain.memory = room((E, J, CELLS), wp.float64)
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
@@ -170,36 +174,54 @@ class Twin:
         s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=self.device)
         s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
-        law = self.water = Water()
-        law.place, law.mass = put(place, wp.float64), put(water, wp.float64)
-        law.across, law.along = put(across, wp.float64), put(along, wp.float64)
-        law.tip, law.scale = put(tip, wp.vec2d), put(scale, wp.vec4d)
-        law.wall = put(np.broadcast_to(more.wall, (E,)), wp.float64)
+        water, across, along = self._sections()
+        law.mass, law.across = put(water, wp.float64), put(across, wp.float64)
+        law.along = put(along, wp.float64)
         law.pool = wp.vec3d(POOL_M[0] / 2, POOL_M[1] / 2, self.hull.body_length)
         law.carried = room((E, L), wp.vec3d)
         self._friction = room((E, J), wp.float64)
+        self._signal = room((E, 1, J), wp.float64)
+        self._command = self._signal.reshape((E, J))
+        self._own = put(np.arange(E), wp.int32)
+        self._no_track = room((E, 0, 3 + J), wp.float64)
+        self._stopped = wp.full(E, -1, dtype=wp.int32, device=self.device)
 
-    def _geometry(self, com: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """What the water sees of each link: places, masses, drags, the tail's end."""
-        nodes, weights = np.polynomial.legendre.leggauss(POINTS)
-        s = (nodes + 1) / 2
-        curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)], axis=1)
-        high = self.hull.half_height @ curve.T  # (L, POINTS), from front to back
-        above = high if self._above is None else np.full_like(high, self._above)
-        wet = high + np.clip(above, -high, high)  # height under water
-        part = np.asarray(weights / 2)[None] * self.hull.length[:, None]
+    def _sections(self) -> tuple[Array, Array, Array]:
+        """What the water sees of each link: mass that goes along, drag across, drag along."""
+        _, part, high, wet = self._points()
         water = WATER_KG_M3 * np.pi / 4 * wet * 2 * high * part
         across = 0.5 * WATER_KG_M3 * wet * part
-        place = com[:, :, None] - s[None, None] * self.hull.length[None, :, None]
-        wide = self.hull.half_width @ curve.T
+        wide = self.hull.half_width @ _curve(_gauss()[0]).T
         along = np.zeros(self.hull.length.size)
         along[0] = 0.5 * WATER_KG_M3 * float((np.pi / 2 * wide * wet).max())
+        return water, across, along
+
+    def _points(self) -> tuple[Array, Array, Array, Array]:
+        """Gauss's points on each link: places, lengths, half-heights, heights under water."""
+        s, weights = _gauss()
+        high = self.hull.half_height @ _curve(s).T  # (L, POINTS), from front to back
+        above = high if self._above is None else np.full_like(high, self._above)
+        part = weights[None] * self.hull.length[:, None]
+        return s, part, high, high + np.clip(above, -high, high)
+
+    def _places(self, com: Array) -> tuple[Array, Array]:
+        """Where those points are about centres of mass at ``com``; the tail's end."""
+        s = _gauss()[0]
+        place = com[:, :, None] - s[None, None] * self.hull.length[None, :, None]
         end = float(self.hull.half_height[-1, 2])
         wet_end = end + (end if self._above is None else float(np.clip(self._above, -end, end)))
         mass = WATER_KG_M3 * np.pi / 4 * wet_end * 2 * end
         behind = self.hull.length[-1] + self.hull.half_width[-1, 2] - com[:, -1]
-        tip = np.stack([np.full_like(behind, mass), behind], axis=1)
-        return place, water, across, along, tip
+        return place, np.stack([np.full_like(behind, mass), behind], axis=1)
+
+    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+        """Give some robots other models, before their ``reset``; as ``Swimmer.adopt``."""
+        laws = [Coefficients.of(one.body) for one in models]
+        other = outside(self.robot, models, self.hull)
+        chain, water = self._rows(models, laws, other)
+        change_rows(self.chain, chain, which)
+        change_rows(self.water, water, which)
+        self.outside = changed(self.outside, other, which, self.n_envs)
 
     def reset(
         self,
@@ -240,7 +262,17 @@ class Twin:
             row = int(np.argwhere(~np.isfinite(values))[0, 0])
             found = f"{values[row].tolist()} in environment {row}"
             raise InputError("twin", "command", found, "finite angles")
-        self._swim(values[:, None], np.arange(E), 0)
+        self._command.assign(np.ascontiguousarray(values))
+        self.advance()
+
+    def live(self) -> Live:
+        """The live state, on the device; as ``Swimmer.live``."""
+        s = self.motion
+        return Live(self._command, s.q, s.v, s.measured, s.clock, self._stopped)
+
+    def advance(self) -> None:
+        """Advance by one control period with the set-points in ``live().command``."""
+        self._launch(self._signal, self._own, self._no_track)
         self.step_count += 1
 
     def swim(self, commands: Array, which: NDArray[np.intp] | None = None) -> Array:
@@ -270,15 +302,19 @@ class Twin:
             np.ascontiguousarray(commands, np.float64), dtype=wp.float64, device=self.device
         )
         chosen: Any = wp.array(which.astype(np.int32), dtype=wp.int32, device=self.device)
-        track: Any = wp.zeros((E, max(kept, 0), 3 + J), dtype=wp.float64, device=self.device)
-        h = wp.float64(CONTROL_S / self.substeps)
+        track: Any = wp.zeros((E, kept, 3 + J), dtype=wp.float64, device=self.device)
+        self._launch(signal, chosen, track)
+        return np.array(track.numpy())
+
+    def _launch(self, signal: Any, which: Any, track: Any) -> None:  # noqa: ANN401 - Warp arrays
+        h, E = wp.float64(CONTROL_S / self.substeps), self.n_envs
 
         def part(first: int, last: int) -> None:
             wp.launch(
                 swim_twin,
                 dim=last - first,
                 inputs=[
-                    first, signal, chosen, commands.shape[1], self.substeps, h, self.chain,
+                    first, signal, which, signal.shape[1], self.substeps, h, self.chain,
                     self.motion, self.water, self._friction, track,
                 ],
                 device=self.device,
@@ -291,7 +327,6 @@ class Twin:
         else:
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(part, edges[:-1], edges[1:]))
-        return np.array(track.numpy())
 
     def state(self) -> State:
         """Where the robots are and how they move; forces of the water are not kept here."""
@@ -313,3 +348,13 @@ class Twin:
             time=clock,
             stopped=np.where(finite, -1, 0).astype(np.int32),
         )
+
+
+def _gauss() -> tuple[Array, Array]:
+    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
+    return (nodes + 1) / 2, np.asarray(weights / 2)
+
+
+def _curve(s: Array) -> Array:
+    """Shares of a parabola's front, middle and back value at places s of a link."""
+    return np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)], axis=1)

@@ -25,6 +25,7 @@ ONLY_IN = {
     "torch": ("rl/",),
     "stable_baselines3": ("rl/",),
     "gymnasium": ("rl/",),
+    "ray": ("rl/executor/",),
     "datasets": (),
     "benchmarks": (),
     "tests": (),

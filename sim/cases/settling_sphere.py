@@ -121,7 +121,7 @@ def _sphere(fluid: Fluid, hull: Hull, units: Units, inset: float) -> Bodies:
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     """All four liquids, or the thinnest alone with a coarse sphere if ``quick``."""
-    diameter = 6 if quick else (24 if device.startswith("cuda") else 12)
+    diameter = 6 if quick else (24 if device.startswith("cuda") else 13)
     liquids = LIQUIDS[-1:] if quick else LIQUIDS
     figures, curves = [], []
     for liquid in liquids:

@@ -1,0 +1,37 @@
+"""One command of the command line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """One command.
+
+    Attributes:
+        name: As it is typed.
+        module: Imported when it runs; its ``run(options)`` gives the exit status.
+        add: Adds its options to a parser.
+        help: What it does, in a line.
+        example: One call of it.
+    """
+
+    name: str
+    module: str
+    add: Callable[[argparse.ArgumentParser], None]
+    help: str
+    example: str
+
+
+def add_recordings(command: argparse.ArgumentParser) -> None:
+    """The recordings that a command reads."""
+    command.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="RECORDING",
+        help="NAME.csv, NAME.json beside it",
+    )

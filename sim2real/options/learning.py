@@ -1,0 +1,153 @@
+"""Commands about policies: trained, tried, taken to the robot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sim2real.options.command import Command
+
+_TASKS = ("point", "near", "turn", "pentagram")
+_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects")
+
+
+def _water(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument("--model", type=Path, required=True, help="MODEL.json")
+    command.add_argument("--ranges", type=Path, help="ranges.json to draw episodes from")
+    command.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
+    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
+    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="of the fluid")
+    command.add_argument("--threads", type=int, default=1, help="of the simulator (default 1)")
+
+
+def _executor(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--executor",
+        choices=("local", "ray"),
+        help="a process for each run, here or on a Ray cluster (default: all runs in one batch)",
+    )
+    command.add_argument(
+        "--jobs", type=int, metavar="N", help="runs at a time (default: one a GPU)"
+    )
+    command.add_argument("--address", help="the Ray cluster, HOST:PORT (default: this machine's)")
+    command.add_argument(
+        "--retries", type=int, default=2, help="more attempts for a run that died (default 2)"
+    )
+
+
+def _train(command: argparse.ArgumentParser) -> None:
+    _water(command)
+    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
+    command.add_argument("--task", choices=_TASKS, help="(default point)")
+    command.add_argument("--quick", action="store_true", help="near targets, minutes on a CPU")
+    command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
+    command.add_argument("--steps", type=int, help="of each agent (default 1000000)")
+    command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
+    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
+    command.add_argument("--updates-per-step", type=float, help="(default 1)")
+    command.add_argument(
+        "--energy-weight", type=float, help="of the joints' squared rates (default 0.001)"
+    )
+    command.add_argument("--tensorboard", action="store_true", help="write its files too")
+    command.add_argument("--no-plots", action="store_true", help="write no curve.png")
+    _executor(command)
+
+
+def _ablate(command: argparse.ArgumentParser) -> None:
+    _water(command)
+    command.add_argument(
+        "--reality", type=Path, required=True, help="MODEL.json that training never sees"
+    )
+    command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
+    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
+    command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
+    command.add_argument(
+        "--seeds", type=int, default=3, metavar="N", help="of each arm (default 3)"
+    )
+    command.add_argument("--repeats", type=int, default=5, help="turns of each agent (default 5)")
+    command.add_argument("--reality-cell-m", type=float, metavar="M", help="(default: half)")
+    command.add_argument("--task", choices=_TASKS, help="to train at (default point)")
+    command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
+    command.add_argument("--steps", type=int, help="of each agent (default 600000)")
+    command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
+    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
+    command.add_argument("--updates-per-step", type=float, help="(default 1)")
+    command.add_argument("--energy-weight", type=float, help="(default 0.001)")
+    _executor(command)
+
+
+def _evaluate(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "policies", nargs="+", metavar="POLICY", help="policy.zip, policy.npz, pnl or adrc"
+    )
+    _water(command)
+    command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
+    command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
+    command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
+    command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
+
+
+def _export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("policy", type=Path, metavar="POLICY", help="POLICY.zip, a trained SAC")
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy.npz")
+    command.add_argument(
+        "--format",
+        nargs="+",
+        choices=("npz", "c", "onnx"),
+        help="NumPy arrays, a C header, ONNX: FILE with .npz, .h, .onnx (default: FILE's ending)",
+    )
+
+
+def _swim(command: argparse.ArgumentParser) -> None:
+    command.add_argument("policy", type=Path, metavar="POLICY", help="policy.npz, or a SAC's .zip")
+    command.add_argument(
+        "--target", required=True, metavar="X,Y", help="in the pool's frame in m; --target=-1,0.5"
+    )
+    command.add_argument("--port", metavar="URL", help="the robot's radio: udp://HOST:PORT")
+    command.add_argument("--virtual", action="store_true", help="a virtual robot, in the twin")
+    command.add_argument("--robot", type=Path, help="robot.toml of the virtual robot")
+    command.add_argument("--model", type=Path, help="MODEL.json of the virtual robot")
+    command.add_argument("--seconds", type=float, default=20.0, help="at most (default 20)")
+    command.add_argument("--out", type=Path, metavar="CSV", help="recording of the swim to write")
+
+
+COMMANDS = (
+    Command(
+        "train",
+        "rl.commands.train",
+        _train,
+        "train a policy by soft actor-critic, in the fluid or in its twin",
+        "sim2real train --quick --robot fish.toml --model model.json --out runs/quick",
+    ),
+    Command(
+        "evaluate",
+        "rl.commands.evaluate",
+        _evaluate,
+        "let policies and other controllers swim a task, and measure them",
+        "sim2real evaluate policy.zip pnl --task turn --robot fish.toml --model model.json",
+    ),
+    Command(
+        "ablate",
+        "rl.commands.ablate",
+        _ablate,
+        "train with and without each technique, and compare in simulation and in reality",
+        "sim2real ablate --robot fish.toml --model model.json --ranges ranges.json "
+        "--reality reality.json --out runs/ablation",
+    ),
+    Command(
+        "export",
+        "rl.commands.export",
+        _export,
+        "write a trained policy for NumPy, a microcontroller or ONNX",
+        "sim2real export policy.zip --out policy.npz --format npz c",
+    ),
+    Command(
+        "swim",
+        "rl.commands.swim",
+        _swim,
+        "let a policy drive the robot, or a virtual one, to a target",
+        "sim2real swim policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv",
+    ),
+)
+"""In the order in which help lists them."""
