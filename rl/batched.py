@@ -1,0 +1,109 @@
+"""The networks of several SAC agents in shared tensors, forwards and backwards by hand.
+
+PyTorch's autograd runs a few hundred small kernels for one update of SAC; these are about a
+hundred, for any number of agents at once. Weights keep the layout of ``torch.nn.Linear``, so that a
+policy of Stable-Baselines3 can be a view into them. Letters: C networks, B batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+BETAS, EPSILON = (0.9, 0.999), 1e-8
+
+
+@dataclass(frozen=True)
+class Layers:
+    """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
+
+    Attributes:
+        sizes: Width of the input, of each hidden layer, of the output.
+        flat, gradient: All parameters and their gradients, each one vector.
+        weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
+        moments: Adam's first and second moments, shape (2, parameters).
+        count: Updates so far, shape (1,).
+    """
+
+    sizes: tuple[int, ...]
+    flat: Tensor
+    gradient: Tensor
+    weights: tuple[Tensor, ...]
+    biases: tuple[Tensor, ...]
+    weight_gradients: tuple[Tensor, ...]
+    bias_gradients: tuple[Tensor, ...]
+    moments: Tensor
+    count: Tensor
+
+    @classmethod
+    def of(cls, C: int, sizes: Sequence[int], device: torch.device) -> Layers:
+        """Room for C networks, all zero."""
+        pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+        total = sum(C * (a + 1) * b for a, b in pairs)
+        flat, gradient = torch.zeros(2, total, device=device).unbind(0)
+        views: list[list[Tensor]] = [[], [], [], []]
+        for k, vector in enumerate((flat, gradient)):
+            at = 0
+            for a, b in pairs:
+                views[k].append(vector[at : at + C * a * b].view(C, b, a))
+                at += C * a * b
+                views[2 + k].append(vector[at : at + C * b].view(C, 1, b))
+                at += C * b
+        weights, weight_gradients, biases, bias_gradients = (tuple(view) for view in views)
+        return cls(
+            tuple(sizes), flat, gradient, weights, biases, weight_gradients, bias_gradients,
+            torch.zeros(2, total, device=device), torch.zeros(1, device=device),
+        )  # fmt: skip
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Input, hidden layers and output, each (C, B, width)."""
+        seen = [x]
+        last = len(self.weights) - 1
+        for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            h = torch.baddbmm(b, seen[-1], W.transpose(1, 2))
+            seen.append(h if k == last else torch.relu_(h))
+        return seen
+
+    def backward(self, seen: Sequence[Tensor], d: Tensor, *, inputs_only: bool = False) -> Tensor:
+        """Gradient of the input from that of the output; fills ``gradient`` on the way.
+
+        Args:
+            seen: What ``forward`` gave.
+            d: Gradient of the output, shape (C, B, width).
+            inputs_only: Leave ``gradient`` as it is.
+        """
+        for k in range(len(self.weights) - 1, -1, -1):
+            if not inputs_only:
+                torch.bmm(d.transpose(1, 2), seen[k], out=self.weight_gradients[k])
+                torch.sum(d, dim=1, keepdim=True, out=self.bias_gradients[k])
+            if k == 0 and not inputs_only:
+                return d
+            d = torch.bmm(d, self.weights[k])
+            if k > 0:
+                d = torch.ops.aten.threshold_backward(d, seen[k], 0.0)
+        return d
+
+    def descend(self, rate: float) -> None:
+        """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
+        adam(self.flat, self.gradient, self.moments, self.count, rate)
+
+
+def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: float) -> None:
+    """One step of Adam, in place.
+
+    Args:
+        flat: Parameters, shape (P,).
+        gradient: Their gradients, likewise.
+        moments: First and second moments, shape (2, P).
+        count: Steps so far, shape (1,).
+        rate: Learning rate.
+    """
+    count += 1
+    torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
+        [flat], [gradient], [moments[0]], [moments[1]], [], [count],
+        lr=rate, beta1=BETAS[0], beta2=BETAS[1], weight_decay=0.0, eps=EPSILON,
+        amsgrad=False, maximize=False,
+    )  # fmt: skip

@@ -1,0 +1,165 @@
+"""``sim2real ablate``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from rl.ablation import Place, ablate
+from rl.ablation_report import markdown, write_report
+from rl.agents import Settings
+from rl.arms import ARMS, arm_of
+from rl.executor import Job, run_jobs
+from rl.jobs import QUICK
+from rl.pool import draws_of
+from rl.randomize import noise_of
+from rl.task import TASKS
+from rl.train import Arm, Plan
+from rl.world import Draws
+from sim2real.errors import InputError
+from sim2real.model import Model, read_model
+from sim2real.output import provenance
+from sim2real.ranges.entry import Ranges, read_ranges
+from sim2real.robot import Robot, read_robot
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train the arms, swim the turn in simulation and reality, write the report."""
+    if options.out.exists() and not options.out.is_dir():
+        raise InputError(options.out, "", "a file", "a folder")
+    for name, least in (("seeds", 1), ("repeats", 1)):
+        if getattr(options, name) < least:
+            raise InputError("ablate", f"--{name}", str(getattr(options, name)), f">= {least}")
+    torch.set_num_threads(1)
+    robot, model = read_robot(options.robot), read_model(options.model)
+    ranges, reality = read_ranges(options.ranges), read_model(options.reality)
+    enriched = None if options.enriched is None else read_model(options.enriched)
+    names = options.arms or [name for name in ARMS if enriched or not ARMS[name].effects]
+    if enriched is None and any(ARMS[name].effects for name in names):
+        raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
+    arms = [arm_of(name, model, robot, ranges, enriched) for name in names]
+    plan = plan_of(options)
+    places = places_of(options, robot, arms, plan, ranges, reality)
+    files = [options.robot, options.model, options.ranges, options.reality]
+    made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
+    found = ablate(
+        options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
+        note=made, trainer=None if options.executor is None else by_jobs(options),
+    )  # fmt: skip
+    write_report(found, plan, options.out, made)
+    print(markdown(found))
+    print(f"report: {options.out / 'index.html'}")
+    return 0
+
+
+def plan_of(options: argparse.Namespace) -> Plan:
+    """How to train, the quick settings first."""
+    quick = QUICK if options.quick else {}
+
+    def chosen(name: str, otherwise: Any) -> Any:  # noqa: ANN401 - an option's value
+        given = getattr(options, name)
+        return quick.get(name, otherwise) if given is None else given
+
+    settings = Settings(
+        updates_per_step=chosen("updates_per_step", 1.0),
+        rate=quick.get("rate", 3e-4),
+        hidden=tuple(quick.get("hidden", (256, 256))),
+    )
+    task = TASKS[chosen("task", "point")]
+    weight = chosen("energy_weight", task.energy)
+    return Plan(
+        replace(task, energy=weight),
+        steps=chosen("steps", 600_000),
+        envs=chosen("envs", 64),
+        segment=chosen("segment", 200_000),
+        seeds=tuple(range(options.seed, options.seed + options.seeds)),
+        fidelity=options.fidelity,
+        device=options.device,
+        cell_m=options.cell_m,
+        threads=options.threads,
+        settings=settings,
+    )
+
+
+def places_of(
+    options: argparse.Namespace, robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges,
+    reality: Model,
+) -> list[Place]:  # fmt: skip
+    """Each arm's own simulator, and the reality that none of them has seen."""
+    S = len(plan.seeds)
+    noise = noise_of(ranges, [joint.name for joint in robot.joints])
+    own = [Draws(arm.draws.models[:1], arm.draws.noise) for arm in arms for _ in range(S)]
+    real = [Draws(draws_of(reality, None, robot, 0).models, noise)] * len(own)
+    finer: dict[str, Any] = {"substeps": 16}
+    if plan.fidelity == "fluid":
+        finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
+    return [
+        Place("simulation", own, plan.fidelity, plan.cell_m, {}),
+        Place("reality", real, plan.fidelity, options.reality_cell_m or plan.cell_m / 2, finer),
+    ]
+
+
+def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
+    """A trainer that gives each arm and seed a process of its own."""
+
+    def trained(
+        folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any]
+    ) -> list[Path]:
+        del robot, note
+        jobs = []
+        for arm in arms:
+            for seed in plan.seeds:
+                name = f"{arm.name}-{seed}"
+                files = {
+                    key: None if value is None else str(value.absolute())
+                    for key in ("robot", "model", "ranges", "enriched")
+                    for value in (getattr(options, key),)
+                }
+                given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
+                jobs.append(Job(name, "rl.commands.ablate:train_one", given, folder / name))
+        outcomes = run_jobs(
+            jobs, executor=options.executor, at_once=options.jobs, address=options.address,
+            gpus=0 if options.device == "cpu" else 1, retries=options.retries,
+        )  # fmt: skip
+        failed = [str(outcome) for outcome in outcomes if outcome.failure]
+        if failed:
+            raise RuntimeError("; ".join(failed))
+        return [job.folder / job.name for job in jobs]
+
+    return trained
+
+
+def asked(options: argparse.Namespace) -> dict[str, Any]:
+    """The options that make the plan, as JSON keeps them."""
+    names = (
+        "quick", "task", "steps", "envs", "segment", "updates_per_step", "energy_weight",
+        "fidelity", "device", "cell_m", "threads",
+    )  # fmt: skip
+    return {name: getattr(options, name) for name in names}
+
+
+def train_one(
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str,
+    enriched: str | None,
+    arm: str,
+    seed: int,
+    plan: dict[str, Any],
+) -> None:
+    """One arm and seed, as a job; see ``rl.executor``."""
+    from rl.train import train
+
+    torch.set_num_threads(1)
+    fish = read_robot(robot)
+    more = None if enriched is None else read_model(enriched)
+    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more)
+    how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
+    train(folder, fish, [one], how)

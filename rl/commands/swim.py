@@ -1,0 +1,150 @@
+"""``sim2real swim``: a policy drives the robot, or a virtual one, to a target."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from rl.forward import Policy, read_npz
+from rl.link import Link
+from rl.pilot import Pilot, Track
+from rl.swim import ANSWER_S, swim
+from sim2real.errors import InputError
+from sim2real.hardware.interruption import interruption
+from sim2real.output import check_writable, provenance
+from sim2real.recording import Recording, write_recording
+
+LONGEST_S = 3600.0
+FEWEST_ROWS = 2
+_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Swim, and write what was sent and seen as a pool recording.
+
+    Returns:
+        0 if the target was reached or the time was up, 1 if it had to stop; the recording is
+        written either way.
+    """
+    target = _target(options.target)
+    if not 0 < options.seconds <= LONGEST_S:
+        raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
+    if options.out is not None:
+        _check_out(options.out)
+    policy = _policy(options.policy)
+    pilot = Pilot(policy, target, options.seconds)
+    with (
+        _robot(options, policy) as url,
+        Link(url, len(policy.joints)) as link,
+        interruption() as stop,
+        tqdm(total=options.seconds, desc="swim", bar_format=_BAR, disable=None) as bar,
+    ):
+        track = swim(link, pilot, interrupted=stop, progress=bar.update)
+        if track is None:
+            heard = f", only {link.strange} strange datagrams" if link.strange else ""
+            found = f"no word from {url} in {ANSWER_S:g} s{heard}"
+            raise InputError("--port", "", found, "a robot that speaks as rl/link.py says")
+    kept = "nothing written"
+    if options.out is not None and len(track.t) >= FEWEST_ROWS:
+        write_recording(_recording(options, policy, track), options.out)
+        kept = f"{len(track.t)} rows in {options.out}"
+    return _told(track, kept)
+
+
+def _told(track: Track, kept: str) -> int:
+    """Say in one line how it ended."""
+    away = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not begun"
+    if track.stopped:
+        print(f"sim2real swim: {track.stopped}; {away}; sent to rest; {kept}", file=sys.stderr)
+        return 1
+    if track.reached_s is not None:
+        away = f"target reached in {track.reached_s:.2f} s"
+    print(f"{away}; {kept}")
+    return 0
+
+
+def _policy(path: Path) -> Policy:
+    """A policy for NumPy, or one just trained, for which PyTorch is needed."""
+    if path.suffix != ".zip":
+        return read_npz(path)
+    from rl.export import read_zip
+
+    return read_zip(path)
+
+
+@contextmanager
+def _robot(options: argparse.Namespace, policy: Policy) -> Iterator[str]:
+    """Where the robot is; a virtual one lives as long as the block."""
+    if not options.virtual:
+        if options.port is None:
+            raise InputError("--port", "", "nothing", "udp://HOST:PORT, or --virtual")
+        yield options.port
+        return
+    for name in ("robot", "model"):
+        if getattr(options, name) is None:
+            raise InputError(f"--{name}", "", "nothing", "it, for --virtual")
+    from rl.virtual_robot import virtual_robot
+    from sim.twin import Twin
+    from sim2real.model import read_model
+    from sim2real.robot import read_robot
+
+    robot = read_robot(options.robot)
+    names = tuple(joint.name for joint in robot.joints)
+    if names != policy.joints:
+        expected = f"those of the policy, {', '.join(policy.joints)}"
+        raise InputError(options.robot, "joints", ", ".join(names), expected)
+    with virtual_robot(Twin(robot, read_model(options.model), threads=1)) as url:
+        yield url
+
+
+def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Recording:
+    virtual = "Simulated by the twin, not measured: " if options.virtual else ""
+    names = ("body.x_m", "body.y_m", "body.yaw_rad")
+    columns = dict(zip(names, track.pose.T, strict=True)) | {"device_t_s": track.device_t}
+    inputs = [path for path in (options.policy, options.robot, options.model) if path is not None]
+    return Recording(
+        name=options.out.stem,
+        kind="pool",
+        joints=policy.joints,
+        t=track.t,
+        command=track.command,
+        position=track.joint,
+        medium="water",
+        source=f"{virtual}'sim2real swim' with {options.policy.name}.",
+        columns=columns,
+        metadata={
+            "swim": {
+                "target_m": _target(options.target).tolist(),
+                "reached_s": track.reached_s,
+                "closest_m": track.closest_m if np.isfinite(track.closest_m) else None,
+                "stopped": track.stopped,
+            },
+            "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "provenance": provenance(inputs, options.seed),
+        },
+    )
+
+
+def _target(text: str) -> NDArray[np.float64]:
+    try:
+        place = np.array([float(number) for number in text.split(",")])
+    except ValueError:
+        place = np.empty(0)
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise InputError("--target", "", repr(text), "X,Y in m, as 1.2,-0.4")
+    return place
+
+
+def _check_out(out: Path) -> None:
+    if out.suffix != ".csv":
+        raise InputError("--out", "", str(out), "a file name ending in .csv")
+    check_writable(out)
+    check_writable(out.with_suffix(".json"))

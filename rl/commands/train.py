@@ -1,0 +1,101 @@
+"""``sim2real train``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from rl.curve import draw_curves, read_progress
+from rl.executor import Job, run_jobs
+from rl.jobs import QUICK, train_run
+from sim2real.errors import InputError
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train one agent for each seed; draw how it went."""
+    if options.out.exists() and not options.out.is_dir():
+        raise InputError(options.out, "", "a file", "a folder")
+    torch.set_num_threads(1)  # the networks are small
+    given = call(options)
+    if options.executor is None:
+        folders = train_run(options.out, **given)
+    else:
+        folders = _side_by_side(options, given)
+    if not options.no_plots:
+        draw_curves({"policy": folders}, options.out / "curve.png")
+    if options.tensorboard:
+        write_tensorboard(folders)
+    for folder in folders:
+        seen = read_progress(folder)
+        some = np.flatnonzero(seen["episodes"] > 0)
+        last = f"return {seen['mean_return'][some[-1]]:.2f}" if some.size else "no episode ended"
+        print(f"{folder / 'policy.zip'}: {int(seen['steps'][-1])} steps, {last}")
+    return 0
+
+
+def call(options: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of ``train_run``, as JSON keeps them: the quick ones, then what was asked for."""
+    asked = {
+        "task": options.task, "steps": options.steps, "envs": options.envs,
+        "segment": options.segment, "updates_per_step": options.updates_per_step,
+        "energy_weight": options.energy_weight,
+    }  # fmt: skip
+    count = options.seeds
+    return {
+        **(QUICK if options.quick else {}),
+        **{name: value for name, value in asked.items() if value is not None},
+        "robot": str(options.robot),
+        "model": str(options.model),
+        "ranges": None if options.ranges is None else str(options.ranges),
+        "seeds": list(range(options.seed, options.seed + count)),
+        "fidelity": options.fidelity,
+        "device": options.device,
+        "cell_m": options.cell_m,
+        "threads": options.threads,
+    }
+
+
+def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Path]:
+    """A job for each seed, on this machine or on a cluster."""
+    jobs = []
+    for seed in given["seeds"]:
+        name = f"seed-{seed}"
+        files = {
+            k: str(Path(given[k]).absolute()) for k in ("robot", "model", "ranges") if given[k]
+        }
+        one = {**given, **files, "seeds": [seed]}
+        jobs.append(Job(name, "rl.jobs:train_run", one, options.out / name))
+    outcomes = run_jobs(
+        jobs, executor=options.executor, at_once=options.jobs, address=options.address,
+        gpus=0 if options.device == "cpu" else 1, retries=options.retries,
+    )  # fmt: skip
+    failed = [str(outcome) for outcome in outcomes if outcome.failure]
+    if failed:
+        raise RuntimeError("; ".join(failed))
+    return [job.folder / f"policy-{job.options['seeds'][0]}" for job in jobs]
+
+
+def write_tensorboard(folders: list[Path]) -> None:
+    """The same figures for TensorBoard, beside each agent's ``progress.csv``.
+
+    Raises:
+        InputError: If TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise InputError(
+            "train", "--tensorboard", "no TensorBoard", "pip install tensorboard"
+        ) from (None)
+    for folder in folders:
+        seen = read_progress(folder)
+        steps = seen.pop("steps")
+        with SummaryWriter(str(folder / "tensorboard")) as writer:
+            for name, values in seen.items():
+                for step, value in zip(steps, values, strict=True):
+                    if np.isfinite(value):
+                        writer.add_scalar(name, value, int(step))

@@ -1,0 +1,182 @@
+"""Active disturbance rejection control of the heading, guided by proportional navigation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rl.controllers.cpg import CentralPatternGenerator
+from rl.controllers.guidance import LineOfSight
+from rl.controllers.stroke import Stroke, begin
+from rl.controllers.tuned import tuned
+from rl.task import CONTROL_S
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ADRCGains(Stroke):
+    """Gains; each a number or one for each robot (E,).
+
+    Attributes:
+        navigation: Turning of the wanted heading for each turning of the line of sight.
+        memory_s: How long the lead that this gives is kept, in s.
+        agility_rad_s2: Largest angular acceleration of the transient profile.
+        bandwidth_rad_s: Of the heading's closed loop.
+        observer_rad_s: Of the extended state observer.
+        effect_per_s2: Angular acceleration for each rad of bend.
+    """
+
+    navigation: ArrayLike
+    memory_s: ArrayLike
+    agility_rad_s2: ArrayLike
+    bandwidth_rad_s: ArrayLike
+    observer_rad_s: ArrayLike
+    effect_per_s2: ArrayLike
+
+
+def fhan(error: Array, rate: Array, most: ArrayLike, h: float) -> Array:
+    """Acceleration that brings ``error`` and its ``rate`` to zero in least time, in steps of ``h``.
+
+    Han's function of that name (IEEE Trans. Ind. Electron. 56 (2009) 900, section on the
+    tracking differentiator), never above ``most`` in size.
+    """
+    r = np.asarray(most, dtype=np.float64)
+    d = r * h * h
+    a0 = h * rate
+    y = error + a0
+    a1 = np.sqrt(d * (d + 8 * np.abs(y)))
+    a2 = a0 + np.sign(y) * (a1 - d) / 2
+    a = np.where(np.abs(y) < d, a0 + y, a2)
+    return np.asarray(np.where(np.abs(a) < d, -r * a / d, -r * np.sign(a)))
+
+
+class TransientProfile:
+    """Han's tracking differentiator: a goal approached with bounded acceleration.
+
+    Attributes:
+        value, rate: The profile and its slope, shape (E,).
+    """
+
+    def __init__(self, n_envs: int, most: ArrayLike, *, dt: float) -> None:
+        """``most`` is the largest acceleration, a number or one for each robot."""
+        self.value, self.rate = np.zeros(n_envs), np.zeros(n_envs)
+        self._most, self._dt = most, dt
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Robots in ``mask`` (E,) begin anew from zero."""
+        self.value[mask] = self.rate[mask] = 0.0
+
+    def update(self, goal: Array) -> None:
+        """Advance by a period towards ``goal``, shape (E,)."""
+        push = fhan(self.value - goal, self.rate, self._most, self._dt)
+        self.value = self.value + self._dt * self.rate
+        self.rate = self.rate + self._dt * push
+
+
+class ExtendedStateObserver:
+    """Linear observer of ``y'' = disturbance + effect u``, the disturbance a third state.
+
+    Gains 3 w, 3 w^2, w^3 put all three poles at -w (Gao, "Scaling and bandwidth-parameterization
+    based controller tuning", ACC 2003).
+
+    Attributes:
+        state: Estimates of y, y' and the disturbance a period after the last measurement, (E, 3).
+    """
+
+    def __init__(
+        self, n_envs: int, bandwidth_rad_s: ArrayLike, effect: ArrayLike, *, dt: float
+    ) -> None:
+        """Begin at zero; ``bandwidth_rad_s`` times ``dt`` has to stay below 1."""
+        w = np.broadcast_to(np.asarray(bandwidth_rad_s, dtype=np.float64), (n_envs,))
+        self._gain = np.stack([3 * w, 3 * w**2, w**3], axis=1)
+        self._effect, self._dt = np.asarray(effect, dtype=np.float64), dt
+        self.state = np.zeros((n_envs, 3))
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Robots in ``mask`` (E,) begin anew from zero."""
+        self.state[mask] = 0.0
+
+    def update(self, y: Array, u: Array) -> None:
+        """Take in a measurement and the input in force until then, each of shape (E,)."""
+        z = self.state
+        slope = np.stack([z[:, 1], z[:, 2] + self._effect * u, np.zeros_like(u)], axis=1)
+        self.state = z + self._dt * (slope + self._gain * (y - z[:, 0])[:, None])
+
+
+class DisturbanceRejection:
+    """The controller "Li et al." of the paper: ADRC of the heading, led by proportional navigation.
+
+    After Li et al. (Bioinspir. Biomim. 14, 2019), whose parts these are:
+    proportional navigation gives the wanted heading, a tracking differentiator smooths it, an
+    extended state observer estimates heading, yaw rate and what disturbs them, and the feedback
+    takes the disturbance out; a central pattern generator swims about the bend that comes out.
+    The equations are Han's and Gao's, the gains our own.
+
+    Proportional navigation would turn the wanted heading N times as fast as the line of sight.
+    Its integral is the line of sight itself and a lead, which we let fade so that old turns do not
+    count; N = 1 is pure pursuit::
+
+        wanted = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
+
+    Headings are integrals of the yaw rate since the start. Their drift cancels: the line of sight
+    is heading plus bearing.
+
+    Attributes:
+        gains: What it steers by.
+        observer: Of heading, yaw rate and disturbance.
+    """
+
+    def __init__(
+        self,
+        limits_rad: ArrayLike,
+        n_envs: int = 1,
+        gains: ADRCGains | None = None,
+        *,
+        dt: float = CONTROL_S,
+    ) -> None:
+        """Args as ``CentralPatternGenerator``; ``gains`` are the tuned ones where None."""
+        self.gains = g = tuned("adrc", ADRCGains) if gains is None else gains
+        self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
+        self._sight = LineOfSight(n_envs, 0.0, dt=dt)
+        self._profile = TransientProfile(n_envs, g.agility_rad_s2, dt=dt)
+        self.observer = ExtendedStateObserver(n_envs, g.observer_rad_s, g.effect_per_s2, dt=dt)
+        self._dt = dt
+        self._heading, self._lead, self._turn = (np.zeros(n_envs) for _ in range(3))
+        self._fresh = np.ones(n_envs, dtype=bool)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Robots in ``mask`` (E,) begin anew."""
+        self._fresh |= mask
+        for part in (self._sight, self._profile, self.observer):
+            part.reset(mask)
+        for signal in (self._heading, self._lead, self._turn):
+            signal[mask] = 0.0
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Desired joint angles; see ``Controller``."""
+        gains, sight = self.gains, self._sight
+        sight.update(observation)
+        if self._fresh.any():
+            begin(self._generator, self._fresh, sight.bearing > 0, observation)
+        yaw_rate = np.asarray(observation[:, 2], dtype=np.float64)
+        self._heading = self._heading + np.where(self._fresh, 0.0, self._dt * yaw_rate)
+        self._fresh[:] = False
+        fade = self._lead / np.asarray(gains.memory_s)
+        gained = (np.asarray(gains.navigation) - 1.0) * sight.rate
+        self._lead = self._lead + self._dt * (gained - fade)
+        self._profile.update(self._heading + sight.bearing + self._lead)
+        self.observer.update(self._heading, self._turn)
+        self._turn = self._feedback()
+        return self._generator.step(gains.bent(self._turn)).astype(np.float32)
+
+    def _feedback(self) -> Array:
+        """The bend, as the linear form of ADRC has it: poles at the bandwidth, disturbance out."""
+        w = np.asarray(self.gains.bandwidth_rad_s, dtype=np.float64)
+        heading, rate, disturbance = self.observer.state.T
+        push = w**2 * (self._profile.value - heading) + 2 * w * (self._profile.rate - rate)
+        most = np.asarray(self.gains.bend_rad, dtype=np.float64)
+        bend = (push - disturbance) / np.asarray(self.gains.effect_per_s2, dtype=np.float64)
+        return np.asarray(np.clip(bend, -most, most))

@@ -1,0 +1,144 @@
+"""A central pattern generator: coupled phase oscillators, one a joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rl.task import CONTROL_S
+
+Array = NDArray[np.float64]
+
+SETTLE_PER_S = 12.0
+"""Rate at which amplitudes and offsets go to what is asked: 90 % of the way in 0.32 s."""
+COUPLING_PER_S = 5.0
+"""Weight of the coupling between neighbours."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A travelling wave along the body; each value a number or one for each environment (E,).
+
+    Attributes:
+        frequency_hz: Beats a second.
+        amplitude_rad: Amplitude of the last joint.
+        front: Amplitude of the first joint, as a share of the last's; those between on a line.
+        lag_rad: Phase by which a joint follows the one before it.
+        offset_rad: Bend about which every joint beats; below zero the robot turns left.
+    """
+
+    frequency_hz: ArrayLike
+    amplitude_rad: ArrayLike
+    front: ArrayLike = 0.5
+    lag_rad: ArrayLike = 1.2
+    offset_rad: ArrayLike = 0.0
+
+    def amplitudes(self, n_envs: int, n_joints: int) -> Array:
+        """The joints' amplitudes in rad, shape (E, J)."""
+        along = np.linspace(0.0, 1.0, n_joints) if n_joints > 1 else np.ones(1)
+        front = column(self.front, n_envs)
+        return column(self.amplitude_rad, n_envs) * (front + (1.0 - front) * along)
+
+
+@dataclass
+class Gliding:
+    """Values that glide to their goals without overshoot: a critically damped second order.
+
+    Attributes:
+        value: Where they are, shape (E, J).
+        rate: How fast they change, 1/s, shape (E, J).
+    """
+
+    value: Array
+    rate: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rate = np.zeros_like(self.value)
+
+    def step(self, goal: Array, rate_per_s: float, dt: float) -> Array:
+        """Advance by ``dt``, exactly for a goal that stands still; returns the value."""
+        error = self.value - goal
+        push = self.rate + rate_per_s * error
+        fade = np.exp(-rate_per_s * dt)
+        self.value = goal + (error + push * dt) * fade
+        self.rate = (self.rate - rate_per_s * push * dt) * fade
+        return self.value
+
+
+class CentralPatternGenerator:
+    """Oscillators of E robots with J joints each.
+
+    The model of Ijspeert and Crespi (ICRA 2007, "Online trajectory generation in an amphibious
+    snake robot using a lamprey-like central pattern generator model"): phases coupled to their
+    neighbours, amplitudes and offsets of second order, both critically damped::
+
+        phase_i'  = 2 pi f + w sum_j sin(phase_j - phase_i - lag_ij)
+        angle_i   = offset_i + amplitude_i sin(phase_i)
+
+    Their output is ``r (1 + cos phase)``; ours is symmetric about the offset.
+
+    Attributes:
+        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
+        phase: Shape (E, J), in rad.
+    """
+
+    def __init__(self, limits_rad: ArrayLike, n_envs: int, *, dt: float = CONTROL_S) -> None:
+        """Straight and still; ``dt`` is the control period in s."""
+        self.limits_rad = np.asarray(limits_rad, dtype=np.float64)
+        self.dt = dt
+        shape = (n_envs, len(self.limits_rad))
+        self.phase = np.zeros(shape)
+        self._amplitude, self._offset = Gliding(np.zeros(shape)), Gliding(np.zeros(shape))
+        self._fresh = np.ones(n_envs, dtype=bool)
+        self._start = np.zeros(n_envs)
+
+    def reset(
+        self, mask: NDArray[np.bool_], phase: ArrayLike = 0.0, angle: ArrayLike = 0.0
+    ) -> None:
+        """Robots in ``mask`` (E,) begin anew.
+
+        Args:
+            mask: Which, shape (E,).
+            phase: First phase of the first joint in rad, a number or shape (E,).
+            angle: Where the joints are, in rad, a number or shape (E, J).
+        """
+        self._fresh |= mask
+        self._start = np.where(mask, phase, self._start)
+        for part, value in ((self._amplitude, 0.0), (self._offset, angle)):
+            part.value = np.where(mask[:, None], value, part.value)
+            part.rate = np.where(mask[:, None], 0.0, part.rate)
+
+    def first_phase(self) -> Array:
+        """Phase of the first joints in rad, shape (E,)."""
+        return np.where(self._fresh, self._start, self.phase[:, 0])
+
+    def step(self, gait: Gait) -> Array:
+        """Advance by a period towards ``gait``; the joints' angles in rad, inside their limits.
+
+        Returns:
+            Shape (E, J). Where offset and amplitude together pass a limit, the angle stays there.
+        """
+        n_envs, n_joints = self.phase.shape
+        lag = column(gait.lag_rad, n_envs)
+        locked = self._start[:, None] - lag * np.arange(n_joints)
+        self.phase[self._fresh] = locked[self._fresh]
+        self._fresh[:] = False
+        behind = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
+        pull = np.zeros_like(self.phase)
+        pull[:, :-1] += behind
+        pull[:, 1:] -= behind
+        turn = 2 * np.pi * column(gait.frequency_hz, n_envs) + COUPLING_PER_S * pull
+        self.phase = np.mod(self.phase + self.dt * turn, 2 * np.pi)
+        goal = np.broadcast_to(column(gait.offset_rad, n_envs), self.phase.shape)
+        offset = self._offset.step(goal, SETTLE_PER_S, self.dt)
+        size = gait.amplitudes(n_envs, n_joints)
+        amplitude = self._amplitude.step(size, SETTLE_PER_S, self.dt)
+        low, high = self.limits_rad.T
+        return np.clip(offset + amplitude * np.sin(self.phase), low, high)
+
+
+def column(value: ArrayLike, n_envs: int) -> Array:
+    """A number or an array (E,) as a column (E, 1)."""
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (n_envs,))[:, None]

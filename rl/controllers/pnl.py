@@ -1,0 +1,75 @@
+"""Proportional navigation that bends a central pattern generator's wave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rl.controllers.cpg import CentralPatternGenerator
+from rl.controllers.guidance import LineOfSight
+from rl.controllers.stroke import Stroke, begin
+from rl.controllers.tuned import tuned
+from rl.task import CONTROL_S
+
+
+@dataclass(frozen=True)
+class PNLGains(Stroke):
+    """Gains; each a number or one for each robot (E,).
+
+    Attributes:
+        navigation_s: Bend for each rad/s by which the line of sight turns, in s.
+        pursuit: Bend for each rad of bearing.
+        filter_s: Time constant of the filter over the tail's beat, in s.
+    """
+
+    navigation_s: ArrayLike
+    pursuit: ArrayLike
+    filter_s: ArrayLike
+
+
+class ProportionalNavigation:
+    """The controller "PNL" of the paper: the bend follows the line of sight.
+
+    Proportional navigation (Guelman, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 364) turns the
+    velocity in proportion to the turning of the line of sight; at a given beat a fish turns about
+    in proportion to its bend, so the bend is what we command. A target straight behind turns the
+    line of sight not at all, so the bearing gets a gain of its own, without which the 180 degree
+    turn would not begin::
+
+        turn = navigation_s * line_of_sight_rate + pursuit * bearing
+
+    Attributes:
+        gains: What it steers by.
+    """
+
+    def __init__(
+        self,
+        limits_rad: ArrayLike,
+        n_envs: int = 1,
+        gains: PNLGains | None = None,
+        *,
+        dt: float = CONTROL_S,
+    ) -> None:
+        """Args as ``CentralPatternGenerator``; ``gains`` are the tuned ones where None."""
+        self.gains = tuned("pnl", PNLGains) if gains is None else gains
+        self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
+        self._sight = LineOfSight(n_envs, self.gains.filter_s, dt=dt)
+        self._fresh = np.ones(n_envs, dtype=bool)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Robots in ``mask`` (E,) begin anew."""
+        self._fresh |= mask
+        self._sight.reset(mask)
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Desired joint angles; see ``Controller``."""
+        sight, gains = self._sight, self.gains
+        sight.update(observation)
+        if self._fresh.any():
+            begin(self._generator, self._fresh, sight.bearing > 0, observation)
+            self._fresh[:] = False
+        turn = np.asarray(gains.navigation_s) * sight.rate
+        turn = turn + np.asarray(gains.pursuit) * sight.smooth
+        return self._generator.step(gains.bent(turn)).astype(np.float32)

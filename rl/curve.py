@@ -1,0 +1,76 @@
+"""The learning curve of a run: return and success against steps, an agent a line."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.output import check_writable
+from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+
+Array = NDArray[np.float64]
+
+_HEIGHT = 420
+LEAST = 64
+"""Episodes behind a point of the curve."""
+STYLES = ("-", "-", "-", "--", "--")
+
+
+def read_progress(folder: Path) -> dict[str, Array]:
+    """Columns of an agent's ``progress.csv``."""
+    with (folder / "progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def grouped(seen: Mapping[str, Array], least: int = LEAST) -> tuple[Array, Array, Array]:
+    """Steps, mean return and success over groups of rows with at least so many episodes.
+
+    Robots that arrive end their episodes first: rows of few episodes speak of them alone.
+    """
+    points: list[tuple[float, float, float]] = []
+    rows: list[int] = []
+    for k, count in enumerate(seen["episodes"]):
+        if count > 0:
+            rows.append(k)
+        if rows and (sum(seen["episodes"][rows]) >= least):
+            weight = seen["episodes"][rows]
+            mean, won = (
+                np.average(seen[n][rows], weights=weight) for n in ("mean_return", "success")
+            )
+            points.append((seen["steps"][k], mean, won))
+            rows = []
+    table = np.array(points).reshape(-1, 3)
+    return table[:, 0], table[:, 1], table[:, 2]
+
+
+def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
+    """Draw the curves of groups of agents.
+
+    Args:
+        agents: Folders of the agents of each group; the first group has the accent.
+        path: PNG to write.
+    """
+    check_writable(path)
+    with house_style():
+        figure = new_figure(_HEIGHT, "Return and success of episodes against training steps")
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for k, (group, folders) in enumerate(agents.items()):
+            colour = ACCENT if k == 0 else (INK, FAINT)[(k - 1) % 2]
+            for n, folder in enumerate(folders):
+                steps, mean, won = grouped(read_progress(folder))
+                label = group if n == 0 else None
+                style = STYLES[k % len(STYLES)]
+                upper.plot(steps / 1e3, mean, style, color=colour, lw=1.1, label=label)
+                lower.plot(steps / 1e3, 100 * won, style, color=colour, lw=1.1)
+        upper.set_title("mean return of the episodes that ended")
+        lower.set_title("share that arrived (%)")
+        lower.set(xlabel="steps of the environment, thousands", ylim=(0, 100))
+        if len(agents) > 1:
+            figure.legend(*upper.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=144)

@@ -1,0 +1,103 @@
+"""``python -m rl.executor FOLDER``: the process in which one job runs.
+
+It leaves with status 0 if the job is done, 2 if its input is at fault, 1 if it raised an exception.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import importlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rl.executor.job import Job, is_done, mark_begun, mark_done, read_job
+from sim2real.errors import InputError
+
+PATIENCE_S = 30.0  # for an earlier process to let go of the folder
+
+
+def main() -> int:
+    """Run the job of a folder, unless it is done."""
+    parser = argparse.ArgumentParser(prog="python -m rl.executor", description=main.__doc__)
+    parser.add_argument("folder", type=Path, help="a run folder with its job.json")
+    ending = "end, with everything started here, when standard input is closed"
+    parser.add_argument("--lifeline", action="store_true", help=ending)
+    options = parser.parse_args()
+    if options.lifeline:
+        _end_with_parent()
+    try:
+        _run(read_job(options.folder.absolute()))
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _run(job: Job) -> None:
+    with only_one(job.folder):
+        if is_done(job):
+            return
+        mark_begun(job)
+        _function(job)(job.folder, **job.options)
+        mark_done(job)
+
+
+def _function(job: Job) -> Callable[..., Any]:
+    name, _, function = job.function.partition(":")
+    module = importlib.import_module(name)
+    if not callable(found := getattr(module, function, None)):
+        raise InputError(job.name, "function", f"no {function} in {name}", "a function")
+    return found  # type: ignore[no-any-return]
+
+
+@contextmanager
+def only_one(folder: Path) -> Iterator[None]:
+    """Hold the folder against other processes; its ``lock`` names the one that has it.
+
+    Raises:
+        InputError: If another process does not let go of it in ``PATIENCE_S``.
+    """
+    with (folder / "lock").open("a+") as lock:
+        last = time.monotonic() + PATIENCE_S
+        while not _locked(lock.fileno()):
+            if time.monotonic() > last:
+                lock.seek(0)
+                raise InputError(folder, "", f"process {lock.read()} at work in it", "it idle")
+            time.sleep(0.1)
+        lock.truncate(0)
+        lock.write(f"{os.getpid()} on {os.uname().nodename}")
+        lock.flush()
+        yield
+
+
+def _locked(file: int) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _end_with_parent() -> None:
+    """Kill this process group once the parent has closed standard input, or is gone."""
+    lifeline = os.dup(0)  # a descriptor that no process started by the job inherits
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+
+    def watch() -> None:
+        os.read(lifeline, 1)
+        os.killpg(0, signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""The process of a job, seen from the one that started it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from rl.executor.job import LOG, Job, is_done
+
+
+class Died(Exception):
+    """A job's process was killed by a signal: worth another attempt."""
+
+
+def child_environment(cpus: int) -> dict[str, str]:
+    """Variables for a job's process: it imports what this one can, and uses ``cpus`` cores."""
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    return {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": str(cpus)}
+
+
+def start(
+    folder: Path, directory: str | os.PathLike[str], variables: Mapping[str, str]
+) -> subprocess.Popen[bytes]:
+    """Start the process of a run folder, in a session of its own and on a lifeline to this one.
+
+    Args:
+        folder: The run folder, its ``job.json`` written.
+        directory: Where the process works.
+        variables: Environment variables on top of this process's own.
+    """
+    with (folder / LOG).open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "rl.executor", str(folder), "--lifeline"],
+            stdin=subprocess.PIPE,  # the lifeline: closed when this process ends, however it ends
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            cwd=directory,
+            env=os.environ | dict(variables),
+            start_new_session=True,
+        )
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """Kill the process, if it still runs, and all that it left behind."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    if process.stdin:
+        process.stdin.close()
+
+
+def failure(job: Job, status: int) -> str | None:
+    """Why a process that ended with ``status`` has not done its job; None if it has.
+
+    Raises:
+        Died: If it was killed by a signal.
+    """
+    if is_done(job):
+        return None
+    if status < 0:
+        raise Died(f"killed by {signal.Signals(-status).name}")
+    return _last_line(job.folder / LOG) if status else "ended early, with status 0"
+
+
+def _last_line(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    return next((line.strip() for line in reversed(lines) if line.strip()), "said nothing")

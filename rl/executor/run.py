@@ -1,0 +1,88 @@
+"""Run jobs here or on a cluster, leaving out those that are done."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+
+from tqdm import tqdm
+
+from rl.executor.cluster import run_on_ray
+from rl.executor.job import LOG, Job, Outcome, is_done
+from rl.executor.local import run_local
+from rl.executor.process import child_environment
+from rl.executor.seats import seats
+from sim2real.errors import InputError
+from sim2real.output import check_writable
+from sim2real.structured import shown
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    *,
+    executor: str = "local",
+    at_once: int | None = None,
+    address: str | None = None,
+    cpus: int = 1,
+    gpus: float = 0,
+    retries: int = 2,
+) -> list[Outcome]:
+    """Run every job that is not done yet, with a progress bar on a terminal.
+
+    A job whose process is killed or whose node is lost goes on in a new process; one that raises an
+    exception has failed. Neither stops the others. A job whose ``done.json`` has the same function
+    and options is left as it is. An interrupt kills what runs; the same call then goes on.
+
+    Args:
+        jobs: The jobs, each with a name and a folder of its own.
+        executor: ``local`` for processes on this machine, ``ray`` for a Ray cluster whose nodes
+            share the file system and the Python environment.
+        at_once: How many run at a time here; None for as many as the GPUs, or the CPUs if
+            ``gpus`` is 0, have room for. A cluster decides by itself.
+        address: The Ray cluster; None for what ``ray.init`` finds.
+        cpus: CPU cores, and threads, of each job.
+        gpus: GPUs of each job: a whole number, or a part of one that jobs share. A job of none
+            sees none.
+        retries: How many more attempts a job gets that died.
+
+    Returns:
+        What became of each job, in their order.
+
+    Raises:
+        InputError: If two jobs share a name or a folder, a folder can't be written, or there is no
+            such executor, no Ray, no cluster or not enough GPUs.
+    """
+    jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
+    _check(jobs)
+    left = [job for job in jobs if not is_done(job)]
+    outcomes = {job.name: Outcome(job) for job in jobs}
+    if not left:
+        return list(outcomes.values())
+    variables = child_environment(cpus)
+    if executor == "local":
+        room = seats(at_once, cpus=cpus, gpus=gpus)
+        running = run_local(left, room, variables, retries=retries)
+    elif executor == "ray":
+        running = run_on_ray(left, address, variables, cpus=cpus, gpus=gpus, retries=retries)
+    else:
+        raise InputError("--executor", "", shown(executor), "local or ray")
+    look = {"desc": "jobs", "unit": "job", "miniters": 0, "mininterval": 1.0, "disable": None}
+    bar = tqdm(total=len(jobs), initial=len(jobs) - len(left), **look)
+    with bar, closing(running):
+        for outcome in running:
+            bar.update(outcome is not None)
+            if outcome:
+                outcomes[outcome.job.name] = outcome
+    return list(outcomes.values())
+
+
+def _check(jobs: Sequence[Job]) -> None:
+    """Make sure, before any work, that every job has a name and a writable folder of its own."""
+    for field in ("name", "folder"):
+        for value, times in Counter(getattr(job, field) for job in jobs).most_common(1):
+            if times > 1:
+                raise InputError("jobs", field, f"{value} {times} times", "one for each job")
+    for job in jobs:
+        check_writable(job.folder / LOG)

@@ -1,0 +1,148 @@
+"""A policy outside the building it was trained in: a file of arrays and ten lines of NumPy."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+
+SCHEMA = "sim2real.policy/1"
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A network of fully connected layers, ReLU between them, tanh at the end.
+
+    Attributes:
+        weights: Of each layer, shape (outputs, inputs).
+        biases: Of each layer, shape (outputs,).
+        low, high: Angles in rad that tanh's -1 and 1 stand for, shape (J,).
+        joints: Names of the J joints, in the action's order.
+        observation: Names of the O columns of an observation, with units, in order.
+        observation_limit: Largest size of each column in training, where it was cut, shape (O,).
+        provenance: Where it came from.
+    """
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    low: Array
+    high: Array
+    joints: tuple[str, ...]
+    observation: tuple[str, ...]
+    observation_limit: Array
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def forward(policy: Policy, observation: NDArray[Any]) -> Array:
+    """Desired joint angles in rad, shape (..., J): what the trained policy does without noise.
+
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C), scaled
+    to the joints' ranges.
+
+    Args:
+        policy: The policy.
+        observation: Columns as ``policy.observation`` says, shape (..., O).
+    """
+    x = np.asarray(observation, dtype=np.float32)
+    *hidden, last = zip(policy.weights, policy.biases, strict=True)
+    for weight, bias in hidden:
+        x = np.maximum(x @ weight.T + bias, np.float32(0))
+    weight, bias = last
+    share = (np.tanh(x @ weight.T + bias) + np.float32(1)) / np.float32(2)
+    return np.asarray(policy.low + share * (policy.high - policy.low), dtype=np.float32)
+
+
+def npz(policy: Policy) -> bytes:
+    """The content of ``policy.npz``; ``numpy.load`` needs no pickle for it."""
+    layers: dict[str, Any] = {}
+    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+        layers |= {f"weight_{k}": weight, f"bias_{k}": bias}
+    stream = BytesIO()
+    np.savez_compressed(
+        stream,
+        schema=np.array(SCHEMA),
+        low_rad=policy.low,
+        high_rad=policy.high,
+        joints=np.array(policy.joints),
+        observation=np.array(policy.observation),
+        observation_limit=policy.observation_limit,
+        provenance=np.array(json.dumps(dict(policy.provenance))),
+        **layers,
+    )
+    return stream.getvalue()
+
+
+def read_npz(path: str | os.PathLike[str]) -> Policy:
+    """Read ``policy.npz``.
+
+    Raises:
+        InputError: If it can't be read, or its arrays do not fit together.
+    """
+    file = Path(path)
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            content = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise InputError(file, "", f"no arrays ({error})", "a policy exported as .npz") from None
+    if str(content.get("schema")) != SCHEMA:
+        raise InputError(file, "schema", repr(str(content.get("schema"))), repr(SCHEMA))
+    try:
+        count = sum(name.startswith("weight_") for name in content)
+        policy = Policy(
+            weights=tuple(_numbers(content[f"weight_{k}"]) for k in range(count)),
+            biases=tuple(_numbers(content[f"bias_{k}"]) for k in range(count)),
+            low=_numbers(content["low_rad"]),
+            high=_numbers(content["high_rad"]),
+            joints=tuple(map(str, content["joints"])),
+            observation=tuple(map(str, content["observation"])),
+            observation_limit=_numbers(content["observation_limit"]),
+            provenance=json.loads(str(content["provenance"])),
+        )
+    except KeyError as error:
+        raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "", f"an array that is none ({error})", "finite numbers") from None
+    _check(file, policy)
+    return policy
+
+
+def _numbers(values: NDArray[Any]) -> Array:
+    found = np.asarray(values, dtype=np.float32)
+    if not np.isfinite(found).all():
+        raise ValueError("not finite")
+    return found
+
+
+def _check(file: Path, policy: Policy) -> None:
+    """Make sure that the layers follow on each other, from observation to joints."""
+    J, width = len(policy.joints), len(policy.observation)
+    if not policy.weights:
+        raise InputError(file, "weight_0", "nothing", "an array of that name")
+    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+        if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
+            found = f"the shapes {weight.shape} and {bias.shape}"
+            expected = f"(outputs, {width}) and (outputs,)"
+            raise InputError(file, f"weight_{k} and bias_{k}", found, expected)
+        width = weight.shape[0]
+    if width != J:
+        raise InputError(file, "joints", f"{J} for {width} outputs", "one an output")
+    columns = (len(policy.observation),)
+    for name, array, shape in (
+        ("low_rad", policy.low, (J,)),
+        ("high_rad", policy.high, (J,)),
+        ("observation_limit", policy.observation_limit, columns),
+    ):
+        if array.shape != shape:
+            raise InputError(file, name, f"the shape {array.shape}", f"{shape}")

@@ -1,0 +1,146 @@
+"""What the paper counts of a swim: time, energy, turning radius; and the length of the way.
+
+Recordings have a row each control period, the start first: positions (T, E, 2) in m, headings
+(T, E) in rad without jumps, joint rates (T, E, J) in rad/s, distances to the target (T, E) in m.
+Rows after the end of an environment's episode are NaN; they count for nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rl.task import CONTROL_S, POINT
+
+Array = NDArray[np.float64]
+
+REACHED_M = POINT.arrive_m
+"""Distance at which a target counts as reached."""
+_FROM, _TO = 0.1, 0.9
+_FLAT = 1e-9
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Each of shape (E,).
+
+    Attributes:
+        time_s: Until the target is reached; NaN where it is not.
+        energy: Sum over the steps of 20 ms of the joints' squared rates, in rad^2/s^2.
+        path_m: Length of the way of the head's centre of mass.
+        radius_m: Radius of the turn; NaN where there is none.
+    """
+
+    time_s: Array
+    energy: Array
+    path_m: Array
+    radius_m: Array
+
+
+def measure(
+    position: Array, heading: Array, rate: Array, distance: Array, *, turn_rad: float = np.pi
+) -> Metrics:
+    """All four of a recorded batch, until the target is reached or the recording ends.
+
+    Args:
+        position: Shape (T, E, 2).
+        heading: Shape (T, E).
+        rate: Shape (T, E, J).
+        distance: To the target, shape (T, E).
+        turn_rad: How far the task has the robot turn.
+
+    Raises:
+        ValueError: If T and E are not the same throughout.
+    """
+    if not position.shape[:2] == heading.shape == rate.shape[:2] == distance.shape:
+        shapes = [a.shape for a in (position, heading, rate, distance)]
+        raise ValueError(f"{shapes} do not begin with the same T and E")
+    time = time_to_target(distance)
+    last = np.where(np.isnan(time), len(distance), np.round(time / CONTROL_S))
+    before = np.arange(len(distance))[:, None] <= last
+    position = np.where(before[..., None], position, np.nan)
+    return Metrics(
+        time_s=time,
+        energy=energy(np.where(before[..., None], rate, np.nan)),
+        path_m=path_length(position),
+        radius_m=turning_radius(position, heading, turn_rad=turn_rad),
+    )
+
+
+def time_to_target(
+    distance: Array, *, reached_m: float = REACHED_M, dt: float = CONTROL_S
+) -> Array:
+    """Seconds until the first row nearer than ``reached_m``, shape (E,), NaN where none is."""
+    near = np.asarray(distance < reached_m)  # never where NaN
+    return np.where(near.any(axis=0), dt * near.argmax(axis=0), np.nan)
+
+
+def energy(rate: Array) -> Array:
+    """The paper's measure of energy, the sum over steps of the joints' squared rates.
+
+    It is no work: its unit is rad^2/s^2, a step of 20 ms counts once, and times 0.02 s it is the
+    integral over time. The row of the start counts too; a robot at rest adds nothing.
+
+    Args:
+        rate: Shape (T, E, J).
+
+    Returns:
+        Shape (E,); NaN where no row is known.
+    """
+    known = _known(rate)
+    total = np.where(known, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), total, np.nan)
+
+
+def path_length(position: Array) -> Array:
+    """Length in m of the way through the known rows of (T, E, 2), shape (E,)."""
+    step = np.linalg.norm(np.diff(position, axis=0), axis=2)
+    known = _known(position).any(axis=0)
+    return np.where(known, np.nansum(step, axis=0), np.nan)
+
+
+def turning_radius(position: Array, heading: Array, *, turn_rad: float = np.pi) -> Array:
+    """Radius of the circle through the middle of the turn, in m.
+
+    The turn's middle are the rows from the first at which the heading has changed by a tenth of
+    ``turn_rad`` (either way) until the first at which it has by nine tenths. Through the path of
+    the head's centre of mass there goes the circle of least squares of Kasa (IEEE Trans. Instrum.
+    Meas. 25 (1976) 8). For a corner of a longer path, give the rows from its waypoint on.
+
+    Args:
+        position: Shape (T, E, 2).
+        heading: Shape (T, E), without jumps.
+        turn_rad: How far the task has the robot turn.
+
+    Returns:
+        Shape (E,); NaN where the heading never changes so far, infinite where the path is straight.
+    """
+    changed = np.abs(heading - heading[0])
+    begun, done = (np.asarray(changed >= part * turn_rad) for part in (_FROM, _TO))
+    row = np.arange(len(heading))[:, None]
+    inside = (row >= begun.argmax(axis=0)) & (row <= done.argmax(axis=0)) & done.any(axis=0)
+    return circle_radius(np.where(inside[..., None], position, np.nan))
+
+
+def circle_radius(position: Array) -> Array:
+    """Radius of the least-squares circle through the known rows of (T, E, 2), shape (E,)."""
+    known = _known(position)
+    count = known.sum(axis=0)
+    given = np.where(known[..., None], position, 0.0)
+    middle = given.sum(axis=0) / np.maximum(count, 1)[:, None]
+    x, y = np.moveaxis(np.where(known[..., None], position - middle, 0.0), 2, 0)
+    square = x * x + y * y
+    xx, xy, yy = (x * x).sum(axis=0), (x * y).sum(axis=0), (y * y).sum(axis=0)
+    right, up = (x * square).sum(axis=0) / 2, (y * square).sum(axis=0) / 2
+    det = xx * yy - xy * xy
+    straight = det <= _FLAT * (xx + yy) ** 2
+    safe = np.where(straight, 1.0, det)
+    cx, cy = (right * yy - up * xy) / safe, (up * xx - right * xy) / safe
+    radius = np.sqrt(cx * cx + cy * cy + (xx + yy) / np.maximum(count, 1))
+    return np.where(count < 3, np.nan, np.where(straight, np.inf, radius))
+
+
+def _known(rows: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(rows).all(axis=2))

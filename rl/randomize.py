@@ -1,0 +1,118 @@
+"""From ranges to the robots of an environment: models drawn per episode, noise per step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.swims import with_values
+from sim2real.density import normalised_density
+from sim2real.effects import named
+from sim2real.errors import InputError
+from sim2real.model import FittedEffect, Model
+from sim2real.ranges.entry import Range, Ranges
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what is drawn anew at every step.
+
+    Attributes:
+        position_m: Of x and y of the head.
+        yaw_rad: Of its heading.
+        joint_rad: Of each joint's measured angle, one for all or one each.
+    """
+
+    position_m: float = 0.0
+    yaw_rad: float = 0.0
+    joint_rad: tuple[float, ...] = (0.0,)
+
+
+def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
+    """The noise that ranges ask for."""
+
+    def sd(name: str) -> float:
+        entry = ranges.named(name)
+        return 0.0 if entry is None or entry.period != "step" else entry.second
+
+    per_joint = tuple(sd(f"{joint}.position_noise_rad") for joint in joints)
+    return Noise(sd("body.position_noise_m"), sd("body.yaw_noise_rad"), per_joint)
+
+
+def draw_models(
+    model: Model, ranges: Ranges, robot: Robot, n: int, rng: np.random.Generator
+) -> list[Model]:
+    """Models for n episodes: the calibrated one with each range's draw put in.
+
+    Raises:
+        InputError: If a range's parameter is none of the model's or the robot's.
+    """
+    model = with_density(model, robot)
+    links = [link.name for link in robot.links]
+    entries = [entry for entry in ranges.entries if entry.period == "episode"]
+    columns = {entry.parameter: _draw(entry, n, rng) for entry in entries}
+    draws = ({name: float(x[i]) for name, x in columns.items()} for i in range(n))
+    return [_with(model, links, draw) for draw in draws]
+
+
+def with_density(model: Model, robot: Robot) -> Model:
+    """The model with the robot's own normalised densities, where it has none."""
+    if "normalised_density" in model.body:
+        return model
+    density = normalised_density(robot).value
+    return replace(model, body={**model.body, "normalised_density": [float(x) for x in density]})
+
+
+def _draw(entry: Range, n: int, rng: np.random.Generator) -> Array:
+    if entry.distribution == "uniform":
+        return rng.uniform(entry.first, entry.second, n)
+    return rng.normal(entry.first, entry.second, n)
+
+
+def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Model:
+    """The model with the values of one episode."""
+    latency = draw.get("command_latency_s")
+    joints = dict(model.joints)
+    rest: dict[str, float] = {}
+    density = dict(zip(links, model.body["normalised_density"], strict=True))
+    for name, value in draw.items():
+        head, _, tail = name.partition(".")
+        if name.startswith("body.normalised_density."):
+            link = name.rsplit(".", 1)[1]
+            if link not in density:
+                raise InputError("ranges", name, "no such link", f"one of {', '.join(links)}")
+            density[link] = value
+        elif head in joints and "." in tail:
+            effect, parameter = tail.split(".", 1)
+            joints[head] = replace(
+                joints[head], effects=_changed(joints[head].effects, effect, parameter, value)
+            )
+        elif head in joints and tail in ("kp_Nm_per_rad", "kd_Nms_per_rad"):
+            rest[name] = value
+        elif head == "body":
+            rest[tail] = value
+        elif head not in joints and name != "command_latency_s":
+            for joint in joints:
+                effects = _changed(joints[joint].effects, head, tail, value)
+                joints[joint] = replace(joints[joint], effects=effects)
+    if latency is not None:
+        for joint in joints:
+            late = latency + draw.get(f"{joint}.latency_offset_s", 0.0)
+            joints[joint] = replace(joints[joint], latency_s=max(0.0, late))
+    body = {**model.body, "normalised_density": list(density.values())}
+    return with_values(replace(model, joints=joints, body=body), rest)
+
+
+def _changed(
+    effects: tuple[FittedEffect, ...], name: str, parameter: str, value: float
+) -> tuple[FittedEffect, ...]:
+    named(name, "ranges")
+    own = {one.effect: dict(one.parameters) for one in effects}
+    own.setdefault(name, {})[parameter] = value
+    return tuple(FittedEffect(effect, values) for effect, values in own.items())

@@ -1,0 +1,150 @@
+"""The task, as the paper states it: swim to a target. Read it from top to bottom.
+
+Lin, Liu, Wang, "Learning Agile Swimming: An End-to-End Approach without CPGs" (IEEE RA-L 2025),
+Sec. III-A. Arrays have a leading axis of E environments; angles in rad, the rest SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array = NDArray[np.float64]
+
+CONTROL_S = 0.02
+"""Control period."""
+DOMAIN_M = (3.6, 3.6)
+"""The pool; its middle is the origin."""
+MARGIN_M = 0.4
+"""Starts and targets keep this far from its walls."""
+
+
+def observation(
+    velocity: Tensor, joint: Tensor, rate: Tensor, pose: Tensor, target: Tensor
+) -> Tensor:
+    """What the policy sees, shape (E, 5 + 2 J).
+
+    Args:
+        velocity: Surge, sway, yaw rate, shape (E, 3).
+        joint: Joint angles, shape (E, J).
+        rate: Joint rates, shape (E, J).
+        pose: x, y, heading of the head, shape (E, 3).
+        target: x, y of the target, shape (E, 2).
+    """
+    return torch.cat([velocity, joint, rate, in_body_frame(pose, target)], dim=1)
+
+
+def observation_names(joints: tuple[str, ...]) -> list[str]:
+    """Names of the observation's columns, in order, with units."""
+    angles = [f"{joint}.position_rad" for joint in joints]
+    rates = [f"{joint}.velocity_rad_s" for joint in joints]
+    body = ["surge_m_s", "sway_m_s", "yaw_rate_rad_s"]
+    return [*body, *angles, *rates, "target_ahead_m", "target_left_m"]
+
+
+def observation_bounds(J: int) -> list[float]:
+    """Largest size of each column of an observation; what is beyond is cut."""
+    return [10.0, 10.0, 50.0, *[4.0] * J, *[100.0] * J, 20.0, 20.0]
+
+
+def in_body_frame(pose: Tensor, target: Tensor) -> Tensor:
+    """The target as the robot sees it: ahead and to the left, shape (E, 2)."""
+    dx, dy = (target - pose[:, :2]).unbind(1)
+    c, s = torch.cos(pose[:, 2]), torch.sin(pose[:, 2])
+    return torch.stack([c * dx + s * dy, c * dy - s * dx], dim=1)
+
+
+def reward(
+    task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
+) -> Tensor:
+    """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 where it arrives, -10 where it leaves)."""
+    approach = task.approach * (before - distance)
+    energy = task.energy * (rate**2).sum(dim=1)
+    return approach - energy + task.bonus * (reached.float() - outside.float())
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task.
+
+    Attributes:
+        name: Its name.
+        place: Draws n first poses (n, 3), joint angles (n, J) and waypoints (n, W, 2) from a
+            generator of random numbers, given n and J.
+        waypoints: Number of waypoints W; the episode ends at the last.
+        steps: Longest episode, in control periods.
+        arrive_m: Distance at which a waypoint is reached.
+        approach, energy, bonus: Weights of the reward's terms.
+        domain_m: Length and width of the pool; outside it an episode ends.
+    """
+
+    name: str
+    place: Callable[[np.random.Generator, int, int], tuple[Array, Array, Array]]
+    waypoints: int = 1
+    steps: int = 1000
+    arrive_m: float = 0.05
+    approach: float = 10.0
+    energy: float = 0.001
+    bonus: float = 10.0
+    domain_m: tuple[float, float] = DOMAIN_M
+
+
+def point(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """Starts and targets anywhere in the pool, any heading, joints a little bent."""
+    half = np.array(DOMAIN_M) / 2 - MARGIN_M
+    pose = np.column_stack([rng.uniform(-half, half, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
+    return pose, rng.uniform(-0.2, 0.2, (n, J)), rng.uniform(-half, half, (n, 1, 2))
+
+
+def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """As ``point``, the target 0.3 to 1 m away in any direction: for quick training."""
+    pose, joint, _ = point(rng, n, J)
+    pose[:, :2] *= 0.4
+    away, around = rng.uniform(0.3, 1.0, n), rng.uniform(-np.pi, np.pi, n)
+    target = pose[:, :2] + away[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
+    return pose, joint, target[:, None]
+
+
+def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """A 180 degree turn: at rest, straight, the target 1.5 m behind; anywhere it fits."""
+    heading = rng.uniform(-np.pi, np.pi, n)
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    middle = rng.uniform(-0.3, 0.3, (n, 2))
+    pose = np.column_stack([middle + 0.75 * ahead, heading])
+    return pose, np.zeros((n, J)), (middle - 0.75 * ahead)[:, None]
+
+
+def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """A five-pointed star of 1.2 m radius: 21 waypoints, four a side and the start again.
+
+    The robot begins near the first point, heading for the second.
+    """
+    angle = np.pi / 2 + 4 * np.pi / 5 * np.arange(6)
+    corner = 1.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    share = np.arange(4)[:, None] / 4
+    sides = [a + share * (b - a) for a, b in zip(corner[:-1], corner[1:], strict=True)]
+    path = np.concatenate([*sides, corner[-1:]])
+    ahead = np.arctan2(*(corner[1] - corner[0])[::-1])
+    start = corner[0] - 0.15 * np.array([np.cos(ahead), np.sin(ahead)])
+    pose = np.column_stack([start + rng.normal(0, 0.02, (n, 2)), ahead + rng.normal(0, 0.1, n)])
+    return pose, np.zeros((n, J)), np.tile(path, (n, 1, 1))
+
+
+POINT = Task("point", point)
+TASKS = {
+    "point": POINT,
+    "near": Task("near", near, steps=500),
+    "turn": Task("turn", turn),
+    "pentagram": Task("pentagram", pentagram, waypoints=21, steps=6000),
+}
+"""All tasks by name."""
+
+
+def shortened(task: Task, steps: int) -> Task:
+    """The same task with shorter episodes."""
+    return replace(task, steps=steps)

@@ -1,0 +1,104 @@
+"""Many swimming robots as one vector environment of Stable-Baselines3."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from rl.env import action_space, desired_angles, observation_space
+from rl.world import Step, World
+
+Array = NDArray[np.float32]
+
+
+class FishVecEnv(VecEnv):
+    """All robots of a world, one batched simulator underneath.
+
+    An episode's last observation stands in ``infos[e]["terminal_observation"]``, what Monitor would
+    say of it in ``infos[e]["episode"]``.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        super().__init__(world.n_envs, observation_space(world), action_space(world))
+        self._return = np.zeros(world.n_envs)
+        self._length = np.zeros(world.n_envs, dtype=int)
+        self._action = torch.zeros(world.n_envs, len(world.low), device=world.device)
+
+    def reset(self) -> Array:
+        """Begin an episode everywhere; seeds given by ``seed`` count from the first."""
+        if self._seeds[0] is not None:
+            self.world.seed(self._seeds[0])
+            self._reset_seeds()
+        self._return[:], self._length[:] = 0.0, 0
+        return self.world.reset().cpu().numpy()
+
+    def step_async(self, actions: Array) -> None:
+        """Take the actions of the next step."""
+        self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
+
+    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Go on by one step."""
+        step = self.world.step(desired_angles(self.world, self._action))
+        value = step.reward.cpu().numpy()
+        ended = (step.terminated | step.truncated).cpu().numpy()
+        self._return += value
+        self._length += 1
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if ended.any():
+            self._tell(step, np.flatnonzero(ended), infos)
+        return step.observation.cpu().numpy(), value, ended, infos
+
+    def _tell(self, step: Step, ended: NDArray[np.intp], infos: list[dict[str, Any]]) -> None:
+        final, late = step.final.cpu().numpy(), step.truncated.cpu().numpy()
+        reached = step.reached.cpu().numpy()
+        for e in ended:
+            infos[e]["terminal_observation"] = final[e]
+            infos[e]["TimeLimit.truncated"] = bool(late[e])
+            infos[e]["is_success"] = bool(reached[e] >= self.world.task.waypoints)
+            infos[e]["episode"] = {"r": float(self._return[e]), "l": int(self._length[e])}
+            self._return[e], self._length[e] = 0.0, 0
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:  # noqa: ANN401 - SB3's
+        """The same attribute of the world for each environment asked for."""
+        if attr_name == "render_mode":
+            return [None for _ in self._get_indices(indices)]
+        return [getattr(self.world, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:  # noqa: ANN401
+        """Environments of one world cannot differ.
+
+        Raises:
+            NotImplementedError: Always.
+        """
+        raise NotImplementedError(f"{attr_name}: the environments share one world")
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,  # noqa: ANN401
+        indices: Any = None,  # noqa: ANN401
+        **method_kwargs: Any,  # noqa: ANN401
+    ) -> list[Any]:
+        """Environments of one world have no methods of their own.
+
+        Raises:
+            NotImplementedError: Always.
+        """
+        raise NotImplementedError(f"{method_name}: the environments share one world")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:  # noqa: ANN401
+        """None is wrapped; what ``Monitor`` would say is said by ``step_wait``."""
+        return [False for _ in self._get_indices(indices)]
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the world at its next reset."""
+        return super().seed(seed)

@@ -1,0 +1,230 @@
+"""Robots, their water and their task, as tensors: the one environment that all others wrap.
+
+Observations, rewards and noise are computed on the simulator's device; nothing of the fluid ever
+leaves it. An episode that ends begins anew at once, with another robot drawn from ``Draws``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.dlpack import from_dlpack
+
+from rl.randomize import Noise
+from rl.task import Task, observation, observation_bounds, reward
+from sim.live import Simulator
+from sim2real.model import Model
+from sim2real.velocity import NEWEST, slope_weights
+
+FAST_M_S = 5.0
+"""No such robot swims as fast: one that does is taken out."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What an environment's episodes are drawn from.
+
+    Attributes:
+        models: Robots, one an episode; none where the simulator keeps those it has.
+        noise: What its sensors add at every step.
+    """
+
+    models: Sequence[Model] = ()
+    noise: Noise = Noise()
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step gave, for E environments.
+
+    Attributes:
+        observation: Of the state that the next action is for, shape (E, O).
+        reward: Shape (E,).
+        terminated: The robot arrived at the last waypoint or left the pool, shape (E,).
+        truncated: The episode took too long, or the guard stopped the robot, shape (E,).
+        reached: Waypoints reached so far in the episode that this step belongs to, shape (E,).
+        final: Observation at the end of this step, which ``observation`` is but where episodes end.
+    """
+
+    observation: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    reached: Tensor
+    final: Tensor
+
+
+class World:
+    """A batch of robots at a task.
+
+    Attributes:
+        simulator: The fluid's swimmer or its twin.
+        task: The task.
+        n_envs: Number of environments E.
+        low, high: Smallest and largest action, shape (J,).
+        size: Width of an observation.
+        pose, joint, rate: True state after the last step, shapes (E, 3), (E, J), (E, J).
+        targets: Waypoints in m, shape (E, W, 2).
+        waypoint: Number of the waypoint that each robot swims to, shape (E,).
+        elapsed: Steps of the episode so far, shape (E,).
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        *,
+        draws: Draws | Sequence[Draws] = Draws(),
+        seed: int = 0,
+    ) -> None:
+        """Put the robots at their starts.
+
+        Args:
+            simulator: The robots and their water.
+            task: The task.
+            draws: What episodes are drawn from; several share the environments evenly, in blocks.
+            seed: Of starts, targets, models and noise.
+        """
+        self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
+        blocks = [draws] if isinstance(draws, Draws) else list(draws)
+        self._draws = [blocks[e * len(blocks) // self.n_envs] for e in range(self.n_envs)]
+        self._live = simulator.live()
+        self._command = from_dlpack(self._live.command)
+        self.device = self._command.device
+        E, J = self._command.shape
+        self.size = 5 + 2 * J
+        limits = np.array([joint.limits_rad for joint in simulator.robot.joints])
+        self.low, self.high = self._tensor(limits[:, 0]), self._tensor(limits[:, 1])
+        self._half = self._tensor(np.array(task.domain_m) / 2)
+        self._bound = self._tensor(np.array(observation_bounds(J)))
+        self._weights = self._tensor(slope_weights())[:, None]
+        self._sd = self._tensor(np.stack([_deviations(d.noise, J) for d in self._draws]))
+        self._past = torch.zeros(E, NEWEST, 3 + J, device=self.device)
+        self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)
+        self._row = torch.arange(E, device=self.device)
+        self.waypoint = torch.zeros(E, dtype=torch.long, device=self.device)
+        self.elapsed = torch.zeros(E, dtype=torch.long, device=self.device)
+        self._distance = torch.zeros(E, device=self.device)
+        self.seed(seed)
+        self.reset()
+
+    def seed(self, seed: int) -> None:
+        """Begin all random numbers anew."""
+        self.rng = np.random.default_rng(seed)
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+
+    def reset(self) -> Tensor:
+        """Begin an episode everywhere; its first observations, shape (E, O)."""
+        self._begin(np.arange(self.n_envs))
+        return self._observed()
+
+    def step(self, action: Tensor, *, begin: bool = True) -> Step:
+        """Send set-points and go on by one control period.
+
+        Args:
+            action: Desired joint angles in rad, shape (E, J); cut to the joints' limits.
+            begin: Begin an episode where one has ended; else robots swim on to the last target.
+        """
+        self._command.copy_(torch.clamp(action, self.low, self.high))
+        self.simulator.advance()
+        self.elapsed += 1
+        self._read()
+        distance = self._far()
+        outside = (self.pose[:, :2].abs() > self._half).any(dim=1)
+        reached = distance < self.task.arrive_m
+        stopped = self._stopped
+        value = reward(self.task, self._distance, distance, self.rate, reached, outside)
+        value = torch.where(stopped, torch.zeros_like(value), value)
+        self.waypoint += reached
+        done = self.waypoint >= self.task.waypoints
+        terminated = (done | outside) & ~stopped
+        truncated = ((self.elapsed >= self.task.steps) | stopped) & ~terminated
+        count = self.waypoint.clone()
+        self.waypoint.clamp_(max=self.task.waypoints - 1)
+        self._distance = self._far()
+        self._remember()
+        final = self._observed()
+        ended = torch.nonzero(terminated | truncated)[:, 0]
+        seen = final
+        if begin and len(ended):
+            self._begin(ended.cpu().numpy())
+            seen = self._observed()
+        return Step(seen, value, terminated, truncated, count, final)
+
+    def _begin(self, which: NDArray[np.intp]) -> None:
+        """Begin an episode in some environments."""
+        simulator, rng, n = self.simulator, self.rng, len(which)
+        J = len(simulator.robot.joints)
+        known = [(e, self._draws[e].models) for e in which if len(self._draws[e].models)]
+        if known:
+            chosen = [models[rng.integers(len(models))] for _, models in known]
+            simulator.adopt(np.array([e for e, _ in known]), chosen)
+        start, bent, targets = self.task.place(rng, n, J)
+        mask = np.zeros(self.n_envs, dtype=bool)
+        pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
+        mask[which], pose[which], joint[which] = True, start, bent
+        simulator.reset(mask, pose, joint)
+        current = np.broadcast_to(simulator.outside.current, (self.n_envs, 2))
+        self._current = self._tensor(current)
+        rows = torch.as_tensor(which, device=self.device)
+        self.targets[rows] = self._tensor(targets)
+        self.waypoint[rows] = 0
+        self.elapsed[rows] = 0
+        self._read()
+        self._distance[rows] = self._far()[rows]
+        for _ in range(NEWEST):
+            self._remember(rows)
+
+    def _read(self) -> None:
+        """Take the true state from the simulator."""
+        q, v = from_dlpack(self._live.q).float(), from_dlpack(self._live.v).float()
+        clock = from_dlpack(self._live.clock).float()
+        place = q[:, :2] + self._current * clock[:, None]  # from the water's frame to the pool's
+        lost = ~torch.isfinite(q).all(dim=1) | (v[:, :2].abs() > FAST_M_S).any(dim=1)
+        self._stopped = lost | (from_dlpack(self._live.stopped) >= 0)
+        self.pose = torch.nan_to_num(torch.cat([place, q[:, 2:3]], dim=1))
+        self.joint, self.rate = torch.nan_to_num(q[:, 3:]), torch.nan_to_num(v[:, 3:])
+
+    def _remember(self, rows: Tensor | None = None) -> None:
+        """Take the newest measurement, noise and all, in all environments or in some."""
+        shown = torch.nan_to_num(from_dlpack(self._live.measured).float())
+        now = torch.cat([self.pose, shown], dim=1)
+        now = now + self._sd * torch.randn(
+            now.shape, generator=self.generator, device=self.device, dtype=now.dtype
+        )
+        moved = torch.cat([self._past[:, 1:], now[:, None]], dim=1)
+        if rows is None:
+            self._past = moved
+        else:
+            self._past[rows] = moved[rows]
+
+    def _observed(self) -> Tensor:
+        """What the policy sees: velocities are slopes through the last measurements."""
+        now = self._past[:, -1]
+        slope = (self._past * self._weights).sum(dim=1)
+        c, s = torch.cos(now[:, 2]), torch.sin(now[:, 2])
+        surge, sway = c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0]
+        velocity = torch.stack([surge, sway, slope[:, 2]], dim=1)
+        seen = observation(velocity, now[:, 3:], slope[:, 3:], now[:, :3], self._target())
+        return torch.clamp(seen, -self._bound, self._bound)
+
+    def _target(self) -> Tensor:
+        return self.targets[self._row, self.waypoint]
+
+    def _far(self) -> Tensor:
+        """True distance from each head to its target."""
+        return torch.sqrt(((self._target() - self.pose[:, :2]) ** 2).sum(dim=1))
+
+    def _tensor(self, values: NDArray[np.float64]) -> Tensor:
+        return torch.as_tensor(np.array(values), dtype=torch.float32).to(self.device)
+
+
+def _deviations(noise: Noise, J: int) -> NDArray[np.float64]:
+    """Standard deviations of x, y, heading and joint angles, shape (3 + J,)."""
+    per_joint = np.broadcast_to(np.asarray(noise.joint_rad), (J,))
+    return np.concatenate([[noise.position_m, noise.position_m, noise.yaw_rad], per_joint])

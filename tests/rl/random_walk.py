@@ -1,0 +1,83 @@
+"""A job for the tests: a random walk that can be killed at any moment and goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim2real.errors import InputError
+from sim2real.output import write_json
+
+STEPS_A_CHECKPOINT = 10
+
+
+def walk(folder: Path, *, seed: int, steps: int, pause_s: float = 0.1) -> None:
+    """Walk ``steps`` steps, with a checkpoint and a pause after every ten."""
+    rng = np.random.default_rng(seed)
+    state = _checkpoint(folder, {"seed": seed, "steps": steps}) or {
+        "made_with": {"seed": seed, "steps": steps},
+        "step": 0,
+        "position": 0.0,
+        "rng": rng.bit_generator.state,
+    }
+    rng.bit_generator.state = state["rng"]
+    with (folder / "starts.txt").open("a") as starts:
+        starts.write(f"{state['step']}\n")
+    while state["step"] < steps:
+        state["position"] += float(rng.normal(size=STEPS_A_CHECKPOINT).sum())
+        state["step"] += STEPS_A_CHECKPOINT
+        state["rng"] = rng.bit_generator.state
+        write_json(folder / "walk.json", state)
+        print("at step", state["step"])
+        time.sleep(pause_s)
+    write_json(folder / "result.json", {"position": state["position"]})
+
+
+def _checkpoint(folder: Path, made_with: dict[str, Any]) -> dict[str, Any] | None:
+    """The state to go on from, if there is one and it was made with the same options."""
+    path = folder / "walk.json"
+    state: dict[str, Any] | None = json.loads(path.read_text()) if path.exists() else None
+    return state if state and state["made_with"] == made_with else None
+
+
+def raise_error(folder: Path) -> None:
+    raise ValueError("a fish out of water")
+
+
+def find_input_wanting(folder: Path) -> None:
+    raise InputError("model.json", "kp", "-1", "a positive number")
+
+
+def die(folder: Path) -> None:
+    print("about to die", flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def finish_then_crash(folder: Path) -> None:
+    """Crash as some libraries do on the way out, when everything is written."""
+    import atexit
+
+    atexit.register(os.abort)
+
+
+def leave_early(folder: Path) -> None:
+    raise SystemExit(0)
+
+
+def tell_environment(folder: Path) -> None:
+    names = ("CUDA_VISIBLE_DEVICES", "OMP_NUM_THREADS")
+    write_json(folder / "environment.json", {name: os.environ[name] for name in names})
+
+
+def start_helper(folder: Path) -> None:
+    """Start another process, as a training with its own workers does, and wait."""
+    helper = subprocess.Popen(["sleep", "300"])
+    (folder / "helper").write_text(str(helper.pid))
+    helper.wait()

@@ -1,0 +1,143 @@
+"""The batched update against Stable-Baselines3's own, on the same batches and the same noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
+
+from rl.agents import Agents, Batch, Settings, mirrored
+from rl.sac import make_sac
+from rl.task import Task
+from rl.vec_env import FishVecEnv
+
+SETTINGS = Settings(hidden=(32, 24), memory=500, batch=64)
+
+
+def batch_of(A: int, O: int, J: int, generator: torch.Generator, B: int = 64) -> Batch:  # noqa: E741
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    done = (torch.rand(A, B, generator=generator) < 0.1).float()
+    action = torch.tanh(normal(A, B, J))
+    return Batch(normal(A, B, O), action, normal(A, B), normal(A, B, O), done)
+
+
+class _Given:
+    """A replay buffer that gives one batch."""
+
+    def __init__(self, batch: Batch, a: int) -> None:
+        self.samples = ReplayBufferSamples(
+            batch.observation[a], batch.action[a], batch.following[a], batch.done[a][:, None],
+            batch.reward[a][:, None],
+        )  # fmt: skip
+
+    def sample(self, *_: object, **__: object) -> ReplayBufferSamples:
+        return self.samples
+
+
+def theirs(model: SAC, batches: list[Batch], noises: list, a: int, monkeypatch) -> None:
+    """Stable-Baselines3's train() on given batches and noise."""
+    for batch, noise in zip(batches, noises, strict=True):
+        model.replay_buffer = _Given(batch, a)
+        queue = [noise[0][a], noise[1][a]]
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                torch.distributions.Normal,
+                "rsample",
+                lambda self, *_: self.mean + self.stddev * queue.pop(0),  # noqa: B023
+            )
+            model.train(gradient_steps=1, batch_size=64)
+        assert not queue
+
+
+def test_an_update_is_stable_baselines3s(world_of, monkeypatch):
+    world, generator = world_of(1), torch.Generator().manual_seed(3)
+    references = [make_sac(world, SETTINGS, seed) for seed in (0, 1, 2)]
+    own = [make_sac(world, SETTINGS, seed) for seed in (0, 1, 2)]
+    agents = Agents(own, SETTINGS, torch.device("cpu"))
+    batches = [batch_of(3, 11, 3, generator) for _ in range(20)]
+    noises = [tuple(torch.randn(2, 3, 64, 3, generator=generator)) for _ in range(20)]
+    logger = pytest.importorskip("stable_baselines3.common.logger")
+    for a, reference in enumerate(references):
+        reference.set_logger(logger.configure(None, []))
+        theirs(reference, batches, noises, a, monkeypatch)
+    for batch, noise in zip(batches, noises, strict=True):
+        agents.update(batch, noise)
+    moved = 0.0
+    for a, reference in enumerate(references):
+        fresh = make_sac(world, SETTINGS, a)
+        for name, value in reference.policy.state_dict().items():
+            ours = own[a].policy.state_dict()[name]
+            assert torch.allclose(ours, value, atol=1e-5, rtol=0), name
+            moved = max(moved, float((value - fresh.policy.state_dict()[name]).abs().max()))
+        assert torch.allclose(own[a].log_ent_coef, reference.log_ent_coef, atol=1e-5)
+    assert moved > 1e-3, "twenty updates must have moved the parameters"
+
+
+def test_saved_models_are_ordinary_ones(world_of, tmp_path):
+    world = world_of(1)
+    agents = Agents([make_sac(world, SETTINGS, seed) for seed in (0, 1)], SETTINGS, world.device)
+    agents.update(batch_of(2, 11, 3, torch.Generator().manual_seed(0)))
+    seen = torch.randn(2, 5, 11)
+    expected = agents.act(seen)
+    for a, model in enumerate(agents.models):
+        model.save(tmp_path / f"{a}.zip")
+        loaded = SAC.load(tmp_path / f"{a}.zip", device="cpu")
+        action, _ = loaded.predict(seen[a].numpy(), deterministic=True)
+        assert np.allclose(action, expected[a].numpy(), atol=1e-6)
+        assert np.allclose(loaded.joint_high, 0.8)
+
+
+def test_memories_wrap_and_agents_draw_from_their_own(world_of):
+    world = world_of(1)
+    agents = Agents([make_sac(world, SETTINGS, seed) for seed in (0, 1)], SETTINGS, world.device)
+    for n in range(30):
+        mark = torch.tensor([n + 0.0, 1000.0 + n])[:, None].expand(2, 20)
+        agents.remember(
+            torch.zeros(2, 20, 11), torch.zeros(2, 20, 3), mark, torch.zeros(2, 20, 11), mark < 0
+        )
+    assert agents.filled == SETTINGS.memory
+    drawn = agents._sample().reward
+    assert drawn[0].min() >= 5
+    assert drawn[0].max() < 30
+    assert drawn[1].min() >= 1005
+
+
+def test_learn_is_stable_baselines3s_and_saves_small_zips(world_of, tmp_path):
+    world = world_of(4)
+    settings = Settings(hidden=(16, 16), memory=2000, batch=32, warm_up=40)
+    model = make_sac(world, settings, 0, FishVecEnv(world))
+    before = {k: v.clone() for k, v in model.policy.state_dict().items()}
+    model.learns(settings)
+    model.learn(400)
+    assert model.agents.filled == 400
+    assert model._n_updates >= 300
+    changed = [k for k, v in model.policy.state_dict().items() if not torch.equal(v, before[k])]
+    assert len(changed) == len(before)
+    model.save(tmp_path / "policy.zip")
+    loaded = SAC.load(tmp_path / "policy.zip", device="cpu")
+    seen = np.random.default_rng(0).normal(size=(9, 11)).astype(np.float32)
+    ours, _ = model.predict(seen, deterministic=True)
+    assert np.array_equal(loaded.predict(seen, deterministic=True)[0], ours)
+
+
+def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of):
+    """The world itself, left and right exchanged."""
+
+    def placed(rng: np.random.Generator, n: int, J: int):
+        pose = np.array([[0.1, 0.2, 0.3], [0.1, -0.2, -0.3]])
+        target = np.array([[[0.6, 0.5]], [[0.6, -0.5]]])
+        return pose, np.array([[0.1, -0.2, 0.3], [-0.1, 0.2, -0.3]]), target
+
+    world = world_of(2, Task("placed", placed))
+    odd = mirrored(3, world.device)[:11]
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        action = torch.tensor(rng.uniform(-0.7, 0.7, 3), dtype=torch.float32)
+        step = world.step(torch.stack([action, -action]))
+        left, right = step.observation
+        assert torch.allclose(left * (1 - 2 * odd), right, atol=2e-4)
+        assert torch.allclose(step.reward[0], step.reward[1], atol=1e-4)

@@ -1,0 +1,118 @@
+"""The environments: what their users' own checkers say, and that no rows are swapped."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium.utils.env_checker
+import numpy as np
+import stable_baselines3.common.env_checker
+import torch
+
+from rl.env import FishEnv
+from rl.randomize import Noise
+from rl.task import TASKS, Task, shortened
+from rl.vec_env import FishVecEnv
+from rl.world import Draws
+
+
+def test_both_checkers_pass_without_a_warning(world_of):
+    env = FishEnv(world_of(1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gymnasium.utils.env_checker.check_env(env, skip_render_check=True)
+        stable_baselines3.common.env_checker.check_env(env)
+
+
+def marked(rng: np.random.Generator, n: int, J: int):
+    """Every episode at rest with a target that no other has."""
+    pose = np.column_stack([rng.uniform(-1, 1, (n, 2)), rng.uniform(-3, 3, n)])
+    return pose, np.zeros((n, J)), rng.uniform(-1, 1, (n, 1, 2))
+
+
+def test_no_row_is_swapped_at_resets(world_of):
+    """64 robots that end at different times keep their own targets, clocks and observations."""
+    task = Task("marked", marked, steps=7)
+    env = FishVecEnv(world_of(64, task))
+    env.reset()
+    world = env.world
+    stagger = torch.arange(64) % 7
+    world.elapsed[:] = stagger
+    action = np.linspace(-0.5, 0.5, 64 * 3, dtype=np.float32).reshape(64, 3)
+    for n in range(1, 15):
+        before = world.targets.clone()
+        seen, _, ended, infos = env.step(action)
+        expected = ((stagger.numpy() + n) % 7) == 0
+        assert np.array_equal(ended, expected)
+        moved = (world.targets != before).any(dim=(1, 2)).numpy()
+        assert np.array_equal(moved, expected), "only those that ended have another target"
+        own = world._observed().numpy()
+        assert np.array_equal(seen, own)
+        for e in range(64):
+            assert ("terminal_observation" in infos[e]) == bool(expected[e])
+            assert infos[e].get("TimeLimit.truncated", False) == bool(expected[e])
+        still = np.abs(seen[expected][:, 3:6])
+        assert not still.size or still.max() < 1e-6, "a robot begins straight"
+
+
+def test_a_robot_alone_swims_as_in_a_batch(world_of):
+    def still(rng: np.random.Generator, n: int, J: int):
+        return np.zeros((n, 3)), np.zeros((n, J)), np.full((n, 1, 2), 0.7)
+
+    task = Task("still", still)
+    one, many = world_of(1, task), world_of(5, task)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        action = torch.tensor(rng.uniform(-0.6, 0.6, (1, 3)), dtype=torch.float32)
+        a, b = one.step(action), many.step(action.expand(5, 3))
+        assert torch.allclose(a.observation.expand(5, -1), b.observation, atol=1e-6)
+        assert torch.allclose(a.reward.expand(5), b.reward, atol=1e-6)
+
+
+def test_reward_is_the_papers(world_of):
+    world = world_of(8, "point")
+    before = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    step = world.step(torch.full((8, 3), 0.4))
+    after = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
+    expected = 10 * (before - after) - 0.001 * (world.rate**2).sum(dim=1)
+    assert torch.allclose(step.reward, expected, atol=1e-5)
+
+
+def test_arriving_and_leaving_end_an_episode(world_of):
+    def placed(rng: np.random.Generator, n: int, J: int):
+        pose = np.zeros((n, 3))
+        pose[1, 0] = 1.81
+        target = np.tile([[0.02, 0.0]], (n, 1, 1))
+        return pose, np.zeros((n, J)), target
+
+    step = world_of(2, Task("placed", placed)).step(torch.zeros(2, 3))
+    assert step.terminated.tolist() == [True, True]
+    assert step.reached.tolist() == [1, 0]
+    assert step.reward[0] > 9.0
+    assert step.reward[1] < -9.0
+
+
+def test_waypoints_follow_one_another(world_of):
+    world = world_of(1, "pentagram")
+    first = world._target().clone()
+    world.targets[0, 0] = world.pose[0, :2]
+    step = world.step(torch.zeros(1, 3))
+    assert world.waypoint.tolist() == [1]
+    assert not step.terminated.any()
+    assert not torch.equal(world._target(), first)
+
+
+def test_noise_has_the_size_asked_for(world_of, model):
+    noise = Noise(position_m=0.02, yaw_rad=0.05, joint_rad=(0.01, 0.02, 0.03))
+    world = world_of(4000, "near", Draws((model,), noise))
+    error = world._past[:, -1] - torch.cat([world.pose, world.joint], dim=1)
+    expected = [0.02, 0.02, 0.05, 0.01, 0.02, 0.03]
+    assert np.allclose(error.std(dim=0).numpy(), expected, rtol=0.06)
+
+
+def test_a_seed_gives_the_same_episodes(world_of):
+    def run() -> torch.Tensor:
+        world = world_of(3, shortened(TASKS["near"], 5), seed=4)
+        return torch.stack([world.step(torch.full((3, 3), 0.3)).observation for _ in range(12)])
+
+    assert torch.equal(run(), run())

@@ -1,0 +1,216 @@
+"""Jobs on this machine: resumed when killed, left alone when done, named when they fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from random_walk import walk
+from watching import (
+    is_alive,
+    kill_in_the_middle,
+    process_of,
+    reached,
+    results,
+    starts,
+    wait_for,
+    walks,
+)
+
+import rl.executor.__main__ as worker
+from rl.executor import Job, run_jobs
+from rl.executor.seats import seats, visible_gpus
+from sim2real.errors import InputError
+
+DRIVER = """
+import sys
+from pathlib import Path
+from watching import walks
+from rl.executor import Job, run_jobs
+folder = Path(sys.argv[1])
+jobs = [*walks(folder, steps=100, count=1), Job("h", "random_walk:start_helper", {}, folder / "h")]
+run_jobs(jobs, at_once=2)
+"""
+
+
+def uninterrupted(folder: Path, *, steps: int, count: int = 4) -> list[Any]:
+    """Results of the same sweep, walked in this process at one go."""
+    for job in walks(folder, steps=steps, count=count):
+        job.folder.mkdir(parents=True)
+        walk(job.folder, **job.options | {"pause_s": 0.0})
+    return results(folder)
+
+
+def test_a_killed_job_goes_on_and_ends_the_same(tmp_path: Path) -> None:
+    jobs = walks(tmp_path / "run", steps=60)
+    killed = kill_in_the_middle(jobs[2].folder)
+    outcomes = run_jobs(jobs, at_once=2)
+    assert [str(outcome) for outcome in outcomes] == [f"seed{seed}: done" for seed in range(4)]
+    assert killed.result()
+    first, second = starts(jobs[2].folder)
+    assert (first, second >= 30) == (0, True)
+    assert [starts(jobs[other].folder) for other in (0, 1, 3)] == [[0]] * 3
+    assert results(tmp_path / "run") == uninterrupted(tmp_path / "reference", steps=60)
+    assert "at step 60" in (jobs[2].folder / "log.txt").read_text()
+
+
+def test_what_is_done_is_left_alone_and_other_options_are_not(tmp_path: Path) -> None:
+    jobs = walks(tmp_path, steps=10, count=2)
+    run_jobs(jobs)
+    before = (jobs[0].folder / "done.json").stat().st_mtime_ns
+    longer = Job(jobs[1].name, jobs[1].function, jobs[1].options | {"steps": 20}, jobs[1].folder)
+    outcomes = run_jobs([jobs[0], longer])
+    assert [outcome.failure for outcome in outcomes] == [None, None]
+    assert (jobs[0].folder / "done.json").stat().st_mtime_ns == before
+    assert starts(jobs[0].folder) == [0]
+    assert starts(jobs[1].folder) == [0, 0]  # the walk does not go on from other options
+    assert json.loads((jobs[1].folder / "done.json").read_text())["options"]["steps"] == 20
+
+
+def test_what_other_options_have_overwritten_is_done_again(tmp_path: Path) -> None:
+    (job,) = walks(tmp_path, steps=10, count=1)
+    run_jobs([job])
+    run_jobs([Job(job.name, "random_walk:raise_error", {}, job.folder)])
+    assert run_jobs([job])[0].failure is None
+    assert starts(job.folder) == [0, 10]
+
+
+def test_failures_are_named_and_the_others_go_on(tmp_path: Path) -> None:
+    functions = (
+        "raise_error",
+        "find_input_wanting",
+        "die",
+        "leave_early",
+        "missing",
+        "finish_then_crash",
+    )
+    jobs = [Job(name, f"random_walk:{name}", {}, tmp_path / name) for name in functions]
+    lines = [str(outcome) for outcome in run_jobs(jobs, at_once=3, retries=1)]
+    whys = (
+        "ValueError: a fish out of water",
+        "model.json: kp: found -1, expected a positive number",
+        "killed by SIGKILL, 2 times",
+        "ended early, with status 0",
+        "missing: function: found no missing in random_walk, expected a function",
+    )
+    for name, line, why in zip(functions, lines, whys, strict=False):
+        assert line == f"{name}: {why}; see {tmp_path / name / 'log.txt'}"
+    assert lines[-1] == "finish_then_crash: done"
+    assert "Traceback" in (tmp_path / "raise_error" / "log.txt").read_text()
+    assert (tmp_path / "die" / "log.txt").read_text() == "about to die\n" * 2
+    assert not list(tmp_path.glob("[!f]*/done.json"))
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_jobs_end_with_the_program_that_started_them(tmp_path: Path, how: int) -> None:
+    program = [sys.executable, "-c", DRIVER, str(tmp_path)]
+    paths = os.pathsep.join([str(Path(__file__).parent), os.getcwd()])
+    driver = subprocess.Popen(
+        program, env=os.environ | {"PYTHONPATH": paths}, stderr=subprocess.PIPE
+    )
+    wait_for(lambda: reached(tmp_path / "0", 30))
+    helper = wait_for(lambda: int((tmp_path / "h" / "helper").read_text()))
+    processes = [process_of(tmp_path / "0"), process_of(tmp_path / "h"), helper]
+    assert all(map(is_alive, processes))
+    driver.send_signal(how)
+    driver.communicate()
+    assert driver.returncode != 0
+    wait_for(lambda: not any(map(is_alive, processes)))
+    assert run_jobs(walks(tmp_path, steps=100, count=1))[0].failure is None
+    assert starts(tmp_path / "0")[1] >= 30
+
+
+def test_one_process_at_a_time_works_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "PATIENCE_S", 0.0)
+    with worker.only_one(tmp_path):
+        expected = f"process {os.getpid()} on .* at work in it, expected it idle"
+        with pytest.raises(InputError, match=expected), worker.only_one(tmp_path):
+            pass
+    with worker.only_one(tmp_path):
+        pass
+
+
+def test_jobs_side_by_side_get_gpus_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    jobs = [Job(n, "random_walk:tell_environment", {}, tmp_path / n) for n in "ab"]
+    run_jobs(jobs, cpus=2, gpus=1)
+    told = [json.loads((job.folder / "environment.json").read_text()) for job in jobs]
+    assert [one["CUDA_VISIBLE_DEVICES"] for one in told] == ["3", "5"]
+    assert [one["OMP_NUM_THREADS"] for one in told] == ["2", "2"]
+
+
+@pytest.mark.parametrize(
+    ("at_once", "gpus", "expected"),
+    [
+        (None, 1, ["3", "5"]),
+        (1, 1, ["3"]),
+        (None, 0.5, ["3", "5", "3", "5"]),
+        (3, 1 / 3, ["3", "5", "3"]),
+        (None, 2, ["3,5"]),
+        (3, 0, ["", "", ""]),
+    ],
+)
+def test_seats(
+    monkeypatch: pytest.MonkeyPatch, at_once: int | None, gpus: float, expected: list[str]
+) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    assert seats(at_once, cpus=1, gpus=gpus) == expected
+
+
+def test_gpus_are_those_the_driver_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert visible_gpus() == []
+    tool = tmp_path / "nvidia-smi"
+    tool.write_text("#!/bin/sh\necho GPU-1f\necho GPU-2e\n")
+    tool.chmod(0o755)
+    assert visible_gpus() == ["GPU-1f", "GPU-2e"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gpus": 3}, "--jobs: found 2 GPUs, expected enough for 1 at a time, 3 each"),
+        ({"gpus": 1, "at_once": 3}, "--jobs: found 2 GPUs, expected enough for 3 at a time"),
+        ({"at_once": 0}, "--jobs: found 0, expected at least 1"),
+        ({"executor": "slurm"}, "--executor: found 'slurm', expected local or ray"),
+    ],
+)
+def test_what_can_not_be_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], message: str
+) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    with pytest.raises(InputError, match=message):
+        run_jobs(walks(tmp_path, steps=10, count=1), **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"no Ray, .* pip install 'sim2real\[cluster\]'"):
+        run_jobs(walks(tmp_path, steps=10), executor="ray")
+    assert not list(tmp_path.iterdir())
+
+
+def test_jobs_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found 'walk', expected package.module:function"):
+        Job("a", "walk", {}, tmp_path)
+    for value in (tmp_path, (1, 2), float("nan"), {1: 2}):
+        with pytest.raises(InputError, match="a: options: found .* JSON keeps"):
+            Job("a", "random_walk:walk", {"seed": value}, tmp_path)
+    one, two = walks(tmp_path, steps=10, count=2)
+    with pytest.raises(InputError, match="jobs: name: found seed0 2 times"):
+        run_jobs([one, one])
+    with pytest.raises(InputError, match="jobs: folder: found .* 2 times"):
+        run_jobs([one, Job("other", two.function, two.options, one.folder)])
+    assert run_jobs([]) == []

@@ -1,0 +1,118 @@
+"""The same jobs on a Ray cluster of two nodes, both on this machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from random_walk import walk
+from watching import (
+    in_background,
+    kill_in_the_middle,
+    parent_of,
+    reached,
+    results,
+    starts,
+    wait_for,
+    walks,
+)
+
+from rl.executor import Job, run_jobs
+from sim2real.errors import InputError
+
+pytest.importorskip("ray", reason="the extra 'cluster' is not installed")
+
+NODE = {
+    "num_cpus": 1,
+    "num_gpus": 1,  # Ray hands out what a node is said to have
+    "object_store_memory": 80 * 2**20,
+    "include_dashboard": False,
+}
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two nodes of one CPU and one GPU each."""
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args=NODE)
+    cluster.add_node(**NODE)
+    cluster.wait_for_nodes()
+    yield cluster
+    cluster.shutdown()
+
+
+def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster: Any, tmp_path: Path) -> None:
+    jobs = walks(tmp_path / "run", steps=60)
+    workers = kill_in_the_middle(jobs[0].folder, parent_of), kill_in_the_middle(jobs[1].folder)
+    outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
+    assert [str(outcome) for outcome in outcomes] == [f"seed{seed}: done" for seed in range(4)]
+    assert all(worker.result() for worker in workers)
+    assert [len(starts(job.folder)) for job in jobs] == [2, 2, 1, 1]
+    assert all(starts(jobs[killed].folder)[1] >= 30 for killed in (0, 1))
+    for job in walks(tmp_path / "reference", steps=60):
+        job.folder.mkdir(parents=True)
+        walk(job.folder, **job.options | {"pause_s": 0.0})
+    assert results(tmp_path / "run") == results(tmp_path / "reference")
+    assert run_jobs(jobs) == outcomes  # the folders are those of local processes
+    assert [len(starts(job.folder)) for job in jobs] == [2, 2, 1, 1]
+
+
+def test_failures_are_named_and_the_others_go_on(cluster: Any, tmp_path: Path) -> None:
+    jobs = [Job(n, f"random_walk:{n}", {}, tmp_path / n) for n in ("raise_error", "die")]
+    outcomes = run_jobs(
+        [*jobs, *walks(tmp_path, steps=10, count=1)],
+        executor="ray",
+        address=cluster.address,
+        retries=1,
+    )
+    assert [outcome.failure for outcome in outcomes] == [
+        "ValueError: a fish out of water",
+        "killed by SIGKILL, 2 times",
+        None,
+    ]
+
+
+@pytest.mark.parametrize(("gpus", "seen"), [(1, "0"), (0, "")])
+def test_a_job_sees_the_gpus_it_asked_for(
+    cluster: Any, tmp_path: Path, gpus: int, seen: str
+) -> None:
+    job = Job("a", "random_walk:tell_environment", {}, tmp_path / "a")
+    run_jobs([job], executor="ray", address=cluster.address, gpus=gpus)
+    told = json.loads((job.folder / "environment.json").read_text())
+    assert told == {"CUDA_VISIBLE_DEVICES": seen, "OMP_NUM_THREADS": "1"}
+
+
+def test_a_job_that_fits_nowhere_is_refused(cluster: Any, tmp_path: Path) -> None:
+    message = "--executor: ray: found 2 nodes too small, expected 1 CPUs and 2 GPUs on one of them"
+    with pytest.raises(InputError, match=message):
+        run_jobs(walks(tmp_path, steps=10), executor="ray", address=cluster.address, gpus=2)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cluster_that_does_not_answer(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--address: 127.0.0.1:9: found Connection refused"):
+        run_jobs(walks(tmp_path, steps=10), executor="ray", address="127.0.0.1:9")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster: Any, tmp_path: Path) -> None:
+    third = cluster.add_node(**NODE)
+    jobs = walks(tmp_path, steps=150, count=3)
+
+    def lose() -> bool:
+        wait_for(lambda: all(reached(job.folder, 30) for job in jobs))
+        cluster.remove_node(third, allow_graceful=False)
+        return True
+
+    lost = in_background(lose)
+    outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
+    assert [outcome.failure for outcome in outcomes] == [None] * 3
+    assert lost.result()
+    histories = sorted((starts(job.folder) for job in jobs), key=len)
+    assert histories[:2] == [[0], [0]]
+    assert histories[2][0] == 0
+    assert histories[2][1] >= 30

@@ -1,0 +1,215 @@
+"""Exported policies against the one that was trained: NumPy, C and ONNX say what SB3 says."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO, SAC
+
+from rl.commands.export import run
+from rl.export import policy_of, read_zip, write_policy
+from rl.forward import Policy, forward, npz, read_npz
+from rl.header import c_header
+from rl.task import observation_bounds
+from sim2real.errors import InputError
+
+LOW, HIGH = np.array([-0.8, -0.3, -1.1], np.float32), np.array([0.5, 0.9, 0.2], np.float32)
+WIDTHS = [[256, 256], [5, 16, 7, 9], []]
+COMPILER = shutil.which("gcc") or shutil.which("cc")
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+
+MAIN = """
+#include <stdio.h>
+#include "policy.h"
+int main(void) {
+    float observation[11], action[3];
+    while (fread(observation, sizeof observation, 1, stdin) == 1) {
+        policy(observation, action);
+        if (fwrite(action, sizeof action, 1, stdout) != 1) return 1;
+    }
+    return 0;
+}
+"""
+
+
+class Spaces(gymnasium.Env):
+    def __init__(self, low=LOW, high=HIGH) -> None:
+        bound = np.array(observation_bounds(3), dtype=np.float32)
+        self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
+        self.action_space = spaces.Box(low, high, dtype=np.float32)
+
+
+def agent_of(widths=(32, 32), env=None, *, use_sde=False, **more) -> SAC:
+    """An untrained agent whose answers fill its range of actions."""
+    network = {"net_arch": {"pi": list(widths), "qf": [8]}, **more}
+    options = {"policy_kwargs": network, "buffer_size": 1, "seed": 1, "device": "cpu"}
+    agent = SAC("MlpPolicy", env or Spaces(), use_sde=use_sde, **options)
+    generator = torch.Generator().manual_seed(2)
+    with torch.no_grad():
+        for parameter in agent.actor.parameters():
+            sd = (2.0 / parameter.shape[1]) ** 0.5 if parameter.ndim == 2 else 0.2
+            parameter.normal_(0.0, sd, generator=generator)
+    return agent
+
+
+@pytest.fixture(scope="module")
+def observations() -> np.ndarray:
+    spread = np.array([0.5, 0.5, 2, *[0.6] * 3, *[3] * 3, 2, 2])
+    return (spread * np.random.default_rng(4).normal(size=(10_000, 11))).astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=WIDTHS, ids=str)
+def both(request, observations) -> tuple[Policy, np.ndarray]:
+    """A policy, and what Stable-Baselines3 does on the observations."""
+    agent = agent_of(request.param)
+    action, _ = agent.predict(observations, deterministic=True)
+    spread = np.ptp(action, axis=0) / (HIGH - LOW)
+    assert spread.min() > 0.5, "a test that sees little of the range shows little"
+    return policy_of(agent), action
+
+
+def test_numpy_says_what_it_says(both, observations, tmp_path):
+    policy, action = both
+    (tmp_path / "policy.npz").write_bytes(npz(policy))
+    answer = forward(read_npz(tmp_path / "policy.npz"), observations)
+    assert answer.dtype == np.float32
+    assert np.abs(answer - action).max() < 1e-5
+    assert np.abs(forward(policy, observations[7]) - action[7]).max() < 1e-5
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_c_says_what_it_says(both, observations, tmp_path):
+    policy, action = both
+    (tmp_path / "policy.h").write_text(c_header(policy))
+    (tmp_path / "main.c").write_text(MAIN)
+    program = tmp_path / "main"
+    built = [COMPILER, *FLAGS, str(tmp_path / "main.c"), "-o", str(program), "-lm"]
+    subprocess.run(built, check=True, capture_output=True, text=True)
+    told = subprocess.run([program], input=observations.tobytes(), capture_output=True, check=True)
+    answer = np.frombuffer(told.stdout, dtype=np.float32).reshape(-1, 3)
+    assert answer.shape == action.shape
+    assert np.abs(answer - action).max() < 1e-5
+
+
+def test_onnx_says_what_it_says(both, observations, tmp_path):
+    pytest.importorskip("onnx", reason="the extra 'onnx' is not installed")
+    from onnx.reference import ReferenceEvaluator
+
+    policy, action = both
+    (file,) = write_policy(policy, tmp_path / "policy.npz", ("onnx",))
+    (answer,) = ReferenceEvaluator(str(file)).run(None, {"observation": observations})
+    assert np.abs(answer - action).max() < 1e-5
+
+
+def test_actions_of_one_become_the_joints_angles(observations, tmp_path):
+    """Agents made by ``rl.sac`` act between -1 and 1 and say what that means."""
+    agent = agent_of(env=Spaces(-np.ones(3, np.float32), np.ones(3, np.float32)))
+    agent.joints, agent.joint_low, agent.joint_high = ["front", "middle", "tail"], LOW, HIGH
+    agent.save(tmp_path / "policy.zip")
+    policy = read_zip(tmp_path / "policy.zip")
+    action, _ = agent.predict(observations, deterministic=True)
+    assert policy.joints == ("front", "middle", "tail")
+    assert policy.observation[3:5] == ("front.position_rad", "middle.position_rad")
+    angle = LOW + (action + 1) / 2 * (HIGH - LOW)
+    assert np.abs(forward(policy, observations) - angle).max() < 1e-5
+
+
+def test_the_header_tells_order_units_and_origin(tmp_path):
+    agent_of().save(tmp_path / "agent.zip")
+    text = c_header(read_zip(tmp_path / "agent.zip"))
+    for told in (
+        "observation[0]  surge_m_s (10)",
+        "observation[10]  target_left_m (20)",
+        "action[1]  j2, desired angle in rad, -0.3 to 0.9",
+        "agent.zip, SHA-256",
+    ):
+        assert told in text
+    assert "malloc" not in text
+    assert max(map(len, text.splitlines())) < 200
+
+
+def options_of(policy: Path, out: Path, formats: list[str] | None = None) -> argparse.Namespace:
+    return argparse.Namespace(policy=policy, out=out, format=formats, seed=0)
+
+
+def test_the_command_writes_what_is_asked_for(tmp_path, capsys):
+    agent_of().save(tmp_path / "agent.zip")
+    assert run(options_of(tmp_path / "agent.zip", tmp_path / "p.npz", ["c", "npz", "c"])) == 0
+    assert run(options_of(tmp_path / "agent.zip", tmp_path / "q.h")) == 0
+    assert {file.name for file in tmp_path.iterdir()} == {"agent.zip", "p.npz", "p.h", "q.h"}
+    assert len(read_npz(tmp_path / "p.npz").provenance["inputs"]) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def odd_zips(folder: Path) -> dict[str, Path]:
+    """Files that hold no policy that can be exported, by what is wrong with them."""
+    names = ("missing", "empty", "text", "ppo", "tanh", "gsde", "columns")
+    files = {name: folder / f"{name}.zip" for name in names}
+    files["empty"].write_bytes(b"")
+    files["text"].write_text("a fish\n")
+    PPO("MlpPolicy", Spaces(), device="cpu").save(files["ppo"])
+    agent_of(activation_fn=torch.nn.Tanh).save(files["tanh"])
+    agent_of(use_sde=True).save(files["gsde"])
+    agent_of(env=Spaces(LOW[:2], HIGH[:2])).save(files["columns"])
+    return files
+
+
+def test_odd_zips_are_refused_and_nothing_is_written(tmp_path):
+    for name, file in odd_zips(tmp_path).items():
+        with pytest.raises(InputError) as refused:
+            run(options_of(file, tmp_path / "out.npz", ["npz", "c"]))
+        assert "\n" not in str(refused.value), name
+        assert str(file) in str(refused.value), name
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_format_that_fails_leaves_no_file_of_another(tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    agent_of().save(tmp_path / "agent.zip")
+    with pytest.raises(InputError, match="no package onnx"):
+        run(options_of(tmp_path / "agent.zip", tmp_path / "out.npz", ["npz", "onnx"]))
+    with pytest.raises(InputError, match="the ending '.txt'"):
+        run(options_of(tmp_path / "agent.zip", tmp_path / "out.txt"))
+    assert not list(tmp_path.glob("out*"))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"schema": np.array("other/1")}, "schema"),
+        ({"bias_1": None}, "bias_1"),
+        ({"weight_1": np.zeros((32, 31), np.float32)}, "weight_1"),
+        ({"weight_0": None}, "weight_"),
+        ({"low_rad": np.zeros(2, np.float32)}, "low_rad"),
+        ({"joints": np.array(["a", "b"])}, "joints"),
+        ({"bias_0": np.full(32, np.nan, np.float32)}, "finite"),
+        ({"observation": np.array(["x"] * 10)}, "weight_0"),
+        ({"provenance": np.array("{")}, "none"),
+        ({"joints": np.array({"a": 1}, dtype=object)}, "no arrays"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(tmp_path, change, told):
+    file = tmp_path / "policy.npz"
+    file.write_bytes(npz(policy_of(agent_of())))
+    with np.load(file) as stored:
+        content = {**stored, **change}
+    np.savez(file, **{name: array for name, array in content.items() if array is not None})
+    with pytest.raises(InputError, match=told):
+        read_npz(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"fish,1\n"])
+def test_files_that_hold_no_arrays_are_refused(tmp_path, content):
+    (tmp_path / "policy.npz").write_bytes(content)
+    with pytest.raises(InputError, match="exported as .npz"):
+        read_npz(tmp_path / "policy.npz")

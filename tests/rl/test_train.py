@@ -1,0 +1,133 @@
+"""Training: the same run whether it was interrupted or not, and one that is another is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+
+import rl.train
+from rl.agents import Settings
+from rl.checkpoint import COLUMNS
+from rl.curve import draw_curves, read_progress
+from rl.randomize import Noise, draw_models, noise_of
+from rl.task import TASKS, shortened
+from rl.train import Arm, Plan, train
+from rl.world import Draws
+from sim2real.body import values
+from sim2real.errors import InputError
+from sim2real.ranges.entry import Ranges, normal, uniform
+
+PLAN = Plan(
+    shortened(TASKS["near"], 10),
+    steps=480,
+    envs=8,
+    segment=160,
+    seeds=(0, 1),
+    fidelity="twin",
+    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=80, updates_per_step=0.25),
+)
+
+
+def arms(model):
+    return [Arm("a", Draws((model,))), Arm("b", Draws((model,), Noise(0.01, 0.01, (0.01,))))]
+
+
+def parameters(folders):
+    loaded = [SAC.load(folder / "policy.zip", device="cpu") for folder in folders]
+    return [torch.cat([v.ravel() for v in one.policy.state_dict().values()]) for one in loaded]
+
+
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path, monkeypatch):
+    whole = train(tmp_path / "whole", robot, arms(model), PLAN)
+    saved = rl.train.save
+    calls = []
+
+    def killed(*given):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        saved(*given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rl.train, "save", killed)
+        with pytest.raises(KeyboardInterrupt):
+            train(tmp_path / "cut", robot, arms(model), PLAN)
+    cut = train(tmp_path / "cut", robot, arms(model), PLAN)
+    assert [folder.name for folder in cut] == ["a-0", "a-1", "b-0", "b-1"]
+    for a, b in zip(whole, cut, strict=True):
+        assert (a / "progress.csv").read_text() == (b / "progress.csv").read_text()
+    for x, y in zip(parameters(whole), parameters(cut), strict=True):
+        assert torch.equal(x, y)
+    one, other = parameters(whole)[:2]
+    assert not torch.equal(one, other), "seeds differ"
+
+
+def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
+    short = replace(PLAN, steps=80)
+    train(tmp_path, robot, arms(model)[:1], short)
+    with pytest.raises(InputError, match="another run"):
+        train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
+
+
+def test_progress_says_what_happened(robot, model, tmp_path):
+    (folder, _) = train(tmp_path, robot, arms(model)[:1], PLAN)
+    seen = read_progress(folder)
+    assert tuple(seen) == COLUMNS
+    assert seen["steps"][-1] == PLAN.steps
+    assert seen["episodes"].sum() == 48
+    draw_curves({"a": [folder]}, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+    assert json.loads((tmp_path / "run.json").read_text())["plan"]["steps"] == PLAN.steps
+
+
+def test_ranges_become_robots(robot, model):
+    ranges = Ranges(
+        (
+            uniform("command_latency_s", 0.05, 0.09, "s", ""),
+            normal("j2.latency_offset_s", 0.01, 0.0, "s", ""),
+            uniform("j1.kp_Nm_per_rad", 1.0, 2.0, "N m/rad", ""),
+            uniform("j3.coulomb_friction.torque_Nm", 0.1, 0.2, "N m", ""),
+            normal("body.normalised_density.head", 1.2, 0.05, "", ""),
+            uniform("body.form_drag.coefficient", 0.1, 0.3, "", ""),
+            uniform("packet_loss.probability", 0.01, 0.05, "", ""),
+            normal("body.position_noise_m", 0.0, 0.05, "m", "", "step"),
+            normal("j2.position_noise_rad", 0.0, 0.03, "rad", "", "step"),
+        )
+    )
+    drawn = draw_models(model, ranges, robot, 400, np.random.default_rng(0))
+    late = np.array([[m.joints[j].latency_s for j in ("j1", "j2", "j3")] for m in drawn])
+    assert 0.05 <= late[:, 0].min() < late[:, 0].max() <= 0.09
+    assert np.allclose(late[:, 1] - late[:, 0], 0.01)
+    kp = np.array([m.joints["j1"].kp_Nm_per_rad for m in drawn])
+    assert abs(kp.mean() - 1.5) < 0.05
+    assert {m.joints["j2"].kp_Nm_per_rad for m in drawn} == {model.joints["j2"].kp_Nm_per_rad}
+    friction = {e.effect: e.parameters for e in drawn[0].joints["j3"].effects}
+    assert 0.1 <= friction["coulomb_friction"]["torque_Nm"] <= 0.2
+    assert 0.01 <= friction["packet_loss"]["probability"] <= 0.05
+    density = np.array([m.body["normalised_density"] for m in drawn])
+    assert abs(density[:, 0].std() - 0.05) < 0.01
+    assert np.allclose(density[:, 1:], density[0, 1:])
+    assert 0.1 <= values(drawn[0])["form_drag.coefficient"] <= 0.3
+    assert noise_of(ranges, ["j1", "j2"]) == Noise(0.05, 0.0, (0.0, 0.03))
+
+
+def test_a_world_adopts_other_robots_at_resets(robot, model, world_of):
+    """A robot drawn at a reset swims as one that was made so."""
+    ranges = Ranges((uniform("j1.kp_Nm_per_rad", 0.6, 0.7, "", ""),))
+    other = draw_models(model, ranges, robot, 1, np.random.default_rng(1))[0]
+    task = shortened(TASKS["turn"], 5)
+    mixed = world_of(1, task, Draws((model,)), seed=3)
+    mixed._draws = [Draws((other,))]
+    mixed.seed(3)
+    mixed.reset()
+    made = world_of(1, task, Draws((other,)), seed=3)
+    made.seed(3)
+    made.reset()
+    for _ in range(5):
+        a, b = mixed.step(torch.full((1, 3), 0.5)), made.step(torch.full((1, 3), 0.5))
+        assert torch.allclose(a.final, b.final, atol=1e-6)
