@@ -1,0 +1,1 @@
+"""Real robots: the bus of their servos, how it is reached, and what records from it."""

@@ -1,0 +1,216 @@
+"""The loop that plays set-points on the servos and records what they do."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.hardware.bus import Bus
+from sim2real.hardware.lx import Command, Packet, move, signed_word, supply_V
+from sim2real.hardware.motion import Stopped, check_temperature
+from sim2real.hardware.mounting import Mounting
+
+Array = NDArray[np.float64]
+
+CONTACT_S = 0.5
+"""A servo that has not answered for so long is lost."""
+BUSY_SHARE = 0.8
+"""Share of the period after which what has not been answered is missing."""
+
+
+@dataclass
+class Outcome:
+    """How a recording went.
+
+    Attributes:
+        missing: Number of missing positions by joint.
+        skipped: Set-points left out because the computer came too late for them.
+        late_s: How late each row's cycle began, in s.
+        stopped: Why it ended early; None if it did not.
+    """
+
+    missing: dict[str, int]
+    skipped: int = 0
+    late_s: list[float] = field(default_factory=list)
+    stopped: str | None = None
+
+
+USUAL_S = 0.0025
+"""A servo's set-point, request and reply on the wire, and the adapter's share."""
+
+
+def columns(mountings: Sequence[Mounting]) -> list[str]:
+    """The header of the recording."""
+    names = [mounting.joint.name for mounting in mountings]
+    return [
+        "t_s",
+        *(f"{name}.command_rad" for name in names),
+        *(f"{name}.position_rad" for name in names),
+        *(f"{name}.temperature_C" for name in names),
+        "supply_V",
+        "round_trip_s",
+        "device_t_s",
+    ]
+
+
+def record(
+    bus: Bus,
+    mountings: Sequence[Mounting],
+    command: Array,
+    write: Callable[[Sequence[float]], None],
+    *,
+    rate_hz: float,
+    hottest_C: float,
+    interrupted: Callable[[], bool] = lambda: False,
+    progress: Callable[[int], object] = lambda _: None,
+) -> Outcome:
+    """Send the set-points at an even rate and write one row for each time.
+
+    Cycle k begins at k periods after the first, whatever the cycles before it took. Each servo is
+    asked right behind its set-point, so that set-point and sample are of the same moment; then one
+    servo tells its supply or its temperature, in turn.
+
+    Args:
+        bus: The bus.
+        mountings: The J servos, at rest on their first set-point.
+        command: Set-points in rad, shape (T, J).
+        write: Takes each row, in the order of ``columns``.
+        rate_hz: Set-points a second.
+        hottest_C: Temperature at which to stop.
+        interrupted: Whether the user wants to stop; looked at once a cycle.
+        progress: Told how many set-points have passed since it was last told.
+
+    Returns:
+        How it went; a lost port, a lost servo, heat and the user's wish are said in ``stopped``.
+    """
+    outcome = Outcome({mounting.joint.name: 0 for mounting in mountings})
+    period = 1 / rate_hz
+    start = time.monotonic() + period
+    heard = [start] * len(mountings)
+    k = 0
+    try:
+        while k < len(command):
+            due = start + k * period
+            time.sleep(max(due - time.monotonic(), 0.0))
+            if interrupted():
+                raise Stopped("interrupted")
+            outcome.late_s.append(time.monotonic() - due)
+            ask = _health_request(mountings, len(outcome.late_s) - 1)
+            sample = _cycle(bus, mountings, command[k], ask, due + BUSY_SHARE * period)
+            write(_row(sample, start, len(mountings), ask))
+            _check(mountings, sample, ask, heard, outcome, hottest_C)
+            after = max(k + 1, math.ceil((time.monotonic() - start) / period - 0.5))
+            outcome.skipped += min(after, len(command)) - (k + 1)
+            progress(after - k)
+            k = after
+    except Stopped as stop:
+        outcome.stopped = str(stop)
+    except OSError as error:
+        outcome.stopped = f"the port is gone ({error.strerror or error})"
+    return outcome
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """What one cycle sent and got."""
+
+    sent_s: float
+    command: list[float]
+    position: list[float]
+    health: float
+    round_trip_s: float
+    device_s: float
+
+
+def _health_request(mountings: Sequence[Mounting], cycle: int) -> tuple[int, Command]:
+    """Which servo tells what in this cycle: each its supply, then its temperature, in turn."""
+    j = cycle // 2 % len(mountings)
+    return j, Command.TEMP_READ if cycle % 2 else Command.VIN_READ
+
+
+def _cycle(
+    bus: Bus,
+    mountings: Sequence[Mounting],
+    command: Array,
+    ask: tuple[int, Command],
+    deadline: float,
+) -> _Sample:
+    """One round over the bus; each may wait as long as those after it keep the usual time."""
+    bus.drain()
+    ticks = [m.ticks(float(angle)) for m, angle in zip(mountings, command, strict=True)]
+    groups = [
+        [move(m.servo_id, goal), Packet(m.servo_id, Command.POS_READ)]
+        for m, goal in zip(mountings, ticks, strict=True)
+    ]
+    groups.append([Packet(mountings[ask[0]].servo_id, ask[1])])
+    if bus.together:
+        groups = [[packet for group in groups for packet in group]]
+    replies: list[Packet | None] = []
+    sent, round_trips = [], []
+    for after, group in zip(reversed(range(len(groups))), groups, strict=True):
+        sent.append(time.monotonic())
+        left = deadline - sent[-1]
+        found = bus.exchange(group, sent[-1] + max(left - after * USUAL_S, left / (after + 1)))
+        if found[-1] is not None:
+            round_trips.append(time.monotonic() - sent[-1])
+        replies += found
+    joints = max(len(groups) - 1, 1)  # the last group of several is the health request
+    health = replies[-1]
+    return _Sample(
+        sent_s=sum(sent[:joints]) / joints,
+        command=[m.angle(goal) for m, goal in zip(mountings, ticks, strict=True)],
+        position=[
+            math.nan if reply is None else m.angle(signed_word(reply))
+            for m, reply in zip(mountings, replies[1::2], strict=False)
+        ],
+        health=math.nan if health is None else _health(ask[1], health),
+        round_trip_s=max(round_trips, default=math.nan),
+        device_s=math.nan if bus.device_s is None or not round_trips else bus.device_s,
+    )
+
+
+def _health(command: Command, reply: Packet) -> float:
+    return supply_V(reply) if command == Command.VIN_READ else float(reply.parameters[0])
+
+
+def _row(sample: _Sample, start: float, J: int, ask: tuple[int, Command]) -> list[float]:
+    temperature, supply = [math.nan] * J, math.nan
+    if ask[1] == Command.TEMP_READ:
+        temperature[ask[0]] = sample.health
+    else:
+        supply = sample.health
+    return [
+        sample.sent_s - start,
+        *sample.command,
+        *sample.position,
+        *temperature,
+        supply,
+        sample.round_trip_s,
+        sample.device_s,
+    ]
+
+
+def _check(
+    mountings: Sequence[Mounting],
+    sample: _Sample,
+    ask: tuple[int, Command],
+    heard: list[float],
+    outcome: Outcome,
+    hottest_C: float,
+) -> None:
+    """Count what is missing, and stop where a servo is lost or too hot."""
+    for j, mounting in enumerate(mountings):
+        name = mounting.joint.name
+        if not math.isnan(sample.position[j]):
+            heard[j] = sample.sent_s
+        else:
+            outcome.missing[name] += 1
+            if sample.sent_s - heard[j] > CONTACT_S:
+                raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
+    if ask[1] == Command.TEMP_READ and not math.isnan(sample.health):
+        check_temperature(mountings[ask[0]], sample.health, hottest_C)

@@ -1,0 +1,72 @@
+"""A recording written as it comes: the sidecar first, then row by row."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from sim2real.hardware.motion import Stopped
+from sim2real.output import check_writable, write_json
+
+FEWEST_ROWS = 2  # of a recording that can be read
+
+
+class RowStream:
+    """``NAME.csv`` and ``NAME.json``, on disk and valid after every row from the second on.
+
+    A recording of fewer rows leaves no file.
+
+    Args:
+        path: The CSV file.
+        columns: Its header.
+        sidecar: Content of the JSON file.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], sidecar: dict[str, Any]) -> None:
+        self._path = check_writable(path)
+        self._sidecar = sidecar
+        self.rows = 0
+        write_json(path.with_suffix(".json"), sidecar)
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(columns)
+
+    def write(self, row: Sequence[float]) -> None:
+        """Append one row and hand it to the operating system; NaN becomes an empty cell.
+
+        Raises:
+            Stopped: If the disk does not take it.
+        """
+        try:
+            self._writer.writerow("" if math.isnan(x) else f"{x:.6f}" for x in row)
+            self._file.flush()
+        except OSError as error:
+            raise Stopped(f"{self._path} can't be written ({error.strerror})") from None
+        self.rows += 1
+
+    def add(self, **fields: object) -> None:
+        """Put what is known only afterwards into the sidecar."""
+        self._sidecar |= fields
+
+    def __enter__(self) -> RowStream:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+        if self.rows < FEWEST_ROWS:
+            self._path.unlink()
+            self._path.with_suffix(".json").unlink()
+        else:
+            write_json(self._path.with_suffix(".json"), self._sidecar)

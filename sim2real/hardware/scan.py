@@ -1,0 +1,85 @@
+"""Who is on a bus, and how each servo is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from sim2real.hardware.bus import Bus
+from sim2real.hardware.lx import Command, Packet, signed_word, supply_V, words
+
+ATTEMPTS = 2  # to find a servo
+INSISTENCE = 5  # attempts to ask one that is there
+
+
+@dataclass(frozen=True)
+class Found:
+    """A servo on the bus; None for what it did not tell.
+
+    Attributes:
+        servo_id: Its identity.
+        ticks: Its position, of 0.24 degrees each.
+        supply_V: Its supply.
+        temperature_C: Its temperature.
+        powered: Whether its torque is on.
+        errors: Which of the limits stored in it are passed. The protocol has no register of errors:
+            LED_ERROR_READ tells which of them would light the lamp.
+    """
+
+    servo_id: int
+    ticks: int | None
+    supply_V: float | None
+    temperature_C: int | None
+    powered: bool | None
+    errors: tuple[str, ...]
+
+
+def scan(bus: Bus, ids: Iterable[int], patience_s: float) -> tuple[list[Found], list[int]]:
+    """Ask each identity in turn; nothing is written to any servo.
+
+    Args:
+        bus: The bus.
+        ids: Whom to ask.
+        patience_s: How long to wait for each reply.
+
+    Returns:
+        The servos that answered, and the identities at which something answered unreadably: two
+        servos that share one, perhaps.
+
+    Raises:
+        OSError: If the port is gone.
+    """
+    found, garbled = [], []
+    for servo_id in ids:
+        before = bus.garbled
+        if any(bus.ask(servo_id, Command.POS_READ, patience_s) for _ in range(ATTEMPTS)):
+            found.append(_look(bus, servo_id, patience_s))
+        elif bus.garbled > before:
+            garbled.append(servo_id)
+        bus.drain()
+    return found, garbled
+
+
+def _look(bus: Bus, servo_id: int, patience_s: float) -> Found:
+    def ask(command: Command) -> Packet | None:
+        replies = (bus.ask(servo_id, command, patience_s) for _ in range(INSISTENCE))
+        return next((reply for reply in replies if reply is not None), None)
+
+    position, supply = ask(Command.POS_READ), ask(Command.VIN_READ)
+    temperature, load = ask(Command.TEMP_READ), ask(Command.LOAD_READ)
+    hottest, range_mV = ask(Command.TEMP_MAX_LIMIT_READ), ask(Command.VIN_LIMIT_READ)
+    errors = []
+    if temperature and hottest and temperature.parameters[0] > hottest.parameters[0]:
+        errors.append(f"above {hottest.parameters[0]} C")
+    if supply and range_mV:
+        low, high = (millivolts / 1000 for millivolts in words(range_mV))
+        if not low <= supply_V(supply) <= high:
+            errors.append(f"supply outside {low:.1f} to {high:.1f} V")
+    return Found(
+        servo_id,
+        ticks=None if position is None else signed_word(position),
+        supply_V=None if supply is None else supply_V(supply),
+        temperature_C=None if temperature is None else temperature.parameters[0],
+        powered=None if load is None else load.parameters[0] != 0,
+        errors=tuple(errors),
+    )

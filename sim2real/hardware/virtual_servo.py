@@ -1,0 +1,138 @@
+"""A virtual LX servo: what it answers to each packet, and how its shaft follows."""
+
+from __future__ import annotations
+
+from sim2real.hardware.lx import (
+    BROADCAST,
+    CENTRE_TICKS,
+    REPLY_BYTES,
+    TICK_RAD,
+    Command,
+    Packet,
+    expects_reply,
+    words,
+)
+from sim2real.hardware.virtual_shaft import Law, Shaft
+
+_REGISTERS = {
+    Command.ANGLE_OFFSET_READ: bytes(1),
+    Command.ANGLE_LIMIT_READ: bytes((0, 0, 0xE8, 0x03)),  # 0 to 1000 ticks
+    Command.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
+    Command.TEMP_MAX_LIMIT_READ: bytes((85,)),
+    Command.MOTOR_MODE_READ: bytes(4),
+    Command.LED_CTRL_READ: bytes(1),
+    Command.LED_ERROR_READ: bytes((7,)),
+}
+_WRITES = {
+    Command.ANGLE_OFFSET_ADJUST: Command.ANGLE_OFFSET_READ,
+    Command.ANGLE_LIMIT_WRITE: Command.ANGLE_LIMIT_READ,
+    Command.VIN_LIMIT_WRITE: Command.VIN_LIMIT_READ,
+    Command.TEMP_MAX_LIMIT_WRITE: Command.TEMP_MAX_LIMIT_READ,
+    Command.LED_CTRL_WRITE: Command.LED_CTRL_READ,
+    Command.LED_ERROR_WRITE: Command.LED_ERROR_READ,
+}
+_MOVES = (Command.MOVE_TIME_WRITE, Command.MOVE_TIME_WAIT_WRITE)
+
+
+class VirtualServo:
+    """One servo on a virtual bus. It is at rest at angle 0, its torque off.
+
+    Args:
+        servo_id: Its identity.
+        law: How its shaft moves.
+        now: The time, in s, by the clock that every later call uses.
+        supply_V: Its supply.
+        temperature_C: Its temperature at first.
+        heating_C_per_s: How fast that rises.
+
+    Attributes:
+        connected: False while its cable is pulled: it hears and says nothing.
+        powered: Whether its torque is on.
+    """
+
+    def __init__(
+        self,
+        servo_id: int,
+        law: Law,
+        now: float,
+        *,
+        supply_V: float = 7.4,
+        temperature_C: float = 30.0,
+        heating_C_per_s: float = 0.0,
+    ) -> None:
+        self.servo_id = servo_id
+        self.connected = True
+        self._shaft = Shaft(law, now)
+        self._born = now
+        self._supply_V = supply_V
+        self._temperature_C, self._heating = temperature_C, heating_C_per_s
+        self._registers = dict(_REGISTERS)
+        self._moves = {command: b"\xf4\x01\x00\x00" for command in _MOVES}
+        self._waiting = False
+
+    @property
+    def powered(self) -> bool:
+        """Whether its torque is on."""
+        return self._shaft.powered
+
+    def advance(self, now: float) -> None:
+        """Let time pass."""
+        self._shaft.angle(now)
+
+    def ticks(self, now: float) -> int:
+        """Its position as it reports it, in ticks of 0.24 degrees."""
+        return CENTRE_TICKS + round(self._shaft.angle(now) / TICK_RAD)
+
+    def handle(self, packet: Packet, now: float) -> Packet | None:
+        """Obey a packet, and answer if it is a request to this servo."""
+        if not self.connected or packet.servo_id not in (self.servo_id, BROADCAST):
+            return None
+        if expects_reply(packet):
+            if packet.servo_id == BROADCAST and packet.command != Command.ID_READ:
+                return None
+            return Packet(self.servo_id, packet.command, self._answer(packet.command, now))
+        self._obey(packet, now)
+        return None
+
+    def _answer(self, command: int, now: float) -> bytes:
+        if command == Command.POS_READ:
+            number = self.ticks(now)
+            return max(min(number, 32767), -32768).to_bytes(2, "little", signed=True)
+        if command == Command.VIN_READ:
+            return round(1000 * self._supply_V).to_bytes(2, "little")
+        if command == Command.TEMP_READ:
+            temperature = self._temperature_C + self._heating * (now - self._born)
+            return bytes((min(max(round(temperature), 0), 255),))
+        if command == Command.LOAD_READ:
+            return bytes((self.powered,))
+        if command == Command.ID_READ:
+            return bytes((self.servo_id,))
+        if command in (Command.MOVE_TIME_READ, Command.MOVE_TIME_WAIT_READ):
+            return self._moves[Command(command - 1)]
+        return self._registers[Command(command)]
+
+    def _obey(self, packet: Packet, now: float) -> None:
+        command, given = packet.command, packet.parameters
+        if command in _MOVES and len(given) == 4:
+            self._moves[Command(command)] = given
+            self._waiting = command == Command.MOVE_TIME_WAIT_WRITE
+            if not self._waiting:
+                self._move(given, now)
+        elif command == Command.MOVE_START and self._waiting:
+            self._waiting = False
+            self._move(self._moves[Command.MOVE_TIME_WAIT_WRITE], now)
+        elif command == Command.MOVE_STOP:
+            self._shaft.hold(now)
+        elif command == Command.LOAD_WRITE and len(given) == 1:
+            self._shaft.hold(now)
+            self._shaft.powered = given[0] != 0
+        elif command in _WRITES and len(given) == REPLY_BYTES[_WRITES[Command(command)]]:
+            self._registers[_WRITES[Command(command)]] = given
+
+    def _move(self, given: bytes, now: float) -> None:
+        limits = self._registers[Command.ANGLE_LIMIT_READ]
+        low, high = words(Packet(self.servo_id, Command.ANGLE_LIMIT_READ, limits))
+        ticks = min(max(int.from_bytes(given[:2], "little"), low), high)
+        duration = int.from_bytes(given[2:], "little") / 1000
+        self._shaft.angle(now)
+        self._shaft.command(now, (ticks - CENTRE_TICKS) * TICK_RAD, duration)

@@ -1,0 +1,210 @@
+"""Excitation signals: set-points that bring out what a servo is, inside what it may do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal as waves
+
+from sim2real.errors import InputError
+from sim2real.recording import read_commands
+from sim2real.robot import Joint
+
+Array = NDArray[np.float64]
+
+REST_S = 0.5
+"""The first set-point is held this long before anything moves."""
+SHORTEST_HOLD_S, LONGEST_HOLD_S = 0.4, 1.5  # of a level of ``steps``
+DEFAULT_REACH = 0.75  # amplitude as a share of half the joint's range
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the unit signals are made from.
+
+    Attributes:
+        frequency_hz: Of ``sine`` and ``square``.
+        band_hz: Lowest and highest frequency of ``chirp`` and ``multisine``.
+    """
+
+    frequency_hz: float = 1.0
+    band_hz: tuple[float, float] = (0.1, 2.0)
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Set-points for several joints.
+
+    Attributes:
+        joints: Names of the J joints.
+        t: Times in s, shape (T,), even.
+        command: Set-points in rad, shape (T, J).
+        notes: How limits changed what was asked for, one sentence each.
+    """
+
+    joints: tuple[str, ...]
+    t: Array
+    command: Array
+    notes: tuple[str, ...] = ()
+
+    @property
+    def largest_rate(self) -> Array:
+        """Largest speed of each joint's set-point in rad/s, shape (J,)."""
+        rate: Array = np.abs(np.diff(self.command, axis=0)).max(axis=0) / self.t[1]
+        return rate
+
+
+def steps(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
+    """Random levels held for random times, from 0."""
+    count = int(t[-1] / SHORTEST_HOLD_S) + 1
+    changes = np.cumsum(rng.uniform(SHORTEST_HOLD_S, LONGEST_HOLD_S, count))
+    levels = np.concatenate([[0.0], rng.uniform(-1, 1, count)])
+    return np.asarray(levels[np.searchsorted(changes - changes[0], t, side="right")])
+
+
+def sine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
+    """A sine from 0."""
+    return np.asarray(np.sin(2 * np.pi * shape.frequency_hz * t))
+
+
+def square(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
+    """A square wave."""
+    return np.asarray(waves.square(2 * np.pi * shape.frequency_hz * t))
+
+
+def chirp(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
+    """A sine from 0 whose frequency rises evenly through the band."""
+    low, high = shape.band_hz
+    return np.asarray(waves.chirp(t, low, float(t[-1]), high, phi=-90))
+
+
+def multisine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
+    """Equal sines on a grid through the band, with Schroeder's phases, which keep peaks low.
+
+    M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85. The phases start at a random place.
+    """
+    low, high = shape.band_hz
+    spacing = max(low, 1 / float(t[-1]), (high - low) / 64)
+    frequency = np.arange(low, high + 0.5 * spacing, spacing)
+    order = np.arange(frequency.size)
+    phase = rng.uniform(0, 2 * np.pi) - np.pi * order * (order + 1) / frequency.size
+    wave = np.sin(2 * np.pi * np.outer(t, frequency) + phase).sum(axis=1)
+    return np.asarray(wave / np.abs(wave).max())
+
+
+UNIT: Mapping[str, Callable[[Array, Shape, np.random.Generator], Array]] = {
+    "steps": steps,
+    "sine": sine,
+    "square": square,
+    "chirp": chirp,
+    "multisine": multisine,
+}
+"""Signals between -1 and 1 at the times ``t`` (T,), by name."""
+
+SMOOTH = ("sine", "chirp", "multisine")
+"""Signals that are made smaller where they are too fast; the others are slewed."""
+
+
+def excitation(
+    name: str,
+    joints: Sequence[Joint],
+    *,
+    seconds: float,
+    rate_hz: float,
+    rng: np.random.Generator,
+    amplitude_rad: float | None = None,
+    shape: Shape | None = None,
+) -> Excitation:
+    """A signal for each joint, about the middle of its limits and inside limits and speed.
+
+    Args:
+        name: One of ``UNIT``.
+        joints: The J joints; random signals are drawn for each anew.
+        seconds: Length, the rest at the beginning included.
+        rate_hz: Set-points a second.
+        rng: Source of chance.
+        amplitude_rad: Largest excursion; three quarters of what the limits allow where None.
+        shape: Frequencies.
+
+    Raises:
+        InputError: If the length or a frequency makes no signal.
+    """
+    shape = shape or Shape()
+    _check_shape(name, shape, seconds, rate_hz)
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    commands, notes = [], []
+    for joint in joints:
+        low, high = joint.limits_rad
+        unit = UNIT[name](np.maximum(t - REST_S, 0.0), shape, rng)
+        unit[t < REST_S] = unit[t >= REST_S][0] if name in SMOOTH else 0.0
+        most, why = (high - low) / 2, "its limits"
+        fastest = float(np.abs(np.diff(unit)).max()) * rate_hz
+        if name in SMOOTH and most * fastest > joint.servo.no_load_speed_rad_s:
+            most, why = joint.servo.no_load_speed_rad_s / fastest, "its servo's speed"
+        wanted = DEFAULT_REACH * (high - low) / 2 if amplitude_rad is None else amplitude_rad
+        amplitude = min(wanted, most)
+        if amplitude_rad is not None and amplitude < wanted:
+            notes.append(f"{joint.name}: {wanted:g} rad cut to {amplitude:.3g} rad by {why}.")
+        commands.append(limited((low + high) / 2 + amplitude * unit, joint, rate_hz))
+    names = tuple(joint.name for joint in joints)
+    return Excitation(names, t, np.stack(commands, axis=1), tuple(notes))
+
+
+def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: float) -> Excitation:
+    """The commands of a CSV, each held until the next, after a rest on the first.
+
+    Raises:
+        InputError: If the file lacks a joint or switches its torque off.
+    """
+    commands = read_commands(path)
+    since = commands.t - commands.t[0] + REST_S
+    t = np.arange(int(since[-1] * rate_hz + 1e-6) + 1) / rate_hz
+    held = np.maximum(np.searchsorted(since, t + 1e-9, side="right") - 1, 0)
+    columns, notes = [], []
+    for joint in joints:
+        column = f"{joint.name}.command_rad"
+        if joint.name not in commands.by_joint:
+            raise InputError(path, "header", f"no column {column}", f"the column {column}")
+        wanted = commands.by_joint[joint.name][held]
+        if np.isnan(wanted).any():
+            raise InputError(path, column, "empty cells", "a set-point in every row")
+        given = limited(wanted, joint, rate_hz)
+        changed = int((np.abs(given - wanted) > 1e-9).sum())
+        if changed:
+            notes.append(f"{joint.name}: {changed} set-points changed by its limits and speed.")
+        columns.append(given)
+    names = tuple(joint.name for joint in joints)
+    return Excitation(names, t, np.stack(columns, axis=1), tuple(notes))
+
+
+def limited(command: Array, joint: Joint, rate_hz: float) -> Array:
+    """Set-points (T,) held inside the joint's limits and no faster than its servo turns unloaded.
+
+    The first set-point is where the rest begins, so it is only held inside the limits.
+    """
+    inside = np.clip(command, *joint.limits_rad)
+    most = joint.servo.no_load_speed_rad_s / rate_hz
+    if np.abs(np.diff(inside)).max(initial=0.0) <= most * (1 + 1e-9):
+        return inside
+    slewed = inside.copy()
+    for k in range(1, slewed.size):
+        slewed[k] = slewed[k - 1] + np.clip(inside[k] - slewed[k - 1], -most, most)
+    return slewed
+
+
+def _check_shape(name: str, shape: Shape, seconds: float, rate_hz: float) -> None:
+    if not 2 * REST_S <= seconds <= 86_400:
+        expected = f"{2 * REST_S:g} s to a day"
+        raise InputError("--seconds", "", f"{seconds:g} s", expected)
+    low, high = shape.band_hz
+    nyquist = rate_hz / 2
+    if name in ("sine", "square") and not 0 < shape.frequency_hz < nyquist:
+        expected = f"more than 0 and less than {nyquist:g} Hz"
+        raise InputError("--frequency", "", f"{shape.frequency_hz:g} Hz", expected)
+    if name in ("chirp", "multisine") and not 0 < low < high < nyquist:
+        expected = f"two frequencies between 0 and {nyquist:g} Hz, the lower first"
+        raise InputError("--band", "", f"{low:g} and {high:g} Hz", expected)

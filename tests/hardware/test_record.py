@@ -1,0 +1,64 @@
+"""A recording from beginning to end, on virtual servos."""
+
+import numpy as np
+import pytest
+from virtual_bench import record, robot_file, served
+
+from sim2real.cli import main
+from sim2real.recording import read_recording
+
+pytestmark = pytest.mark.usefixtures("recorders")
+
+
+def test_three_joints_keep_apart_on_a_wire_that_echoes(tmp_path, capsys):
+    with served(3, echo=True) as bench:
+        more = ["--seconds", "1.5", "--trim=10,0,-10", "--reverse", "j2", "--medium", "water"]
+        assert record(tmp_path, bench.port, *more, joints=3) == 0
+        assert not any(servo.powered for servo in bench.servos)
+    recording = read_recording(tmp_path / "run.csv")
+    assert recording.joints == ("j1", "j2", "j3")
+    assert recording.medium == "water"
+    assert np.isnan(recording.position).mean() < 0.2
+    rest, moved = recording.t < 0.5, recording.t > 0.9
+    assert np.nanmax(np.abs(recording.position[rest])) < 0.005, "trimmed"
+    apart = recording.position[moved] - recording.position[moved][:, :1]
+    assert np.nanmax(np.abs(apart)) < 0.1, "all three do the same"
+    assert np.nanmax(np.abs(recording.position)) > 0.4
+    told = [np.isfinite(recording.columns[f"j{k}.temperature_C"]).sum() for k in (1, 2, 3)]
+    assert min(told) >= 10
+
+
+def test_commands_of_a_file_are_played(tmp_path):
+    rows = ["t_s,j1.command_rad", "0,0.1", "0.5,0.2", "0.8,2.0"]
+    (tmp_path / "plan.csv").write_text("\n".join(rows) + "\n")
+    with served(1) as bench:
+        assert record(tmp_path, bench.port, signal=str(tmp_path / "plan.csv")) == 0
+    recording = read_recording(tmp_path / "run.csv")
+    sent = recording.command[:, 0]
+    assert sent[0] == pytest.approx(0.1, abs=0.003)
+    assert sent[-1] == pytest.approx(0.3, abs=0.01), "on its way to the limit at the servo's speed"
+    assert np.abs(np.diff(sent)).max() <= 5.24 / 50 + 0.0042
+    assert recording.metadata["signal"]["notes"]
+
+
+def test_a_dry_run_shows_the_signal_and_needs_no_port(tmp_path, capsys):
+    robot, picture = robot_file(tmp_path, 2), tmp_path / "signal.png"
+    options = ["--robot", str(robot), "--dry-run", "--plot", str(picture), "--amplitude", "0.9"]
+    assert main(["record", "square", *options]) == 0
+    text = capsys.readouterr().out
+    assert "1500 set-points" in text
+    assert "-0.800 to +0.800 rad" in text
+    assert "0.9 rad cut to 0.8 rad by its limits" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_scan_lists_who_is_there(capsys):
+    with served(2, supply_V=3.9, temperature_C=41) as bench:
+        assert main(["scan", "--port", bench.port, "--ids", "1-3"]) == 0
+        first, second = capsys.readouterr().out.splitlines()[1:]
+        for part in ("500", "3.90 V", "41 C", "off", "supply outside 4.5 to 12.0 V"):
+            assert part in first
+        assert second.split()[0] == "2"
+        assert main(["scan", "--port", bench.port, "--ids", "3"]) == 1
+        assert "no servo answers" in capsys.readouterr().err
+    assert main(["scan", "--port", bench.port, "--ids", "1-300"]) == 2

@@ -1,0 +1,133 @@
+"""The loop, by a clock of its own: it keeps its schedule, whatever a cycle takes."""
+
+import numpy as np
+import pytest
+from good_input import ROBOT
+from virtual_bench import robot_file
+
+from sim2real.hardware import recorder
+from sim2real.hardware.lx import Command, Packet
+from sim2real.hardware.mounting import mount
+from sim2real.hardware.row_stream import RowStream
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+HZ = 50
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+class Bus:
+    """Answers after as long as the script says; ``hot`` from a cycle on."""
+
+    together, device_s = False, None
+
+    def __init__(self, clock, takes, hot=10**9):
+        self.clock, self.takes, self.hot, self.cycle = clock, takes, hot, -1
+
+    def drain(self):
+        self.cycle += 1
+
+    def exchange(self, packets, deadline):
+        self.clock.now += self.takes(self.cycle) / 2
+        command = packets[-1].command
+        replies = {
+            Command.POS_READ: b"\x26\x02",
+            Command.VIN_READ: b"\xe8\x1c",
+            Command.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
+        }
+        return [None] * (len(packets) - 1) + [Packet(1, command, replies[command])]
+
+
+@pytest.fixture
+def play(tmp_path, monkeypatch):
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    mountings = mount(read_robot(tmp_path / "robot.toml"), [1])
+    clock = Clock()
+    monkeypatch.setattr(recorder, "time", clock)
+
+    def run(takes, command, **given):
+        rows, bus = [], Bus(clock, takes, **given)
+        outcome = recorder.record(bus, mountings, command, rows.append, rate_hz=HZ, hottest_C=65)
+        return outcome, np.array(rows)
+
+    return run
+
+
+def test_the_schedule_does_not_drift(play):
+    outcome, rows = play(lambda _: 0.018, np.zeros((200, 1)))
+    np.testing.assert_allclose(rows[:, 0], np.arange(200) / HZ, atol=1e-9)
+    np.testing.assert_allclose(rows[:, 2], 50 * np.deg2rad(0.24))
+    assert outcome.stopped is None
+    assert outcome.missing == {"j1": 0}
+    assert outcome.skipped == 0
+
+
+def test_a_stall_skips_set_points_and_then_it_is_on_time_again(play):
+    command = np.linspace(0, 0.5, 100)[:, None]
+    outcome, rows = play(lambda cycle: 0.071 if cycle == 10 else 0.004, command)
+    slots = np.round(rows[:, 0] * HZ).astype(int)
+    assert list(slots[:13]) == [*range(11), 14, 15]
+    assert slots[-1] == 99
+    assert outcome.skipped == 3
+    np.testing.assert_allclose(rows[:, 1], command[slots, 0], atol=0.0022)
+    late = np.array(outcome.late_s)
+    assert late[11] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_supply_and_temperature_take_turns(play):
+    _, rows = play(lambda _: 0.004, np.zeros((20, 1)))
+    temperature, supply = rows[:, 3], rows[:, 4]
+    assert np.all(supply[::2] == 7.4)
+    assert np.all(np.isnan(supply[1::2]))
+    assert np.all(temperature[1::2] == 30)
+
+
+def test_heat_stops_it(play):
+    outcome, rows = play(lambda _: 0.004, np.zeros((100, 1)), hot=40)
+    assert "99 C" in outcome.stopped
+    assert len(rows) == 42, "the hot row is kept too"
+
+
+def test_a_crash_loses_nothing(tmp_path):
+    """The recording can be read while it is being written."""
+    path = tmp_path / "run.csv"
+    sidecar = {"schema": "sim2real.recording/1", "kind": "servo", "joints": ["j1"]}
+    with RowStream(path, ["t_s", "j1.command_rad", "j1.position_rad"], sidecar) as stream:
+        for k in range(5):
+            stream.write([0.02 * k, 0.1, np.nan if k == 2 else 0.1])
+        recording = read_recording(path)
+        assert recording.t.size == 5
+        assert np.isnan(recording.position[2, 0])
+        stream.add(outcome="fine")
+    assert read_recording(path).metadata["outcome"] == "fine"
+
+
+def test_a_silent_servo_leaves_the_others_their_time(tmp_path, monkeypatch):
+    clock, given = Clock(), []
+
+    class Silent(Bus):
+        def exchange(self, packets, deadline):
+            given.append(deadline - clock.now)
+            clock.now = deadline
+            return [None] * len(packets)
+
+    monkeypatch.setattr(recorder, "time", clock)
+    mountings = mount(read_robot(robot_file(tmp_path, 3)), [1, 2, 3])
+    bus = Silent(clock, None)
+    outcome = recorder.record(
+        bus, mountings, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65
+    )
+    assert outcome.stopped == "no reply from j1's servo for 0.5 s"
+    for cycle in np.reshape(given, (-1, 4)):
+        assert cycle.min() > 0.0024
+        assert cycle.sum() <= 0.8 / HZ + 1e-9
