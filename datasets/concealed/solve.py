@@ -44,28 +44,19 @@ def main() -> None:
 
 
 def answers(folders: Sequence[Path], device: str) -> list[tuple[Diagnosis, Model]]:
-    """The diagnosis and the plain model of each case.
-
-    Where a case has reference recordings, what they lack is found first, and the case is diagnosed
-    against the servo that explains them.
-    """
-    references: dict[Path, Model] = {}
-    having = [folder for folder in folders if any(folder.glob("ref_*.csv"))]
-    if having:
-        known = diagnose_all([_case(f, "ref_*.csv", None) for f in having], device=device)
-        references = {f: found.model for f, found in zip(having, known, strict=True)}
-    cases = []
-    for folder in folders:
-        given = folder / "model.json"
-        model = references.get(folder) or (read_model(given) if given.exists() else None)
-        cases.append(_case(folder, "[abd-q]*.csv", model))
-    found = diagnose_all(cases, device=device)
+    """The diagnosis and the plain model of each case, against its references where it has some."""
+    found = diagnose_all([_case(folder) for folder in folders], device=device)
     return [(one, plain_model(one)) for one in found]
 
 
-def _case(folder: Path, pattern: str, model: Model | None) -> Case:
-    recordings = [read_recording(path) for path in sorted(folder.glob(pattern))]
-    return Case(recordings, read_robot(folder / "robot.toml"), model)
+def _case(folder: Path) -> Case:
+    recordings, references = (
+        [read_recording(path) for path in sorted(folder.glob(pattern))]
+        for pattern in ("[abd-q]*.csv", "ref_*.csv")
+    )
+    given = folder / "model.json"
+    model = read_model(given) if given.exists() else None
+    return Case(recordings, read_robot(folder / "robot.toml"), model, references)
 
 
 def plain_model(found: Diagnosis) -> Model:

@@ -9,27 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.alike import Progress, sampled_alike
+from sim2real.diagnose.case import Case, Joint, bases, gate, prepared, rows, servo
 from sim2real.diagnose.extras import Extras, extras
 from sim2real.diagnose.heldout import Unseen, held_out
 from sim2real.diagnose.investigate import Finding, investigate
-from sim2real.diagnose.naming import NAMED, fitted_effects, gathered, named_effects, rivals
+from sim2real.diagnose.naming import NAMED, gathered, named_effects, rivals
 from sim2real.diagnose.predicting import predicting, until_then
+from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, Ladder, Mismatch, NamedEffect, Verdict
-from sim2real.diagnose.rounding import coarse_step
 from sim2real.diagnose.search import Hypothesis, joined
 from sim2real.diagnose.unknown import WANDER_SHARE, residual_angles
 from sim2real.diagnose.where import mismatch
 from sim2real.effects import named
-from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
-from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.minimise import minimise
-from sim2real.servo.parameters import joint_row
-from sim2real.servo.trace import PER_INERTIA, Trace, traces
+from sim2real.servo.trace import Trace
+
+__all__ = ["Case", "diagnose", "diagnose_all"]
 
 Array = NDArray[np.float64]
 
@@ -37,28 +37,12 @@ _DONE = 0.85
 """Share of the removable error from which what was named explains the mismatch."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One robot to diagnose: its recordings, itself, and the model it came with, if any."""
-
-    recordings: Sequence[Recording]
-    robot: Robot
-    model: Model | None = None
-
-
-@dataclass(frozen=True)
-class _Joint:
-    name: str
-    traces: list[Trace]
-    noise: float
-    step_rad: float | None
-
-
 def diagnose(
     recordings: Sequence[Recording],
     robot: Robot,
     *,
     model: Model | None = None,
+    references: Sequence[Recording] = (),
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
@@ -68,6 +52,7 @@ def diagnose(
         recordings: Recordings of the servos.
         robot: The robot that was recorded.
         model: A model to start from; its effects stay part of the plain servo.
+        references: Recordings of the robot from before: then only what has changed since is named.
         seed: Seed of the bootstraps.
         progress: Called with the share that is done.
 
@@ -77,7 +62,7 @@ def diagnose(
     Raises:
         InputError: If the recordings and the robot do not agree, or no joint moves.
     """
-    case = Case(recordings, robot, model)
+    case = Case(recordings, robot, model, references)
     (found,) = diagnose_all([case], seed=seed, thorough=True, progress=until_then(progress))
     return predicting(found, recordings, seed, progress)
 
@@ -112,10 +97,11 @@ def _together(
 ) -> list[Diagnosis]:
     """Diagnose robots that were sampled alike."""
     rng = np.random.default_rng(seed)
-    prepared = [_prepared(case) for case in cases]
-    everyone = [joint for joints in prepared for joint in joints]
-    ends = np.cumsum([len(joints) for joints in prepared])
-    robots = [list(range(e - len(js), e)) for e, js in zip(ends, prepared, strict=True)]
+    cases = with_known_servos(cases, rng, device)
+    ready = [prepared(case) for case in cases]
+    everyone = [joint for joints in ready for joint in joints]
+    ends = np.cumsum([len(joints) for joints in ready])
+    robots = [list(range(e - len(js), e)) for e, js in zip(ends, ready, strict=True)]
     data = [joint.traces for joint in everyone]
     batch = Batch(data, device)
     findings = investigate(
@@ -124,10 +110,11 @@ def _together(
         robots,
         rng=rng,
         steps=[joint.step_rad for joint in everyone],
-        models=_rows(cases, prepared),
-        bases=_bases(cases, prepared),
+        models=rows(cases, ready),
+        bases=bases(cases, ready),
         progress=lambda share: progress(0.8 * share),
     )
+    findings = against_references(batch, cases, ready, robots, findings)
     rich = [_enriched(finding) for finding in findings]
     plain = [finding.book.plain for finding in findings]
     before, after = (
@@ -139,7 +126,7 @@ def _together(
     unseen_rich = held_out(data, [h.fit.servos for h in rich], white=False, device=device)
     progress(0.9)
     results = []
-    for case, joints, robot in zip(cases, prepared, robots, strict=True):
+    for case, joints, robot in zip(cases, ready, robots, strict=True):
         part = _Part(
             joints,
             [findings[j] for j in robot],
@@ -159,7 +146,7 @@ def _together(
 class _Part:
     """What is known of the joints of one robot, one entry a joint."""
 
-    joints: list[_Joint]
+    joints: list[Joint]
     findings: list[Finding]
     rich: list[Hypothesis]
     before: list[Array]
@@ -167,54 +154,6 @@ class _Part:
     least_squares: list[Array]
     unseen_plain: list[Unseen | None]
     unseen_rich: list[Unseen | None]
-
-
-def _prepared(case: Case) -> list[_Joint]:
-    for recording in case.recordings:
-        match_joints(recording, case.robot)
-        if np.isnan(recording.command).all():
-            found, expected = "no J.command_rad column", "the set-points that were sent"
-            raise InputError(recording.file, "header", found, expected)
-    joints = []
-    for joint in case.robot.joints:
-        given = traces(case.recordings, joint.name)
-        if given:
-            noise = max(noise_floor(x.t, x.command, x.position) for x in given)
-            step = coarse_step(given, joint.servo.position_step_rad)
-            joints.append(_Joint(joint.name, given, noise, step))
-    if not joints:
-        recording = case.recordings[0]
-        found, expected = "no motion", "commands and angles that change"
-        raise InputError(recording.file, "", found, expected)
-    return joints
-
-
-def _rows(cases: Sequence[Case], prepared: Sequence[Sequence[_Joint]]) -> Array | None:
-    if all(case.model is None for case in cases):
-        return None
-    rows = []
-    for case, joints in zip(cases, prepared, strict=True):
-        for joint in joints:
-            model = case.model.joints.get(joint.name) if case.model else None
-            known = np.full_like(joint_row(_NOBODY, None), np.nan)
-            rows.append(known if model is None else joint_row(model, None, joint.name))
-    return np.array(rows)
-
-
-_NOBODY = JointModel(1.0, 0.0, 0.0, 1.0)
-
-
-def _bases(
-    cases: Sequence[Case], prepared: Sequence[Sequence[_Joint]]
-) -> list[frozenset[str]] | None:
-    if all(case.model is None for case in cases):
-        return None
-    bases = []
-    for case, joints in zip(cases, prepared, strict=True):
-        for joint in joints:
-            model = case.model.joints.get(joint.name) if case.model else None
-            bases.append(frozenset(e.effect for e in model.effects) if model else frozenset())
-    return bases
 
 
 def _enriched(finding: Finding) -> Hypothesis:
@@ -239,7 +178,7 @@ def _diagnosis(
         for k, f in enumerate(part.findings)
         if f.mismatch
     )
-    inputs = [r.path for r in case.recordings if r.path]
+    inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
     fits = [_fit(part, k, enriched=e) for e in (False, True) for k in range(len(names))]
     signals = [f"{name}.position_rad" for name in names]
@@ -256,7 +195,7 @@ def _diagnosis(
         ladders={},
         detection_limits=(),
         next_experiment=None,
-        gate=_gate(case) if thorough else (),
+        gate=gate(case) if thorough else (),
         model=_model(case, part, origin),
         baseline=_baseline(part),
         provenance=origin,
@@ -294,16 +233,6 @@ def _diagnosis(
         next_experiment=more.next_experiment,
         evidence=more.evidence,
     )
-
-
-def _gate(case: Case) -> tuple[str, ...]:
-    from sim2real.check import all_findings, check
-
-    sentences: dict[str, None] = {}
-    for recording in case.recordings:
-        for sentence in all_findings(check(recording, case.robot)):
-            sentences[f"{recording.name}: {sentence}"] = None
-    return tuple(sentences)
 
 
 def _rms(residual: Array, given: Sequence[Trace]) -> float:
@@ -361,7 +290,9 @@ def _verdict(
 def _model(case: Case, part: _Part, origin: Mapping[str, object]) -> Model:
     """The enriched simulator."""
     joints = {
-        joint.name: _servo(joint, part.rich[k].fit.servos.theta[0], part.rich[k])
+        joint.name: servo(joint, part.rich[k].fit.servos.theta[0], part.rich[k])
+        if _richer(part, k)
+        else _plain(part, k)
         for k, joint in enumerate(part.joints)
     }
     fit = {
@@ -377,24 +308,12 @@ def _model(case: Case, part: _Part, origin: Mapping[str, object]) -> Model:
 
 
 def _baseline(part: _Part) -> Model:
-    """The plain servos, by least squares where something is missing: so do they predict best."""
-    joints = {}
-    for k, joint in enumerate(part.joints):
-        plain, unseen = part.findings[k].book.plain, part.least_squares[k]
-        theta = unseen if part.findings[k].mismatch else plain.fit.servos.theta[0]
-        joints[joint.name] = _servo(joint, theta, plain)
-    return Model(joints=joints)
+    """The simulator before anything was added."""
+    return Model(joints={joint.name: _plain(part, k) for k, joint in enumerate(part.joints)})
 
 
-def _servo(joint: _Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
-    load = joint.traces[0].load
-    kp, kd, latency = (float(x) for x in theta[:3])
-    return JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=load is PER_INERTIA,
-        load=None if load is PER_INERTIA else load,
-        effects=fitted_effects(hypothesis, joint.step_rad),
-    )
+def _plain(part: _Part, k: int) -> JointModel:
+    """The plain servo, by least squares where something is missing: so it predicts best."""
+    plain = part.findings[k].book.plain
+    theta = part.least_squares[k] if part.findings[k].mismatch else plain.fit.servos.theta[0]
+    return servo(part.joints[k], theta, plain)

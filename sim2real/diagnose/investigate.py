@@ -117,10 +117,23 @@ def investigate(
         free = Batch(some.joints, batch.device, batch.threads, bounded=False)
         second = _pass(free, some, rng, lambda share: progress(0.7 + 0.3 * share))
         for j, finding in zip(again, second, strict=True):
-            findings[j] = replace(finding, mismatch=True) if findings[j].mismatch else finding
+            mismatch = finding.mismatch or findings[j].mismatch
+            findings[j] = replace(_placed(finding, j), mismatch=mismatch)
     findings = _with_links(batch, known, findings)
     progress(1.0)
     return findings
+
+
+def _placed(finding: Finding, joint: int) -> Finding:
+    """A finding of another batch, its fits those of this joint of the whole one."""
+    book = finding.book
+    at = np.array([joint], dtype=np.int32)
+    tried = {
+        effects: replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=at)))
+        for effects, h in book.tried.items()
+    }
+    moved = replace(book, joint=joint, tried=tried)
+    return replace(finding, book=moved, best=tried[finding.best.effects])
 
 
 def _with_links(batch: Batch, known: _Known, findings: Sequence[Finding]) -> list[Finding]:

@@ -17,6 +17,7 @@ class Command(NamedTuple):
         add: Adds its options to a parser.
         help: What it does, in a line.
         example: One call of it.
+        resumes: Whether the same call goes on where an interrupt left it.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Command(NamedTuple):
     add: Callable[[argparse.ArgumentParser], None]
     help: str
     example: str
+    resumes: bool = False
 
 
 def add_recordings(command: argparse.ArgumentParser) -> None:

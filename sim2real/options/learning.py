@@ -119,6 +119,7 @@ COMMANDS = (
         _train,
         "train a policy by soft actor-critic, in the fluid or in its twin",
         "sim2real train --quick --robot fish.toml --model model.json --out runs/quick",
+        resumes=True,
     ),
     Command(
         "evaluate",
@@ -134,6 +135,7 @@ COMMANDS = (
         "train with and without each technique, and compare in simulation and in reality",
         "sim2real ablate --robot fish.toml --model model.json --ranges ranges.json "
         "--reality reality.json --out runs/ablation",
+        resumes=True,
     ),
     Command(
         "export",

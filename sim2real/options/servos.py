@@ -63,6 +63,13 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
     command.add_argument("--robot", type=Path, required=True, help="robot.toml")
     command.add_argument("--model", type=Path, help="MODEL.json to start from")
     command.add_argument(
+        "--references",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING",
+        help="recordings from before: name only what has changed since",
+    )
+    command.add_argument(
         "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json"
     )
     command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
@@ -87,6 +94,7 @@ def _demo(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--data", type=Path, default=Path("datasets/servo_steps"), metavar="FOLDER"
     )
+    command.add_argument("--pool", type=Path, default=Path("datasets/pool"), metavar="FOLDER")
     command.add_argument("--out", type=Path, default=Path("reports/demo"), metavar="FOLDER")
 
 
@@ -119,6 +127,7 @@ COMMANDS = (
         "make randomization ranges, each from data, and a posterior sample",
         "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
         "--out ranges.json",
+        resumes=True,
     ),
     Command(
         "predict",
@@ -143,7 +152,7 @@ COMMANDS = (
     ),
     Command(
         "demo",
-        "sim2real.commands.demo",
+        "rl.commands.demo",
         _demo,
         "run the whole chain on the shipped data and write an HTML report",
         "sim2real demo --out reports/demo",

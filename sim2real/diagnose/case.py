@@ -1,0 +1,146 @@
+"""One robot to diagnose, and its joints made ready for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.check import all_findings, check
+from sim2real.diagnose.naming import fitted_effects
+from sim2real.diagnose.rounding import coarse_step
+from sim2real.diagnose.search import Hypothesis
+from sim2real.errors import InputError
+from sim2real.model import JointModel, Model
+from sim2real.noise import noise_floor
+from sim2real.recording import Recording
+from sim2real.robot import Robot, match_joints
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.trace import PER_INERTIA, Trace, traces
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One robot to diagnose.
+
+    Attributes:
+        recordings: What is to be explained.
+        robot: The robot.
+        model: A model to start from; its effects stay part of the plain servo.
+        references: Recordings of the same robot from before. With these the question is what has
+            changed since, not what a servo lacks.
+    """
+
+    recordings: Sequence[Recording]
+    robot: Robot
+    model: Model | None = None
+    references: Sequence[Recording] = ()
+
+    @property
+    def before(self) -> Case:
+        """The references as a case of their own."""
+        return replace(self, recordings=self.references, references=())
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint with its recordings.
+
+    Attributes:
+        name: Its name.
+        traces: Its recordings.
+        noise: Standard deviation of its sensor's noise, rad.
+        step_rad: Step of its sensor where that is coarser than stated, or None.
+    """
+
+    name: str
+    traces: list[Trace]
+    noise: float
+    step_rad: float | None
+
+
+def prepared(case: Case) -> list[Joint]:
+    """The joints of a case that move.
+
+    Raises:
+        InputError: If recordings and robot do not agree, or no joint moves.
+    """
+    for recording in case.recordings:
+        match_joints(recording, case.robot)
+        if np.isnan(recording.command).all():
+            found, expected = "no J.command_rad column", "the set-points that were sent"
+            raise InputError(recording.file, "header", found, expected)
+    joints = []
+    for joint in case.robot.joints:
+        given = traces(case.recordings, joint.name)
+        if given:
+            noise = max(noise_floor(x.t, x.command, x.position) for x in given)
+            step = coarse_step(given, joint.servo.position_step_rad)
+            joints.append(Joint(joint.name, given, noise, step))
+    if not joints:
+        recording = case.recordings[0]
+        found, expected = "no motion", "commands and angles that change"
+        raise InputError(recording.file, "", found, expected)
+    return joints
+
+
+def rows(cases: Sequence[Case], joints: Sequence[Sequence[Joint]]) -> Array | None:
+    """Parameter rows of the given models, one a joint, NaN where there is none, shape (J, P)."""
+    if all(case.model is None for case in cases):
+        return None
+    found = []
+    for case, some in zip(cases, joints, strict=True):
+        for joint in some:
+            model = case.model.joints.get(joint.name) if case.model else None
+            unknown = np.full_like(joint_row(_NOBODY, None), np.nan)
+            found.append(unknown if model is None else joint_row(model, None, joint.name))
+    return np.array(found)
+
+
+_NOBODY = JointModel(1.0, 0.0, 0.0, 1.0)
+
+
+def bases(cases: Sequence[Case], joints: Sequence[Sequence[Joint]]) -> list[frozenset[str]] | None:
+    """Effects of the given models, one set a joint."""
+    if all(case.model is None for case in cases):
+        return None
+    found = []
+    for case, some in zip(cases, joints, strict=True):
+        for joint in some:
+            model = case.model.joints.get(joint.name) if case.model else None
+            found.append(frozenset(e.effect for e in model.effects) if model else frozenset())
+    return found
+
+
+def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
+    """A fitted joint as a model states it.
+
+    Args:
+        joint: The joint.
+        theta: Its parameters, shape (P,).
+        hypothesis: The effects that it has.
+    """
+    load = joint.traces[0].load
+    kp, kd, latency = (float(x) for x in theta[:3])
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=load is PER_INERTIA,
+        load=None if load is PER_INERTIA else load,
+        effects=fitted_effects(hypothesis, joint.step_rad),
+    )
+
+
+def gate(case: Case) -> tuple[str, ...]:
+    """What the data gate found, a sentence each."""
+    sentences: dict[str, None] = {}
+    for recording in case.recordings:
+        for sentence in all_findings(check(recording, case.robot)):
+            sentences[f"{recording.name}: {sentence}"] = None
+    return tuple(sentences)

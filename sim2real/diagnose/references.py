@@ -1,0 +1,164 @@
+"""What has changed: a robot's recordings against those of the same robot from before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from sim2real.diagnose.candidates import ROUNDING
+from sim2real.diagnose.case import Case, Joint, prepared, servo
+from sim2real.diagnose.contrast import Change, change, contrast
+from sim2real.diagnose.investigate import MOST_CERTAIN, Finding, investigate
+from sim2real.diagnose.loads import misstated
+from sim2real.diagnose.naming import NAMED
+from sim2real.diagnose.pool import pooled, shared_servo
+from sim2real.diagnose.posterior import Group, Posterior
+from sim2real.diagnose.rounding import COARSER
+from sim2real.diagnose.search import BLOCKS, Hypothesis, Set
+from sim2real.diagnose.sharpen import sharpened
+from sim2real.model import Model
+from sim2real.noise import quantization_step
+from sim2real.servo.batch import Batch
+from sim2real.servo.minimise import Servos, minimise
+from sim2real.servo.parameters import BASE, joint_row
+from sim2real.servo.trace import Trace, traces
+
+Array = NDArray[np.float64]
+
+
+def with_known_servos(
+    cases: Sequence[Case], rng: np.random.Generator, device: str = "cpu"
+) -> list[Case]:
+    """Cases whose model is the likeliest servo of their references, where none is given.
+
+    Args:
+        cases: The cases.
+        rng: For bootstraps.
+        device: Warp device.
+
+    Raises:
+        InputError: If references and robot do not agree, or no joint moves in them.
+    """
+    before = {k: prepared(case.before) for k, case in enumerate(cases) if case.references}
+    some = [k for k in before if cases[k].model is None]
+    known = list(cases)
+    if not some:
+        return known
+    ready = [before[k] for k in some]
+    everyone = [joint for joints in ready for joint in joints]
+    ends = np.cumsum([len(joints) for joints in ready])
+    data = [joint.traces for joint in everyone]
+    findings = investigate(
+        Batch(data, device),
+        data,
+        [list(range(e - len(js), e)) for e, js in zip(ends, ready, strict=True)],
+        rng=rng,
+        steps=[joint.step_rad for joint in everyone],
+    )
+    best = iter([finding.best for finding in findings])
+    for k, joints in zip(some, ready, strict=True):
+        # How finely a sensor reads, each recording says itself.
+        fits = [(replace(joint, step_rad=None), next(best)) for joint in joints]
+        servos = {j.name: servo(j, h.fit.servos.theta[0], h) for j, h in fits}
+        known[k] = replace(cases[k], model=Model(joints=servos))
+    return known
+
+
+def against_references(
+    batch: Batch,
+    cases: Sequence[Case],
+    ready: Sequence[Sequence[Joint]],
+    robots: Sequence[Sequence[int]],
+    findings: Sequence[Finding],
+) -> list[Finding]:
+    """Findings in which only what differs from the references is named.
+
+    Args:
+        batch: The recordings, joint by joint.
+        cases: The robots; those without references keep their findings.
+        ready: Their joints.
+        robots: Places of these among the findings.
+        findings: What is missing, joint by joint.
+    """
+    changed = list(findings)
+    for case, joints, robot in zip(cases, ready, robots, strict=True):
+        for joint, j in zip(joints, robot, strict=True):
+            before = traces(case.references, joint.name)
+            if before:
+                changed[j] = _changed(batch, case, joint, before, findings[j])
+    return changed
+
+
+def _changed(
+    batch: Batch, case: Case, joint: Joint, before: Sequence[Trace], finding: Finding
+) -> Finding:
+    book = finding.book
+    plain = book.plain.fit.servos
+    starts = [plain.theta[0]]
+    if case.model is not None and joint.name in case.model.joints:
+        starts.append(joint_row(case.model.joints[joint.name], None, joint.name))
+    inertia = before[0].load.inertia_kgm2
+    servos = [shared_servo(plain, book.base, theta, inertia) for theta in starts]
+    groups, found, theta = what_changed(before, joint.traces, servos, batch.device)
+    named = groups[0].probability >= NAMED
+    rich = book.base | {group.members[0] for group in groups if named}
+    if rich != book.base and theta is not None:
+        # As fitted to references and case together: the case alone says less of its servo.
+        one = replace(shared_servo(plain, rich, theta, inertia), joint=plain.joint)
+        fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
+        book.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
+    coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
+    return replace(
+        finding,
+        mismatch=finding.mismatch or named,
+        best=book.tried.get(rich, book.plain),
+        posterior=_posterior(book.base, found),
+        groups=(*coarse, *groups) if _coarser(joint, before) else groups,
+        left=finding.left and not named,
+        unknown=0.0 if named else finding.unknown,
+        link=None,
+    )
+
+
+def what_changed(
+    before: Sequence[Trace], case: Sequence[Trace], servos: Sequence[Servos], device: str = "cpu"
+) -> tuple[tuple[Group, ...], Change, Array | None]:
+    """What of a joint differs from its references.
+
+    Args:
+        before: The joint's references.
+        case: Its recordings in question.
+        servos: Where the servo that they share starts from.
+        device: Warp device.
+
+    Returns:
+        What is likeliest, at least one group; the weighing of all effects; and the parameters of
+        the case with what is likeliest, shape (P,), where that was fitted.
+    """
+    pool = pooled(before, case, servos, device)
+    first = contrast(pool)
+    found = change(sharpened(first, pool, device))
+    load = misstated(before, case, servos, device)
+    wrong = min(float(expit(load.gain / first.common)), MOST_CERTAIN) if load else 0.0
+    if load and wrong >= NAMED:  # a change seen through a wrong load is none
+        return tuple(Group((effect,), wrong, wrong) for effect in load.effects), found, load.theta
+    return (found.group,), found, found.theta
+
+
+def _coarser(joint: Joint, before: Sequence[Trace]) -> bool:
+    """Whether a joint's angles lie on a coarser grid than in its references."""
+    grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
+    return joint.step_rad is not None and joint.step_rad > COARSER * max(grids)
+
+
+def _posterior(base: Set, found: Change) -> Posterior:
+    """The probabilities of a change as those of sets of effects, nothing more among them."""
+    effects = {n: p for n, p in found.probability.items() if n not in (*BASE, *base)}
+    order = sorted(effects, key=lambda n: -effects[n])
+    sets = (base, *(base | {n} for n in order))
+    probability = np.array([1 - sum(effects.values()), *(effects[n] for n in order)])
+    return Posterior(sets, probability, probability)
