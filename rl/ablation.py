@@ -6,6 +6,7 @@ goes on from its checkpoint.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from rl.export import read_zip
 from rl.metrics import energy
 from rl.pool import Fidelity, make_world, own_stream
 from rl.task import TASKS, Task
-from rl.train import Arm, Plan, train
+from rl.train import Arm, Plan, digest, train
 from rl.world import Draws
 from sim2real.output import write_json
 from sim2real.robot import Robot
@@ -102,10 +103,13 @@ def ablate(
     found: dict[str, Any] = {}
     for place in places:
         path = folder / f"{place.name}.json"
-        if not path.exists():
+        asked = key(agents, place, repeats, seed)
+        known = json.loads(path.read_text()) if path.exists() else {}
+        if known.get("key") != asked:
             episodes = tried(robot, agents, place, plan, task, repeats, seed)
-            write_json(path, told(episodes, len(agents)))
-        found[place.name] = json.loads(path.read_text())
+            known = {"key": asked, **told(episodes, len(agents))}
+            write_json(path, known)
+        found[place.name] = known
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
     return {
         "repeats": repeats,
@@ -117,6 +121,18 @@ def ablate(
         ],
         "targets": {place: found[place]["targets"] for place in found},
     }
+
+
+def key(agents: Sequence[Path], place: Place, repeats: int, seed: int) -> str:
+    """SHA-256 of what decides how agents do in a place: policies, robots, simulator, starts."""
+    whole = hashlib.sha256()
+    for agent in agents:
+        whole.update(
+            repr([layer.tobytes() for layer in read_zip(agent / "policy.zip").weights]).encode()
+        )
+    rest = (place.fidelity, place.cell_m, dict(place.options), repeats, seed)
+    whole.update(repr(([digest(draws) for draws in place.draws], rest)).encode())
+    return whole.hexdigest()
 
 
 def tried(

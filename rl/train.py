@@ -7,6 +7,7 @@ checkpoint exactly as it would have gone on.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -99,10 +100,17 @@ def train(
         InputError: If the folder holds a run of another plan.
     """
     names = [f"{arm.name}-{seed}" for arm in arms for seed in plan.seeds]
-    _begin(folder, {"plan": plan.content(), "agents": names}, note or {})
+    own = [digest(arm.draws) for arm in arms]
+    _begin(folder, {"plan": plan.content(), "agents": names, "draws": own}, note or {})
     with own_stream(plan.device):
         _train(folder, robot, arms, plan, names)
     return [folder / name for name in names]
+
+
+def digest(draws: Draws) -> str:
+    """SHA-256 of what decides the episodes drawn from these."""
+    models = [(one.joints, one.body, one.effects) for one in draws.models]
+    return hashlib.sha256(repr((models, draws.noise)).encode()).hexdigest()
 
 
 def _begin(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
@@ -111,7 +119,8 @@ def _begin(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
     if path.exists():
         known = json.loads(path.read_text())
         if {k: known.get(k) for k in content} != content:
-            raise InputError(folder, "run.json", "another run", "the same options, or a new folder")
+            expected = "the same options and files, or a new folder"
+            raise InputError(folder, "run.json", "another run", expected)
         return
     write_json(path, {**content, "provenance": note})
 

@@ -68,6 +68,7 @@ def _panel(axes: Any, name: str, swims: list[Path], targets: Array, pool: Any) -
     from matplotlib.patches import Circle, Rectangle
 
     axes.set(aspect="equal", autoscale_on=False, xlabel="x (m)", ylabel="y (m)")
+    axes.locator_params(nbins=5)
     axes.grid(False)
     if pool is not None:
         corner, size = (pool[0], pool[2]), (pool[1] - pool[0], pool[3] - pool[2])

@@ -35,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"sim2real {options.command}: interrupted; nothing written", file=sys.stderr)
+        left = "the same call goes on" if options.resumes else "nothing written"
+        print(f"sim2real {options.command}: interrupted; {left}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -58,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
             epilog=f"example:\n  {one.example}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.set_defaults(module=one.module)
+        command.set_defaults(module=one.module, resumes=one.resumes)
         one.add(command)
     return parser
 

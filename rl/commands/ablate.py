@@ -16,7 +16,6 @@ from rl.agents import Settings
 from rl.arms import ARMS, arm_of
 from rl.executor import Job, run_jobs
 from rl.jobs import QUICK
-from rl.pool import draws_of
 from rl.randomize import noise_of
 from rl.task import TASKS
 from rl.train import Arm, Plan
@@ -44,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
     arms = [arm_of(name, model, robot, ranges, enriched) for name in names]
     plan = plan_of(options)
-    places = places_of(options, robot, arms, plan, ranges, reality)
+    places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges, options.reality]
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
@@ -86,21 +85,30 @@ def plan_of(options: argparse.Namespace) -> Plan:
     )
 
 
-def places_of(
-    options: argparse.Namespace, robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges,
-    reality: Model,
+def tried_in(
+    robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model,
+    cell_m: float | None = None,
 ) -> list[Place]:  # fmt: skip
-    """Each arm's own simulator, and the reality that none of them has seen."""
+    """Each arm's own simulator, and the reality that none of them has seen.
+
+    Args:
+        robot: The robot.
+        arms: The arms.
+        plan: How they are trained.
+        ranges: Whose noise reality has.
+        reality: Its model.
+        cell_m: Side of its cells; half of the training's where None.
+    """
     S = len(plan.seeds)
     noise = noise_of(ranges, [joint.name for joint in robot.joints])
     own = [Draws(arm.draws.models[:1], arm.draws.noise) for arm in arms for _ in range(S)]
-    real = [Draws(draws_of(reality, None, robot, 0).models, noise)] * len(own)
+    real = [Draws((reality,), noise)] * len(own)
     finer: dict[str, Any] = {"substeps": 16}
     if plan.fidelity == "fluid":
         finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
     return [
         Place("simulation", own, plan.fidelity, plan.cell_m, {}),
-        Place("reality", real, plan.fidelity, options.reality_cell_m or plan.cell_m / 2, finer),
+        Place("reality", real, plan.fidelity, cell_m or plan.cell_m / 2, finer),
     ]
 
 

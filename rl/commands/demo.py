@@ -1,4 +1,4 @@
-"""``sim2real demo``: the chain on the shipped data, ending in one HTML page."""
+"""``sim2real demo``: the whole chain on the shipped data, ending in one HTML page."""
 
 from __future__ import annotations
 
@@ -6,33 +6,85 @@ import argparse
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 
+import torch
+
+from rl.ablation import ablate
+from rl.ablation_report import keeps, markdown, reward_figure, rows, way_figure, write_report
+from rl.agents import Settings
+from rl.arms import ARMS, arm_of
+from rl.commands.ablate import tried_in
+from rl.task import TASKS
+from rl.train import Plan
+from sim.calibrate import Calibrated, calibrate, law_parameters, servo_parameters
+from sim.calibration_plot import comparison
+from sim.commands.calibrate import table as calibration_table
+from sim.swims import Simulator, Swim, by_twin, swim_of
 from sim2real.check import check
 from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.errors import InputError
-from sim2real.model import write_model
+from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable
+from sim2real.ranges.entry import write_ranges
+from sim2real.ranges.gather import Gathered, gather
 from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report.drawing import svg
 from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import write_page
+from sim2real.report.page import Figure, Note, Section, Text, write_page
+from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
 from sim2real.report.table import fit_report
-from sim2real.robot import read_robot
+from sim2real.robot import Robot, read_robot
 from sim2real.servo.identify import identify
 from sim2real.servo.replay import Replay, replay
 
-STAGES = ("check", "identify", "diagnose", "calibrate", "ranges", "train", "ablate")
+STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate")
 _TELLING = ("chirp", "steps")
 _SHOWN = "square"
 """Recording that the page shows beside the one held out: the paper's own test signal."""
 
 
+_SWIMS = ("p1", "p2")
+"""Swims of the pool: the first is calibrated on, ranges take both."""
+QUICK = Plan(
+    replace(TASKS["near"], energy=1e-4),
+    steps=64_000,
+    envs=32,
+    segment=32_000,
+    fidelity="twin",
+    threads=2,
+    settings=Settings(hidden=(64, 64), batch=128, rate=1e-3, updates_per_step=0.25),
+)
+"""Of the ablation: what two cores do in two minutes, and far from converged."""
+
+
 def run(options: argparse.Namespace) -> int:
-    """Check, identify, replay, and write ``index.html`` and ``model.json``."""
+    """Bench, pool, ablation; write ``index.html`` and what stands behind it."""
     page = check_writable(options.out / "index.html")
+    torch.set_num_threads(1)
+    bench, robot, model = _bench(options)
+    pool = _pool(options)
+    with _stage("report", str(page)):
+        write_page(
+            page,
+            robot.name,
+            f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
+            [*bench, *pool],
+            model.provenance,
+            stages=[(name, True) for name in STAGES],
+        )
+    print("\n" + fit_report(model))
+    print(f"\nreport: {page}")
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
+    """Servos on a bench: recordings, identification, diagnosis."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
         raise InputError(options.data, "", "no recordings", "NAME.csv files, NAME.json beside each")
@@ -49,23 +101,66 @@ def run(options: argparse.Namespace) -> int:
     with _stage("replay", "the model beside what was recorded"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
-    with _stage("report", str(page)):
-        write_page(
-            page,
-            robot.name,
-            f"{len(recordings)} recordings, {len(model.joints)} servos identified",
-            [
-                recordings_section(recordings, checks),
-                identification_section(model, _shown(replays)),
-                diagnosis_section(found),
-            ],
-            model.provenance,
-            stages=[("recordings", True)]
-            + [(name, name in ("check", "identify", "diagnose")) for name in STAGES],
-        )
-    print("\n" + fit_report(model))
-    print(f"\nreport: {page}")
-    return 0
+    sections = [
+        recordings_section(recordings, checks),
+        identification_section(model, _shown(replays)),
+        diagnosis_section(found),
+    ]
+    return sections, robot, model
+
+
+def _pool(options: argparse.Namespace) -> list[Section]:
+    """A robot in a pool: calibration, ranges, a quick ablation."""
+    folder: Path = options.pool
+    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    recordings = [read_recording(folder / f"{name}.csv") for name in _SWIMS]
+    swim, twin = swim_of(recordings[0], robot), by_twin(robot)
+    with _stage("calibrate", f"the body in the twin, on {recordings[0].name}"):
+        free = [*law_parameters(), *servo_parameters(model, robot)]
+        fitted = calibrate([swim], model, free, twin)
+    with _stage("ranges", "what to randomize, and how far"):
+        found = gather(recordings, robot, fitted.model)
+    write_model(fitted.model, options.out / "calibrated.json")
+    write_ranges(found.ranges, options.out / "ranges.json")
+    return [
+        _calibration(swim, model, fitted, twin, robot),
+        ranges_section(found),
+        _ablation(options, robot, fitted.model, found),
+    ]
+
+
+def _calibration(
+    swim: Swim, model: Model, fitted: Calibrated, twin: Simulator, robot: Robot
+) -> Section:
+    """The figure that the paper shows, and the errors behind it."""
+    figure = svg(comparison(swim, model, fitted.model, twin, robot))
+    lead = "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin."
+    caption = f"{swim.name}: measured (simulated with other physics), before and after."
+    lines = calibration_table(fitted, "twin", robot).splitlines()
+    start = next(k for k, line in enumerate(lines) if "held-out" in line)
+    errors = "; ".join(" ".join(line.split()) for line in lines[start + 1 :])
+    return Section("Calibration", lead, [Figure(figure, caption), Text(errors, "Held-out error")])
+
+
+def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Gathered) -> Section:
+    """A quick ablation in the twin: the chain's last stage, not its result."""
+    names = [name for name in ARMS if not ARMS[name].effects]
+    arms = [arm_of(name, model, robot, found.ranges) for name in names]
+    reality = read_model(options.pool / "reality.json")
+    plan = replace(QUICK, seeds=(options.seed,))
+    folder = options.out / "ablation"
+    with _stage("ablate", f"{len(arms)} arms, {plan.steps} steps each, in the twin"):
+        places = tried_in(robot, arms, plan, found.ranges, reality)
+        told = ablate(folder, robot, arms, plan, places, seed=options.seed)
+    write_report(told, plan, folder, model.provenance)
+    print(markdown(told))
+    note = (
+        f"{plan.steps} steps an agent and one seed: enough to run the chain, not to compare "
+        "techniques. The comparison is that of reports/ablation."
+    )
+    figures = [Figure(svg(reward_figure(rows(told)))), Figure(svg(way_figure(told)))]
+    lead = keeps({row["arm"]: row for row in rows(told)})
+    return Section("A quick ablation", lead, [Note("warn", note), *figures])
 
 
 def _two(recordings: Sequence[Recording]) -> list[Recording]:

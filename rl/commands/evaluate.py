@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,15 @@ def run(options: argparse.Namespace) -> int:
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     if options.episodes < 1:
         raise InputError("evaluate", "--episodes", str(options.episodes), "at least 1")
+    task = TASKS[options.task]
+    if options.energy_weight is not None:
+        task = replace(task, energy=options.energy_weight)
     draws = draws_of(model, ranges, robot, seed=options.seed + 10_000, n=options.episodes)
     swims: dict[str, Episodes] = {}
     for name in options.policies:
         with own_stream(options.device):
             world = make_world(
-                robot, TASKS[options.task], draws, n_envs=options.episodes, seed=options.seed,
+                robot, task, draws, n_envs=options.episodes, seed=options.seed,
                 fidelity=options.fidelity, device=options.device, cell_m=options.cell_m,
                 threads=options.threads,
             )  # fmt: skip

@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     out = check_writable(options.out)
     robot = read_robot(options.robot)
     recordings = [read_recording(path) for path in options.recordings]
-    references = [read_recording(path) for path in getattr(options, "references", None) or ()]
+    references = [read_recording(path) for path in options.references or ()]
     model = read_model(options.model) if options.model else None
     with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
         found = diagnose(

@@ -84,6 +84,7 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     _water(command)
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
+    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.001)")
     command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
     command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
 

@@ -1,0 +1,110 @@
+"""The ablation: its arms, its bookkeeping, its resumption, its report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rl.ablation
+from rl.ablation import ablate, bootstrap
+from rl.ablation_report import markdown, worth, write_report
+from rl.agents import Settings
+from rl.arms import ARMS, STIFF, arm_of, model_of, one_density
+from rl.commands.ablate import tried_in
+from rl.task import TASKS, shortened
+from rl.train import Plan
+from sim2real.density import normalised_density
+from sim2real.ranges.entry import Ranges, normal, uniform
+
+RANGES = Ranges(
+    (
+        uniform("command_latency_s", 0.05, 0.09, "s", ""),
+        uniform("j1.kp_Nm_per_rad", 1.9, 2.3, "N m/rad", ""),
+        normal("body.normalised_density.head", 1.2, 0.05, "", ""),
+        normal("body.position_noise_m", 0.0, 0.002, "m", "", "step"),
+        normal("j1.position_noise_rad", 0.0, 0.002, "rad", "", "step"),
+    )
+)
+PLAN = Plan(
+    shortened(TASKS["near"], 10),
+    steps=160,
+    envs=4,
+    segment=80,
+    fidelity="twin",
+    seeds=(0, 1),
+    settings=Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1),
+)
+
+
+def test_an_arm_differs_from_all_techniques_in_its_own_technique_alone(robot, model):
+    every = model_of(ARMS["all"], model, robot)
+    assert np.allclose(every.body["normalised_density"], normalised_density(robot).value)
+    stiff = model_of(ARMS["no-servo"], model, robot)
+    assert all(joint == STIFF for joint in stiff.joints.values())
+    assert stiff.body == every.body
+    even = model_of(ARMS["no-density"], model, robot)
+    assert even.joints == every.joints
+    assert not np.allclose(even.body["normalised_density"], every.body["normalised_density"])
+    length = np.array([link.length_m for link in robot.links])
+    assert np.isclose(np.array(one_density(robot)) @ length, length.sum()), "the same total"
+
+
+def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
+    late = {m.joints["j1"].latency_s for m in arm_of("no-servo", model, robot, RANGES).draws.models}
+    assert late == {0.0}
+    heavy = arm_of("no-density", model, robot, RANGES).draws.models
+    assert len({m.body["normalised_density"][0] for m in heavy}) == 1
+    assert len({m.joints["j1"].kp_Nm_per_rad for m in heavy}) > 100
+    alone = arm_of("no-randomization", model, robot, RANGES).draws
+    assert len(alone.models) == 1
+    assert alone.noise.position_m == 0.0
+    assert arm_of("all", model, robot, RANGES).draws.noise.position_m == 0.002
+
+
+@pytest.fixture
+def run(robot, model, tmp_path):
+    def call(folder="run", reality=None):
+        arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
+        places = tried_in(robot, arms, PLAN, RANGES, reality or model)
+        return ablate(tmp_path / folder, robot, arms, PLAN, places, repeats=3)
+
+    return call
+
+
+def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
+    found = run()
+    assert [(a["arm"], a["seed"]) for a in found["agents"]] == [
+        ("all", 0), ("all", 1), ("no-servo", 0), ("no-servo", 1),
+    ]  # fmt: skip
+    (tmp_path / "run" / "reality.json").unlink()
+    assert run() == found
+    with monkeypatch.context() as patch:
+        patch.setattr(rl.ablation, "run_episodes", None)  # nothing is left to swim
+        assert run() == found
+        joints = {k: replace(v, latency_s=0.2) for k, v in model.joints.items()}
+        with pytest.raises(TypeError):
+            run(reality=replace(model, joints=joints))
+
+
+def test_the_report_is_written(run, tmp_path):
+    found = run()
+    write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
+    page = (tmp_path / "run" / "index.html").read_text()
+    assert "no servo calibration" in page
+    assert "No arm reached the target" in page
+    table = json.loads((tmp_path / "run" / "ablation.json").read_text())["table"]
+    assert [row["arm"] for row in table] == ["all", "no-servo"]
+    assert markdown(found).count("\n") == 3
+    assert set(worth(found)) == {"no-servo"}
+
+
+def test_the_bootstrap_knows_agents_from_repeats():
+    """Repeats that agree say nothing new of agents that differ."""
+    rng = np.random.default_rng(0)
+    mean, low, high = bootstrap([[0.0] * 50, [1.0] * 50, [2.0] * 50], rng)
+    assert mean == 1.0
+    assert low < 0.4
+    assert high > 1.6
