@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sim2real import cli
 from sim2real.cli import main
 from sim2real.model import read_model
 from sim2real.recording import read_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
-COMMANDS = ("check", "identify", "predict", "import", "demo")
+COMMANDS = [one.name for one in cli.COMMANDS]
 
 
 @pytest.fixture

@@ -1,0 +1,63 @@
+"""``train``, ``evaluate`` and ``ablate`` from the command line: a small run, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim2real.cli import main
+
+pytest.importorskip("torch", reason="the extra 'rl' is not installed")
+
+POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
+FILES = ["--robot", str(POOL / "robot.toml"), "--model", str(POOL / "model.json")]
+SMALL = ["--task", "near", "--envs", "2", "--steps", "2000", "--segment", "1000"]
+
+
+def test_a_policy_is_trained_and_evaluated(tmp_path, capsys):
+    few = ["--updates-per-step", "0.01", "--ranges", str(POOL / "ranges.json")]
+    assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 0
+    policy = tmp_path / "run" / "policy-0" / "policy.zip"
+    assert str(policy) in capsys.readouterr().out
+    assert (tmp_path / "run" / "curve.png").exists()
+    out, plot = tmp_path / "turn.json", tmp_path / "turn.png"
+    call = ["evaluate", str(policy), "pnl", *FILES, "--episodes", "3"]
+    assert main([*call, "--out", str(out), "--plot", str(plot)]) == 0
+    results = json.loads(out.read_text())["results"]
+    assert results["pnl"]["success"] == 1.0, "proportional navigation makes the turn in the twin"
+    assert results[str(policy)]["episodes"] == 3
+    assert plot.stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--steps", "0"], "--steps: found 0"),
+        (["--segment", "10"], "--segment: found 10"),
+        (["--device", "cuda:0"], "--device: found cuda:0"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(more, said, tmp_path, capsys):
+    import torch
+
+    if "cuda:0" in more and torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    assert main(["train", *FILES, *SMALL, *more, "--out", str(tmp_path / "run")]) == 2
+    line = capsys.readouterr().err
+    assert said in line
+    assert line.count("\n") == 1
+
+
+def test_a_policy_that_is_none_is_refused(tmp_path, capsys):
+    (tmp_path / "policy.zip").write_text("none")
+    assert main(["evaluate", str(tmp_path / "policy.zip"), *FILES, "--episodes", "1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_fifth_arm_needs_an_enriched_model(tmp_path, capsys):
+    files = [*FILES, "--ranges", str(POOL / "ranges.json"), "--reality", str(POOL / "reality.json")]
+    call = ["ablate", *files, "--arms", "all-and-effects", "--out", str(tmp_path)]
+    assert main(call) == 2
+    assert "--enriched" in capsys.readouterr().err
