@@ -73,6 +73,50 @@ def _virtual_servo(command: argparse.ArgumentParser) -> None:
     command.add_argument("--fast", action="store_true", help="bytes take no time on the wire")
 
 
+def _track(command: argparse.ArgumentParser) -> None:
+    command.add_argument("video", type=Path, metavar="VIDEO", help="from above the pool")
+    command.add_argument("--camera", type=Path, required=True, help="camera.toml")
+    command.add_argument("--out", type=Path, required=True, metavar="CSV", help="pool recording")
+    command.add_argument(
+        "--servo", type=Path, metavar="CSV", help="recording of the servos to join"
+    )
+    command.add_argument(
+        "--joints", nargs="+", default=["j1"], metavar="JOINT", help="names, where none is joined"
+    )
+    command.add_argument(
+        "--sync",
+        default="correlate",
+        metavar="HOW",
+        help="correlate (yaw with joints, default), flash (a lamp lit at the recording's start), "
+        "or the video's time in s at the recording's 0",
+    )
+
+
+def _calibrate_camera(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "pictures", nargs="+", type=Path, metavar="PICTURE", help="of a ChArUco board, or a video"
+    )
+    command.add_argument(
+        "--board", default="7,5,0.04,0.03", metavar="LIST", help="across,down,square,marker in m"
+    )
+    command.add_argument("--dictionary", choices=_DICTIONARIES, default="4x4_50")
+    command.add_argument("--pool", default="3.6,3.6", metavar="LIST", help="length,width in m")
+    command.add_argument(
+        "--corners", nargs=4, metavar="U,V", help="pixels of the pool's corners: 0,0 first, then x"
+    )
+    command.add_argument(
+        "--corner-ids", metavar="LIST", help="markers on those corners, as 10,11,12,13"
+    )
+    command.add_argument("--pool-picture", type=Path, metavar="PICTURE", help="where they are seen")
+    command.add_argument("--out", type=Path, required=True, metavar="TOML", help="camera.toml")
+
+
+_DICTIONARIES = (
+    "4x4_50", "4x4_100", "5x5_50", "5x5_100", "6x6_50", "6x6_250",
+    "apriltag_16h5", "apriltag_25h9", "apriltag_36h11",
+)  # fmt: skip
+
+
 COMMANDS = (
     Command(
         "record",
@@ -94,6 +138,21 @@ COMMANDS = (
         _virtual_servo,
         "be servos on a bus, for those who have none",
         "sim2real virtual-servo --ids 1,2,3 --loss 0.02 --noise 0.001",
+    ),
+    Command(
+        "track",
+        "sim2real.commands.track",
+        _track,
+        "find the body's pose in every frame of an overhead video",
+        "sim2real track swim.mp4 --camera camera.toml --servo servos.csv --out swim.csv",
+    ),
+    Command(
+        "calibrate-camera",
+        "sim2real.commands.calibrate_camera",
+        _calibrate_camera,
+        "find a camera's lens and its place above the pool",
+        "sim2real calibrate-camera board.mp4 --corners 98,429 516,441 529,22 110,8 "
+        "--out camera.toml",
     ),
 )
 """In the order in which help lists them."""

@@ -1,0 +1,124 @@
+"""``sim2real calibrate-camera``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from sim2real.errors import InputError
+from sim2real.hardware.camera_file import write_camera
+from sim2real.hardware.charuco import Board, Picture, calibrate, corner_markers, views
+from sim2real.hardware.lens import Lens
+from sim2real.hardware.marker import DICTIONARIES
+from sim2real.hardware.plane import stand
+from sim2real.hardware.tracker import open_video
+from sim2real.output import check_writable
+
+Array = NDArray[np.float64]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate the lens, place the pool, write ``camera.toml``."""
+    out = check_writable(options.out)
+    board = board_of(options.board, options.dictionary)
+    with tqdm(desc="calibrate-camera", unit="picture", disable=None) as bar:
+        seen, size = views(_pictures(options.pictures), board, progress=lambda: bar.update(1))
+    try:
+        lens = calibrate(seen, size)
+    except ValueError as error:
+        where = options.pictures[0]
+        raise InputError(where, "", str(error), "the board at many places and angles") from None
+    length, width = numbers(options.pool, 2, "--pool")
+    known = np.array([[0, 0], [length, 0], [length, width], [0, width]], dtype=np.float64)
+    corners = corners_of(options, lens)
+    try:
+        plane = stand(lens, corners, known)
+    except ValueError as error:
+        raise InputError("calibrate-camera", "--corners", str(error), "corners in order") from None
+    write_camera(out, lens, corners, known)
+    print(f"{len(seen)} views of the board, reprojection error {lens.rms_px:.2f} px")
+    x, y, z = plane.position
+    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {plane.residual_px:.2f} px")
+    print(f"camera: {out}")
+    return 0
+
+
+def board_of(text: str, dictionary: str) -> Board:
+    """The board from ``ACROSS,DOWN,SQUARE,MARKER``.
+
+    Raises:
+        InputError: If that is none.
+    """
+    across, down, square, marker = numbers(text, 4, "--board")
+    whole = across == int(across) and down == int(down)
+    if not (whole and min(across, down) >= 3 and 0 < marker < square):
+        raise InputError("calibrate-camera", "--board", text, "as 7,5,0.04,0.03: sides in m")
+    return Board((int(across), int(down)), square, marker, dictionary)
+
+
+def corners_of(options: argparse.Namespace, lens: Lens) -> Array:
+    """The pool's four corners in pixels: given, or markers that lie on them.
+
+    Raises:
+        InputError: If neither gives four.
+    """
+    if options.corners is not None:
+        given = [numbers(pair, 2, "--corners") for pair in options.corners]
+        return np.array(given, dtype=np.float64)
+    if options.corner_ids is None or options.pool_picture is None:
+        expected = "--corners U,V U,V U,V U,V, or --corner-ids with --pool-picture"
+        raise InputError("calibrate-camera", "--corners", "nothing", expected)
+    picture = _read(options.pool_picture)
+    if (picture.shape[1], picture.shape[0]) != lens.size_px:
+        found = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise InputError(options.pool_picture, "", found, "the size of the board's pictures")
+    ids = [int(x) for x in numbers(options.corner_ids, 4, "--corner-ids")]
+    try:
+        return corner_markers(picture, options.dictionary, ids)
+    except ValueError as error:
+        raise InputError(options.pool_picture, "", str(error), "a marker on each corner") from None
+
+
+def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    """Numbers with commas between.
+
+    Raises:
+        InputError: If there are not so many.
+    """
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError("calibrate-camera", option, repr(text), f"{count} numbers, commas between")
+    return values
+
+
+def _pictures(paths: list[Path]) -> Iterator[Picture]:
+    for path in paths:
+        if path.suffix.lower() in PICTURES:
+            yield _read(path)
+        else:
+            frames, rate = open_video(path)
+            for k, frame in enumerate(frames):
+                if k % max(1, round(rate / 5)) == 0:
+                    yield frame
+
+
+def _read(path: Path) -> Picture:
+    import cv2
+
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")
+    return picture  # type: ignore[return-value]
+
+
+__all__ = ["DICTIONARIES", "run"]

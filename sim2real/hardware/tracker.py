@@ -1,0 +1,205 @@
+"""From an overhead video to the body's pose in every frame.
+
+The marker is expected where it was going; only where it is not there is it searched for, first
+nearby, then in the whole frame. A frame in which it is not found stays missing.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.hardware.blob import ahead, find_blob
+from sim2real.hardware.camera_file import Camera
+from sim2real.hardware.marker import Marker, ink
+from sim2real.hardware.plane import Plane
+from sim2real.hardware.registration import Print, Sighting, register
+from sim2real.hardware.search import Bank, bank, search
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+LIKENESS = 0.85
+"""Correlation with the print from which a sighting counts."""
+NEARBY_M = 0.25
+EVERYWHERE = 10
+"""While the marker is lost the whole frame is searched once in so many frames."""
+TRIES = 6
+"""Spots of a search that are looked at closely."""
+_STEADY = 0.7
+_TURN = np.deg2rad(25)
+"""Largest change of yaw between frames before a sighting is doubted."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """What was seen.
+
+    Attributes:
+        t: Times in s since the first frame, shape (T,).
+        pose: x, y in m and heading in rad without jumps, of the body, shape (T, 3); NaN where it
+            was not seen.
+        brightness: Mean grey level of each frame, shape (T,).
+    """
+
+    t: Array
+    pose: Array
+    brightness: Array
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """In which frames, shape (T,)."""
+        return np.asarray(np.isfinite(self.pose[:, 0]))
+
+
+class MarkerTracker:
+    """Follows one marker from frame to frame.
+
+    Attributes:
+        plane: The camera.
+        marker: What to look for.
+    """
+
+    def __init__(self, plane: Plane, marker: Marker) -> None:
+        self.plane, self.marker = plane, Print(ink(marker), marker.side_m, marker.height_m)
+        self._bank: Bank = bank(plane, self.marker)
+        self._last: Array | None = None
+        self._rate = np.zeros(3)
+        self._blur: float | None = None
+        self._lost = 0
+
+    def see(self, frame: Picture) -> Array | None:
+        """The marker's pose (3,) in the next frame, grey, or None."""
+        found = self._expected(frame) or self._searched(frame)
+        if found is None:
+            self._lost += 1
+            return None
+        pose = found.pose
+        if self._last is not None:
+            pose = pose.copy()
+            pose[2] += 2 * np.pi * np.round((self._last[2] - pose[2]) / (2 * np.pi))
+            step = (pose - self._last) / (self._lost + 1)
+            self._rate = step if self._lost else _STEADY * step + (1 - _STEADY) * self._rate
+        self._last, self._lost = pose, 0
+        self._blur = found.blur_m
+        return pose
+
+    def _expected(self, frame: Picture) -> Sighting | None:
+        if self._last is None or self._lost > 3:
+            return None
+        guess = self._last + (self._lost + 1) * self._rate
+        found = register(frame, self.plane, self.marker, guess, self._blur)
+        if found is None or found.likeness < LIKENESS:
+            return None
+        turned = (found.pose[2] - self._last[2] + np.pi) % (2 * np.pi) - np.pi
+        return found if abs(turned) < _TURN * (self._lost + 1) else None
+
+    def _searched(self, frame: Picture) -> Sighting | None:
+        windows = []
+        if self._last is not None and self._lost < 3 * EVERYWHERE:
+            windows.append(self._window(frame, self._last))
+        if self._lost % EVERYWHERE == (0 if self._last is None else EVERYWHERE - 1):
+            windows.append((0, 0, frame.shape[1], frame.shape[0]))
+        for window in windows:
+            poses = search(frame, self.plane, self.marker, self._bank, window)
+            best: Sighting | None = None
+            for pose in poses[:TRIES]:
+                found = register(frame, self.plane, self.marker, pose, self._blur)
+                if found and (best is None or found.likeness > best.likeness):
+                    best = found
+            if best is not None and best.likeness >= LIKENESS:
+                return best
+        return None
+
+    def _window(self, frame: Picture, pose: Array) -> tuple[int, int, int, int]:
+        reach = NEARBY_M * (1 + self._lost / 10)
+        around = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+        seen = self.plane.pixels(around, self.marker.height_m)
+        low = np.clip(np.floor(seen.min(axis=0)), 0, None).astype(int)
+        high = np.clip(np.ceil(seen.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
+        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def track(
+    video: str | os.PathLike[str], camera: Camera, *, progress: Callable[[], None] = lambda: None
+) -> Track:
+    """Track the body through a video.
+
+    Args:
+        video: Whatever OpenCV can read.
+        camera: The lens, the pool, and what to look for: the marker, else the blob.
+        progress: Called after every frame.
+
+    Raises:
+        InputError: If the video can't be read, has another size than the camera, or nothing is
+            found in any of its frames.
+    """
+    import cv2
+
+    frames, rate = open_video(video, camera)
+    seen: list[Array] = []
+    bright: list[float] = []
+    tracker = MarkerTracker(camera.plane, camera.marker) if camera.marker else None
+    for picture in frames:
+        grey: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)  # type: ignore[assignment]
+        bright.append(float(grey[::8, ::8].mean()))
+        pose = tracker.see(grey) if tracker else None
+        if tracker is None and camera.blob is not None:
+            pose = find_blob(picture, camera.plane, camera.blob)
+        seen.append(np.full(3, np.nan) if pose is None else pose)
+        progress()
+    poses = np.array(seen).reshape(-1, 3)
+    if not np.isfinite(poses).any():
+        what = "marker" if camera.marker else "blob"
+        raise InputError(video, "", f"no {what} in any of {len(poses)} frames", f"the {what}")
+    poses = camera.marker.body(poses) if camera.marker else ahead(poses)
+    return Track(np.arange(len(poses)) / rate, poses, np.array(bright))
+
+
+def open_video(
+    video: str | os.PathLike[str], camera: Camera | None = None
+) -> tuple[Iterator[Picture], float]:
+    """Frames of a video and their rate in 1/s.
+
+    Raises:
+        InputError: If it can't be read, or its size is not the camera's.
+    """
+    import cv2
+
+    source = cv2.VideoCapture(os.fspath(video))
+    if not source.isOpened():
+        raise InputError(video, "", "no video that can be read", "an AVI, MP4 or MKV file")
+    rate = float(source.get(cv2.CAP_PROP_FPS))
+    size = tuple(int(source.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if camera is not None and size != camera.plane.lens.size_px:
+        wanted = "x".join(map(str, camera.plane.lens.size_px))
+        raise InputError(video, "", f"frames of {size[0]}x{size[1]}", f"{wanted}, as the camera's")
+    if not rate > 0:
+        raise InputError(video, "", "no frame rate", "a video that says its frame rate")
+
+    def frames() -> Iterator[Picture]:
+        try:
+            while True:
+                there, picture = source.read()
+                if not there:
+                    return
+                yield picture  # type: ignore[misc]
+        finally:
+            source.release()
+
+    return frames(), rate
+
+
+def frame_count(video: str | os.PathLike[str]) -> int | None:
+    """How many frames the file says it has, for a progress bar."""
+    import cv2
+
+    source = cv2.VideoCapture(os.fspath(video))
+    count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
+    source.release()
+    return count if count > 0 else None

@@ -1,0 +1,76 @@
+"""A lens from rendered views of a board: another renderer than OpenCV's own projection."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
+sys.path.insert(0, str(Path(__file__).parent))
+import overhead  # noqa: E402
+
+from sim2real.cli import main  # noqa: E402
+from sim2real.hardware.camera_file import read_camera  # noqa: E402
+from sim2real.hardware.charuco import Board, corner_markers  # noqa: E402
+
+BOARD = Board((7, 5), 0.04, 0.03, "4x4_50")
+SPEC = "7,5,0.04,0.03"
+
+
+def view(eye, turn, centre, rng):
+    """The board at ``centre`` before the camera, turned, as each pixel's ray meets it."""
+    sheet = BOARD.drawn().generateImage((700, 500), marginSize=0)
+    rotation = cv2.Rodrigues(np.array(turn, dtype=float))[0]
+    v, u = np.mgrid[0 : overhead.SIZE[1], 0 : overhead.SIZE[0]].astype(float)
+    rays = eye.rays(u, v)
+    normal = rotation[:, 2]
+    reach = (np.array(centre) @ normal) / (rays @ normal)
+    spots = (rays * reach[..., None] - np.array(centre)) @ rotation
+    x, y = spots[..., 0] / 0.04 + 3.5, spots[..., 1] / 0.04 + 2.5
+    inside = (x >= 0) & (x < 7) & (y >= 0) & (y < 5) & (reach > 0)
+    grey = cv2.remap(
+        sheet, (x * 100).astype(np.float32), (y * 100).astype(np.float32), cv2.INTER_AREA
+    )
+    picture = np.where(inside, grey, 150).astype(np.float32)
+    picture = cv2.GaussianBlur(picture, (0, 0), 0.7) + rng.normal(0, 2, picture.shape)
+    return picture.clip(0, 255).astype(np.uint8)
+
+
+def test_a_lens_is_found(tmp_path, capsys):
+    eye, rng = overhead.Eye(), np.random.default_rng(0)
+    places = []
+    for k in range(14):
+        turn = rng.uniform(-0.5, 0.5, 3)
+        centre = (rng.uniform(-0.13, 0.13), rng.uniform(-0.09, 0.09), rng.uniform(0.28, 0.4))
+        places.append(tmp_path / f"{k:02d}.png")
+        cv2.imwrite(str(places[-1]), view(eye, turn, centre, rng))
+    seen = eye.pixels(np.array([[0, 0, 0], [3.6, 0, 0], [3.6, 3.6, 0], [0, 3.6, 0]], dtype=float))
+    out = tmp_path / "camera.toml"
+    corners = [f"{u:.2f},{v:.2f}" for u, v in seen]
+    call = ["calibrate-camera", *map(str, places), "--board", SPEC, "--corners", *corners]
+    assert main([*call, "--out", str(out)]) == 0, capsys.readouterr().err
+    lens = read_camera(out).plane.lens
+    assert np.allclose(np.diag(lens.matrix)[:2], eye.focal, rtol=0.01)
+    assert np.allclose(lens.matrix[:2, 2], eye.centre, atol=4)
+    assert lens.rms_px < 0.5
+    position = read_camera(out).plane.position
+    assert np.allclose(position, eye.position, atol=0.04)
+    few = [*call[:4], *call[15:]]
+    assert main([*few, "--out", str(tmp_path / "no.toml")]) == 2
+    assert "views of the board" in capsys.readouterr().err
+    assert not (tmp_path / "no.toml").exists()
+
+
+def test_corner_markers_are_found_in_order():
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    picture = np.full((480, 640), 210, np.uint8)
+    places = {10: (60, 400), 11: (560, 410), 12: (550, 40), 13: (70, 50)}
+    for number, (u, v) in places.items():
+        picture[v - 20 : v + 20, u - 20 : u + 20] = cv2.aruco.generateImageMarker(words, number, 40)
+    found = corner_markers(picture, "4x4_50", (10, 11, 12, 13))
+    assert np.allclose(found, np.array(list(places.values())) - 0.5, atol=0.6)
+    with pytest.raises(ValueError, match="marker 14"):
+        corner_markers(picture, "4x4_50", (10, 14))

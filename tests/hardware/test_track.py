@@ -1,0 +1,183 @@
+"""The tracker on a rendered pool whose lens, light and motion it shares no code with."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
+sys.path.insert(0, str(Path(__file__).parent))
+import overhead  # noqa: E402
+
+from sim2real.cli import main  # noqa: E402
+from sim2real.errors import InputError  # noqa: E402
+from sim2real.hardware.blob import Blob  # noqa: E402
+from sim2real.hardware.camera_file import Camera, read_camera, write_camera  # noqa: E402
+from sim2real.hardware.lens import Lens  # noqa: E402
+from sim2real.hardware.marker import Marker  # noqa: E402
+from sim2real.hardware.plane import stand  # noqa: E402
+from sim2real.hardware.sync import correlated, flash, joined  # noqa: E402
+from sim2real.hardware.tracker import Track, track  # noqa: E402
+from sim2real.recording import Recording, read_recording  # noqa: E402
+
+RATE = 30.0
+TIMES = np.arange(40) / RATE + 2.0
+HIDDEN = (2.5, 2.7)
+CORNERS = np.array([[0.0, 0.0], [3.6, 0.0], [3.6, 3.6], [0.0, 3.6]])
+MARKER = Marker("4x4_50", 3, 0.06, 0.05)
+
+
+def seen_corners(shot):
+    return shot.eye.pixels(np.column_stack([CORNERS, np.zeros(4)]))
+
+
+def lens_of(shot):
+    (fx, fy), (cx, cy) = shot.eye.focal, shot.eye.centre
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    return Lens(overhead.SIZE, matrix, np.array(shot.eye.lens), 0.2)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    folder, shot = tmp_path_factory.mktemp("film"), overhead.Shot(samples=5)
+    pictures = overhead.frames(shot, TIMES, rng=np.random.default_rng(0), hidden=HIDDEN)
+    video = overhead.write_video(folder / "swim.avi", pictures, RATE, "FFV1")
+    toml = folder / "camera.toml"
+    write_camera(toml, lens_of(shot), seen_corners(shot), CORNERS, MARKER)
+    return video, toml
+
+
+def errors(found, truth):
+    off = found - truth
+    off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return np.hypot(off[:, 0], off[:, 1]), off[:, 2]
+
+
+def test_a_rendered_swim_is_tracked(filmed):
+    video, toml = filmed
+    found = track(video, read_camera(toml))
+    hidden = np.abs(TIMES - np.mean(HIDDEN)) < np.ptp(HIDDEN) / 2
+    hidden |= np.isclose(TIMES, HIDDEN[0])
+    assert np.array_equal(found.seen, ~hidden), "seen whenever it can be, and only then"
+    away, turned = errors(found.pose[~hidden], overhead.swim(TIMES)[~hidden])
+    assert np.sqrt(np.mean(away**2)) <= 0.003
+    assert np.sqrt(np.mean(turned**2)) <= np.deg2rad(0.5)
+
+
+def test_the_command_writes_a_recording_and_a_picture(filmed, tmp_path, capsys):
+    video, toml = filmed
+    t = np.arange(0.0, 1.2, 0.02)
+    servo = tmp_path / "servo.csv"
+    rows = [f"{x:.2f},0.1,{0.1 * np.sin(5 * x):.5f}" for x in t]
+    servo.write_text("t_s,j1.command_rad,j1.position_rad\n" + "\n".join(rows) + "\n")
+    (tmp_path / "servo.json").write_text(
+        '{"schema": "sim2real.recording/1", "kind": "servo", "joints": ["j1"], "medium": "water"}'
+    )
+    out = tmp_path / "swim.csv"
+    call = ["track", str(video), "--camera", str(toml), "--servo", str(servo), "--out", str(out)]
+    assert main([*call, "--sync", "0.0"]) == 0
+    recording = read_recording(out)
+    assert recording.kind == "pool"
+    truth = overhead.swim(t + TIMES[0])
+    x = recording.columns["body.x_m"]
+    hidden = (t + TIMES[0] > HIDDEN[0]) & (t + TIMES[0] < HIDDEN[1] - 1 / RATE)
+    assert np.isnan(x[hidden]).all(), "missing frames stay missing"
+    there = np.isfinite(x)
+    assert there.mean() > 0.75
+    assert np.abs(x[there] - truth[there, 0]).max() < 0.003
+    assert out.with_suffix(".png").stat().st_size > 5000
+    assert "seen in 34 of 40 frames" in capsys.readouterr().out
+    alone = tmp_path / "alone.csv"
+    assert main([*call[:4], "--joints", "a", "b", "--out", str(alone)]) == 0
+    assert read_recording(alone).joints == ("a", "b")
+    assert np.isfinite(read_recording(alone).columns["body.yaw_rad"]).sum() == 34
+    capsys.readouterr()
+    assert main([*call[:-2], "--out", str(tmp_path / "no.csv"), "--sync", "noon"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_blob_will_do(tmp_path):
+    shot = overhead.Shot(swimmer=overhead.Swimmer(blob=True), samples=4)
+    t = TIMES[:12]
+    pictures = overhead.frames(shot, t, rng=np.random.default_rng(1))
+    video = overhead.write_video(tmp_path / "blob.avi", pictures, RATE, "FFV1")
+    plane = stand(lens_of(shot), seen_corners(shot), CORNERS)
+    blob = Blob(np.array([4.0, 120.0, 80.0]), np.array([22.0, 255.0, 255.0]), 0.05)
+    found = track(video, Camera(plane, CORNERS, None, blob))
+    away, turned = errors(found.pose, overhead.swim(t))
+    assert np.sqrt(np.mean(away**2)) < 0.006
+    assert np.sqrt(np.mean(turned**2)) < np.deg2rad(5)
+
+
+def test_a_camera_is_read_back_as_written(filmed):
+    camera = read_camera(filmed[1])
+    points = np.array([[0.3, 0.4], [3.0, 2.0], [1.8, 1.8]])
+    seen = overhead.Eye().pixels(np.column_stack([points, np.full(3, 0.05)]))
+    assert np.allclose(camera.plane.pixels(points, 0.05), seen, atol=0.01)
+    assert np.allclose(camera.plane.world(seen, 0.05), points, atol=1e-4)
+    assert camera.marker == MARKER
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[lens]", "[glass]", "lens"),
+        ('"4x4_50"', '"4x4_51"', "marker.dictionary"),
+        ("number = 3", "number = 50", "marker.number"),
+        ("distortion = [", "distortion = [1.0, ", "lens.distortion"),
+        ("side_m = 0.06", "side_m = 0.0", "marker.side_m"),
+    ],
+)
+def test_a_spoilt_camera_file_is_refused(filmed, tmp_path, old, new, said):
+    text = filmed[1].read_text()
+    assert old in text
+    (tmp_path / "camera.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        read_camera(tmp_path / "camera.toml")
+
+
+def test_a_video_without_the_marker_is_refused(filmed, tmp_path):
+    other = tmp_path / "camera.toml"
+    other.write_text(filmed[1].read_text().replace("number = 3", "number = 7"))
+    with pytest.raises(InputError, match="no marker"):
+        track(filmed[0], read_camera(other))
+    with pytest.raises(InputError, match="no video"):
+        track(tmp_path / "none.avi", read_camera(filmed[1]))
+
+
+def motion(start: float, rng: np.random.Generator) -> tuple[Track, Recording]:
+    """A camera at 30 Hz and servos at 50 Hz that began ``start`` seconds before the camera."""
+    t = np.arange(0, 14, 0.02)
+
+    def joints(x):
+        return np.stack([0.4 * np.sin(5 * x + 0.3 * x**1.5), 0.3 * np.cos(7 * x + x**1.2)], axis=1)
+
+    yaw_t = np.arange(0, 9, 1 / RATE)
+    yaw = -joints(yaw_t + start) @ [0.4, -0.2] + 0.2 * yaw_t
+    pose = np.column_stack([0.1 * yaw_t, 0 * yaw_t, yaw]) + rng.normal(0, 0.004, (yaw_t.size, 3))
+    servo = Recording("s", "servo", ("a", "b"), t, joints(t), joints(t))
+    return Track(yaw_t, pose, np.full(yaw_t.size, 90.0)), servo
+
+
+@pytest.mark.parametrize("start", [0.0, 1.234, 3.7])
+def test_the_clocks_are_found_within_a_frame(start):
+    seen, servo = motion(start, np.random.default_rng(2))
+    found, share = correlated(seen, servo)
+    assert abs(found - start) < 1 / RATE
+    assert share > 0.5
+    columns = joined(seen, servo, found)
+    inside = (servo.t > start + 0.1) & (servo.t < start + 8.9)
+    assert np.isfinite(columns["body.yaw_rad"][inside]).all()
+    assert np.isnan(columns["body.yaw_rad"][servo.t > start + 9.1]).all()
+
+
+def test_a_flash_is_found():
+    seen, _ = motion(0.0, np.random.default_rng(3))
+    bright = 90 + np.random.default_rng(4).normal(0, 0.5, seen.t.size)
+    bright[100:106] += 40
+    assert abs(flash(Track(seen.t, seen.pose, bright)) - (seen.t[99] + seen.t[100]) / 2) < 1e-9
+    with pytest.raises(ValueError, match="no flash"):
+        flash(seen)
