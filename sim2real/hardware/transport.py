@@ -8,8 +8,7 @@ from typing import Protocol
 
 from sim2real.errors import InputError
 from sim2real.hardware.lx import BAUD_RATES
-
-EXPECTED = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
+from sim2real.hardware.port import EXPECTED
 
 
 class Transport(Protocol):

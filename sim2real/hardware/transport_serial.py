@@ -10,7 +10,7 @@ from threading import Thread
 import serial
 
 from sim2real.errors import InputError
-from sim2real.hardware.transport import EXPECTED
+from sim2real.hardware.port import EXPECTED
 
 PATIENCE_S = 0.05  # of one read: how soon the port closes
 WRITE_TIMEOUT_S = 0.5

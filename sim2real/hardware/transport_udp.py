@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from sim2real.errors import InputError
 from sim2real.hardware.datagram import LARGEST, NUMBERS, read_answer, request
-from sim2real.hardware.transport import EXPECTED
+from sim2real.hardware.port import EXPECTED
 
 
 class UdpTransport:

@@ -1,0 +1,3 @@
+"""What ``--port`` takes."""
+
+EXPECTED = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
