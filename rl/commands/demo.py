@@ -20,8 +20,7 @@ from rl.task import TASKS
 from rl.train import Plan
 from sim.calibrate import Calibrated, calibrate, law_parameters, servo_parameters
 from sim.calibration_plot import comparison
-from sim.commands.calibrate import table as calibration_table
-from sim.swims import Simulator, Swim, by_twin, swim_of
+from sim.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
 from sim2real.check import check
 from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling
@@ -35,7 +34,7 @@ from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.drawing import svg
 from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import Figure, Note, Section, Text, write_page
+from sim2real.report.page import Figure, Note, Section, Table, write_page
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
 from sim2real.report.table import fit_report
@@ -136,10 +135,19 @@ def _calibration(
     figure = svg(comparison(swim, model, fitted.model, twin, robot))
     lead = "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin."
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    lines = calibration_table(fitted, "twin", robot).splitlines()
-    start = next(k for k, line in enumerate(lines) if "held-out" in line)
-    errors = "; ".join(" ".join(line.split()) for line in lines[start + 1 :])
-    return Section("Calibration", lead, [Figure(figure, caption), Text(errors, "Held-out error")])
+    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
+    units = [*UNITS, *("rad" for _ in robot.joints)]
+    rows = [
+        (
+            name,
+            f"{before:.3f}\n{unit}",
+            f"{after:.3f}\n{unit}",
+            f"{100 * (after / before - 1):+.0f} %",
+        )
+        for name, unit, (before, after) in zip(names, units, fitted.rmse.T, strict=True)
+    ]
+    header = ("held-out error", "before", "after", "")
+    return Section("Calibration", lead, [Figure(figure, caption), Table(header, rows)])
 
 
 def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Gathered) -> Section:
