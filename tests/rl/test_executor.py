@@ -29,7 +29,8 @@ from rl.executor.seats import seats, visible_gpus
 from sim2real.errors import InputError
 
 DRIVER = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 from pathlib import Path
 from watching import walks
 from rl.executor import Job, run_jobs
