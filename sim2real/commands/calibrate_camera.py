@@ -14,9 +14,8 @@ from sim2real.errors import InputError
 from sim2real.hardware.camera_file import write_camera
 from sim2real.hardware.charuco import Board, Picture, calibrate, corner_markers, views
 from sim2real.hardware.lens import Lens
-from sim2real.hardware.marker import DICTIONARIES
 from sim2real.hardware.plane import stand
-from sim2real.hardware.tracker import open_video
+from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 
 Array = NDArray[np.float64]
@@ -75,7 +74,7 @@ def corners_of(options: argparse.Namespace, lens: Lens) -> Array:
     if options.corner_ids is None or options.pool_picture is None:
         expected = "--corners U,V U,V U,V U,V, or --corner-ids with --pool-picture"
         raise InputError("calibrate-camera", "--corners", "nothing", expected)
-    picture = _read(options.pool_picture)
+    picture = read_picture(options.pool_picture)
     if (picture.shape[1], picture.shape[0]) != lens.size_px:
         found = f"{picture.shape[1]}x{picture.shape[0]}"
         raise InputError(options.pool_picture, "", found, "the size of the board's pictures")
@@ -104,21 +103,9 @@ def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 def _pictures(paths: list[Path]) -> Iterator[Picture]:
     for path in paths:
         if path.suffix.lower() in PICTURES:
-            yield _read(path)
+            yield read_picture(path)
         else:
             frames, rate = open_video(path)
             for k, frame in enumerate(frames):
                 if k % max(1, round(rate / 5)) == 0:
                     yield frame
-
-
-def _read(path: Path) -> Picture:
-    import cv2
-
-    picture = cv2.imread(str(path))
-    if picture is None:
-        raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")
-    return picture  # type: ignore[return-value]
-
-
-__all__ = ["DICTIONARIES", "run"]

@@ -203,3 +203,17 @@ def frame_count(video: str | os.PathLike[str]) -> int | None:
     count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
     source.release()
     return count if count > 0 else None
+
+
+def read_picture(path: str | os.PathLike[str]) -> Picture:
+    """One picture, blue, green, red, shape (V, U, 3).
+
+    Raises:
+        InputError: If it can't be read.
+    """
+    import cv2
+
+    picture = cv2.imread(os.fspath(path))
+    if picture is None:
+        raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")
+    return picture  # type: ignore[return-value]
