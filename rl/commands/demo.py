@@ -52,9 +52,9 @@ _SWIMS = ("p1", "p2")
 """Swims of the pool: the first is calibrated on, ranges take both."""
 QUICK = Plan(
     replace(TASKS["near"], energy=1e-4),
-    steps=64_000,
+    steps=160_000,
     envs=32,
-    segment=32_000,
+    segment=40_000,
     fidelity="twin",
     threads=2,
     settings=Settings(hidden=(64, 64), batch=128, rate=1e-3, updates_per_step=0.25),
