@@ -110,6 +110,25 @@ def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
     return pose, joint, target[:, None]
 
 
+def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """As ``point``, targets from 0.12 to 2 m away, as many near as far: for training.
+
+    The logarithm of the distance is uniform. What swimming is worth is learned from targets that
+    chance may reach; what ``point`` asks for is learned on the way.
+    """
+    half = np.array(DOMAIN_M) / 2 - MARGIN_M
+    pose, joint, target = point(rng, n, J)
+    away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=n)
+    todo = np.arange(n)
+    while todo.size:
+        start = rng.uniform(-half, half, (todo.size, 2))
+        around = rng.uniform(-np.pi, np.pi, todo.size)
+        way = np.stack([np.cos(around), np.sin(around)], axis=1)
+        pose[todo, :2], target[todo, 0] = start, start + away[todo, None] * way
+        todo = todo[(np.abs(target[todo, 0]) > half).any(axis=1)]
+    return pose, joint, target
+
+
 def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """A 180 degree turn: at rest, straight, the target 1.5 m behind; anywhere it fits."""
     heading = rng.uniform(-np.pi, np.pi, n)
@@ -139,6 +158,7 @@ POINT = Task("point", point)
 TASKS = {
     "point": POINT,
     "near": Task("near", near, steps=500),
+    "mixed": Task("mixed", mixed, steps=500),
     "turn": Task("turn", turn),
     "pentagram": Task("pentagram", pentagram, waypoints=21, steps=6000),
 }

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,8 @@ class Plan:
         cell_m: Side of a cell of the fluid.
         threads: CPU threads of the simulator.
         settings: Hyper-parameters.
+        energy_start: Share of the task's energy weight that counts at first; it grows to the whole
+            by half of the steps. A robot that cannot swim yet earns nothing by moving.
     """
 
     task: Task
@@ -72,6 +74,12 @@ class Plan:
     cell_m: float = 0.02
     threads: int = 1
     settings: Settings = field(default_factory=Settings)
+    energy_start: float = 1.0
+
+    def task_at(self, steps: int) -> Task:
+        """The task with the energy weight that counts after so many steps."""
+        share = self.energy_start + (1 - self.energy_start) * min(2 * steps / self.steps, 1.0)
+        return replace(self.task, energy=share * self.task.energy)
 
     def content(self) -> dict[str, Any]:
         """All of it that decides the result, as JSON can hold it."""
@@ -167,6 +175,7 @@ def _segment(
     kept = math.exp(-CONTROL_S / settings.noise_s) if settings.noise_s > 0 else 0.0
     owed = 0.0
     while progress.steps < last:
+        world.task = plan.task_at(progress.steps)
         fresh = torch.randn(noise.shape, device=world.device)
         noise = kept * noise + (1 - kept * kept) ** 0.5 * fresh
         if progress.steps < settings.warm_up:
