@@ -55,7 +55,7 @@ def main() -> int:
 
 
 def started(folder: Path) -> subprocess.Popen[bytes]:
-    """A small ablation: two arms, two seeds."""
+    """A small ablation: two arms, two seeds; reality is a model, as a pool is slow on a CPU."""
     files = {name: str(POOL / f"{name}.json") for name in ("model", "ranges", "reality")}
     return subprocess.Popen(
         [

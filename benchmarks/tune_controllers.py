@@ -1,12 +1,15 @@
-"""Gains for the controllers that a policy is compared with, found on the twin.
+"""Gains for the controllers that a policy is compared with, found where it learns.
 
-    python benchmarks/tune_controllers.py [--generations 40] [--only pnl] [--seed 0]
+    python benchmarks/tune_controllers.py [--refine] [--generations 40] [--only pnl] [--seed 0]
+
+That is the twin calibrated to a shipped swim, ``datasets/pool/calibrated.json``.
 
 Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) over all gains, gait
 included. What it lowers is the time of the 180 degree turn and a sixth of the time of the
 pentagram, each with its energy at a price of so many seconds for 1000 rad^2/s^2; three prices give
 a fast, a middle and a frugal set. The turn is varied a little in heading, the water's law by 20 %
-either way, lest gains fit one swim. Scored on starts and waters that the search has not seen, and
+either way, lest gains fit one swim. ``--refine`` looks around the gains that the file has, which
+takes a third of the generations. Scored on starts and waters that the search has not seen, and
 on the tasks as they are. Writes ``rl/controllers/tuned.toml``.
 """
 
@@ -35,7 +38,7 @@ from rl.pool import make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.swims import with_values
-from sim.twin import FITTED
+from sim.twin import Coefficients
 from sim2real.model import Model
 from sim2real.output import write_whole
 
@@ -43,14 +46,17 @@ Array = NDArray[np.float64]
 Starts = tuple[Array, Array, Array]
 
 ROBOT = s2r.read_robot("datasets/pool/robot.toml")
-MODEL = s2r.read_model("datasets/pool/model.json")
+MODEL = s2r.read_model("datasets/pool/calibrated.json")
 LIMITS = np.array([joint.limits_rad for joint in ROBOT.joints])
+WATER = Coefficients.of(MODEL.body)
 
 PRICES = dict(zip(PACES, (0.1, 0.4, 1.6), strict=True))
 """Seconds for 1000 rad^2/s^2."""
 CORNERS = 9
 """Waypoints of the pentagram in the search: two sides and their corners; all when scored."""
 SPREAD = 0.2
+NEAR = 0.1
+"""Standard deviation of a population about known gains, as a share of their bounds."""
 _STROKE = {
     "frequency_hz": (0.4, 3.5),
     "amplitude_rad": (0.2, 1.2),
@@ -110,7 +116,7 @@ def trial(name: str, n_starts: int, copies: int, seed: int, *, varied: bool) -> 
     pose, joint, targets = (np.repeat(x, copies, axis=0) for x in (pose, joint, targets))
     fixed = replace(task, place=_placed(task, (pose, joint, targets)))
     draws = [Draws((model,)) for model in models]
-    world = make_world(ROBOT, fixed, draws, n_envs=n_starts * copies, threads=2)
+    world = make_world(ROBOT, fixed, draws, n_envs=n_starts * copies, threads=1)
     return Trial(world, n_starts)
 
 
@@ -129,7 +135,7 @@ def _placed(task: Task, starts: Starts) -> Callable[[np.random.Generator, int, i
 def _other_water(rng: np.random.Generator) -> Model:
     scale = 1 + rng.uniform(-SPREAD, SPREAD, 3)
     names = ("across", "along", "linear")
-    law = {f"twin.{n}": k * getattr(FITTED, n) for n, k in zip(names, scale, strict=True)}
+    law = {f"twin.{n}": k * getattr(WATER, n) for n, k in zip(names, scale, strict=True)}
     return with_values(MODEL, law)
 
 
@@ -187,13 +193,23 @@ def score(trial: Trial, controller: Controller) -> tuple[Metrics, Array]:
 
 
 def search(
-    name: str, price: float, generations: int, seed: int, first: dict[str, float] | None
+    name: str,
+    price: float,
+    generations: int,
+    seed: int,
+    first: dict[str, float] | None,
+    known: dict[str, float] | None,
 ) -> tuple[dict[str, float], float]:
-    """The best gains found, and their cost on the starts of the search; ``first`` joins in."""
+    """The best gains found, and their cost on the starts of the search.
+
+    ``first`` joins in; the population is drawn about ``known``, or anywhere where None.
+    """
     kind, build = KINDS[name]
     bounds = BOUNDS[kind]
     box: Any = [*bounds.values()]
     size = 4 * len(bounds)
+    rng = np.random.default_rng(seed)
+    begin: Any = "latinhypercube" if known is None else _about(known, bounds, size, rng)
     trials = _trials(size, seed)
 
     def objective(x: Array) -> Any:  # noqa: ANN401 - vectorized: (P, C) in, (C,) out
@@ -208,11 +224,25 @@ def search(
 
         found = differential_evolution(
             objective, box, maxiter=generations, popsize=4, tol=0.0,
-            mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True,
+            mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True, init=begin,
             x0=None if first is None else [*first.values()],
-            updating="deferred", rng=np.random.default_rng(seed), callback=tell,
+            updating="deferred", rng=rng, callback=tell,
         )  # fmt: skip
     return dict(zip(bounds, map(float, found.x), strict=True)), float(found.fun)
+
+
+def _about(
+    known: dict[str, float],
+    bounds: dict[str, tuple[float, float]],
+    size: int,
+    rng: np.random.Generator,
+) -> Array:
+    """So many gains about known ones, these the last, shape (size, gains)."""
+    low, high = np.array([*bounds.values()]).T
+    middle = np.array([known[name] for name in bounds])
+    off = rng.normal(0.0, NEAR, (size, low.size)) * (high - low)
+    off[-1] = 0.0
+    return np.asarray(np.clip(middle + off, low, high))
 
 
 @cache
@@ -249,6 +279,7 @@ def scores(name: str, gains: dict[str, float], seed: int) -> dict[str, float]:
 def main() -> None:
     """Search, score, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--refine", action="store_true", help="about the gains that there are")
     parser.add_argument("--generations", type=int, default=40)
     parser.add_argument("--only", choices=[*KINDS], action="append")
     parser.add_argument("--seed", type=int, default=0)
@@ -258,7 +289,8 @@ def main() -> None:
     for name in options.only or KINDS:
         gains: dict[str, float] | None = None
         for pace, price in PRICES.items():
-            gains, fun = search(name, price, options.generations, options.seed, gains)
+            about = known[name][pace] if options.refine else None
+            gains, fun = search(name, price, options.generations, options.seed, gains, about)
             seen = {"cost": fun, **scores(name, gains, options.seed)}
             known.setdefault(name, {})[pace] = {**gains, "score": seen}
             print(name, pace, {k: round(v, 2) for k, v in seen.items()}, flush=True)

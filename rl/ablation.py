@@ -8,64 +8,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rl.controllers import Controller
-from rl.evaluate import Episodes, PolicyController, run_episodes
+from rl.evaluate import Episodes, PolicyController
 from rl.export import read_zip
 from rl.metrics import energy
-from rl.pool import Fidelity, make_world, own_stream
+from rl.places import Crew, Place
+from rl.real_episodes import Starts
+from rl.sampled import SampledController
 from rl.task import TASKS, Task
-from rl.train import Arm, Plan, digest, train
-from rl.world import Draws
+from rl.train import Arm, Plan, train
 from sim2real.output import write_json
 from sim2real.robot import Robot
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where policies are tried.
-
-    Attributes:
-        name: ``simulation`` or ``reality``.
-        draws: Robot and noise of each agent, in the agents' order.
-        fidelity: ``twin`` or ``fluid``.
-        cell_m: Side of a cell of the fluid.
-        options: Further options of the simulator.
-    """
-
-    name: str
-    draws: Sequence[Draws]
-    fidelity: Fidelity
-    cell_m: float
-    options: Mapping[str, Any]
-
-
-class Blocks:
-    """Several controllers, each steering its block of the environments."""
-
-    def __init__(self, controllers: Sequence[Controller]) -> None:
-        self.controllers = list(controllers)
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Each begins anew where its robots do."""
-        for one, part in zip(self.controllers, np.split(mask, len(self.controllers)), strict=True):
-            one.reset(part)
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Each for its own block."""
-        parts = np.split(observation, len(self.controllers))
-        return np.concatenate(
-            [one.act(part) for one, part in zip(self.controllers, parts, strict=True)]
-        )
 
 
 def ablate(
@@ -77,6 +39,7 @@ def ablate(
     *,
     repeats: int = 5,
     seed: int = 0,
+    sampled: bool = False,
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
 ) -> dict[str, Any]:
@@ -90,6 +53,7 @@ def ablate(
         places: Where to try the policies.
         repeats: Episodes of each agent and place.
         seed: Of starts and noise.
+        sampled: Whether policies act as in training, with their own noise.
         note: Provenance.
         trainer: What trains, called as ``rl.train.train``, which it is where None.
 
@@ -99,14 +63,21 @@ def ablate(
     """
     trainer = trainer or train
     agents = trainer(folder / "train", robot, arms, plan, note)
-    task = TASKS["turn"]
+    task = replace(TASKS["turn"], energy=plan.task.energy)
     found: dict[str, Any] = {}
     for place in places:
         path = folder / f"{place.name}.json"
-        asked = key(agents, place, repeats, seed)
+        asked = key(agents, robot, place, task, (repeats, seed, sampled))
         known = json.loads(path.read_text()) if path.exists() else {}
         if known.get("key") != asked:
-            episodes = tried(robot, agents, place, plan, task, repeats, seed)
+            policies = [
+                SampledController(agent / "policy.zip", seed=k)
+                if sampled
+                else PolicyController(read_zip(agent / "policy.zip"))
+                for k, agent in enumerate(agents)
+            ]
+            starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
+            episodes = place.swim(Crew(policies, repeats), robot, task, starts, seed)
             known = {"key": asked, **told(episodes, len(agents))}
             write_json(path, known)
         found[place.name] = known
@@ -114,6 +85,7 @@ def ablate(
     return {
         "repeats": repeats,
         "places": [place.name for place in places],
+        "said": {place.name: place.said for place in places},
         "agents": [
             {"arm": arm, "seed": s, "folder": agents[a].name}
             | {place: found[place]["agents"][a] for place in found}
@@ -123,44 +95,32 @@ def ablate(
     }
 
 
-def key(agents: Sequence[Path], place: Place, repeats: int, seed: int) -> str:
-    """SHA-256 of what decides how agents do in a place: policies, robots, simulator, starts."""
+def key(
+    agents: Sequence[Path], robot: Robot, place: Place, task: Task, how: tuple[int, int, bool]
+) -> str:
+    """SHA-256 of what decides how agents do in a place: policies, robot, place, reward, starts.
+
+    Args:
+        agents: Folders.
+        robot: The robot.
+        place: The place.
+        task: The task.
+        how: Repeats, seed, and whether policies act with noise.
+    """
     whole = hashlib.sha256()
     for agent in agents:
         whole.update(
             repr([layer.tobytes() for layer in read_zip(agent / "policy.zip").weights]).encode()
         )
-    rest = (place.fidelity, place.cell_m, dict(place.options), repeats, seed)
-    whole.update(repr(([digest(draws) for draws in place.draws], rest)).encode())
+    whole.update(repr((robot, place.key(), task.energy, how)).encode())
     return whole.hexdigest()
 
 
-def tried(
-    robot: Robot, agents: Sequence[Path], place: Place, plan: Plan, task: Task, repeats: int,
-    seed: int,
-) -> Episodes:  # fmt: skip
-    """All agents' episodes in one place, agent by agent; starts are the same for every agent."""
-    shown = replace(task, energy=plan.task.energy, place=_same(task, len(agents), repeats, seed))
-    with own_stream(plan.device):
-        world = make_world(
-            robot, shown, place.draws, n_envs=len(agents) * repeats, fidelity=place.fidelity,
-            device=plan.device, cell_m=place.cell_m, threads=plan.threads, seed=seed,
-            **place.options,
-        )  # fmt: skip
-        policies = [PolicyController(read_zip(agent / "policy.zip")) for agent in agents]
-        return run_episodes(world, Blocks(policies), name=place.name)
-
-
-def _same(task: Task, A: int, repeats: int, seed: int) -> Any:  # noqa: ANN401 - a task's ``place``
-    """Starts and targets of ``repeats`` episodes, the same for each of A agents."""
-
-    def place(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-        del rng
-        starts = task.place(np.random.default_rng(seed), repeats, J)
-        tiled = [np.tile(x, (A, *[1] * (x.ndim - 1)))[:n] for x in starts]
-        return tiled[0], tiled[1], tiled[2]
-
-    return place
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
+    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
+    return Starts(*tiled)
 
 
 def told(episodes: Episodes, A: int) -> dict[str, Any]:

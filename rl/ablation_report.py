@@ -148,7 +148,8 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     how = Text(
         f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
         f"{plan.envs} environments, {plan.settings.updates_per_step:g} updates a step, energy "
-        f"weight {plan.task.energy:g}; {found['repeats']} turns each in simulation and in reality."
+        f"weight {plan.task.energy:g}; {found['repeats']} turns each in simulation and in reality. "
+        f"Simulation: {found['said']['simulation']}. Reality: {found['said']['reality']}."
     )
     return [rewards, Section("Differences", "", differences), ways, Section("How", "", [how])]
 

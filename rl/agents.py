@@ -53,7 +53,7 @@ class Settings:
     hidden: tuple[int, ...] = (256, 256)
     warm_up: int = 5_000
     updates_per_step: float = 1.0
-    entropy_start: float = 0.01
+    entropy_start: float = 0.1
     noise_s: float = 0.25
     mirror: bool = True
 

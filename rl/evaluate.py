@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,13 +77,20 @@ class PolicyController:
         return forward(self.policy, observation)
 
 
-def run_episodes(world: World, controller: Controller, *, name: str = "swim") -> Episodes:
+def run_episodes(
+    world: World,
+    controller: Controller,
+    *,
+    name: str = "swim",
+    watch: Callable[[], None] | None = None,
+) -> Episodes:
     """Let every robot of a world swim one episode.
 
     Args:
         world: The robots; all begin anew.
         controller: What steers them.
         name: For the progress bar.
+        watch: Called at the start and after every step of the first robot's episode.
     """
     E = world.n_envs
     seen = world.reset()
@@ -91,6 +99,8 @@ def run_episodes(world: World, controller: Controller, *, name: str = "swim") ->
     pose, rate = [_taken(world.pose)], [_taken(world.rate)]
     total, going = np.zeros(E), np.ones(E, dtype=bool)
     reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
+    if watch is not None:
+        watch()
     for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
         action = controller.act(seen.cpu().numpy())
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
@@ -100,6 +110,8 @@ def run_episodes(world: World, controller: Controller, *, name: str = "swim") ->
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for kept, now in ((pose, world.pose), (rate, world.rate)):
             kept.append(np.where(going[:, None], _taken(now), np.nan))
+        if watch is not None and going[0]:
+            watch()
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break

@@ -38,14 +38,23 @@ def read_zip(path: str | os.PathLike[str], *, seed: int | None = None) -> Policy
         InputError: If it is none, or a policy that is not a plain network with ReLU.
     """
     file = Path(path)
+    return policy_of(read_agent(file), where=str(file), made={**provenance([file], seed)})
+
+
+def read_agent(path: str | os.PathLike[str]) -> SAC:
+    """Read an SAC agent without room for a memory; see ``read_zip``.
+
+    Raises:
+        InputError: If there is none.
+    """
+    file = Path(path)
     if not file.is_file():
         raise InputError(file, "", "no file", _EXPECTED)
     try:
-        agent = SAC.load(file, device="cpu", custom_objects={"buffer_size": 1})
+        return SAC.load(file, device="cpu", custom_objects={"buffer_size": 1})
     except Exception as error:  # whatever unpickling a file that is none may raise
         found = f"none that can be loaded ({type(error).__name__}: {error})"
         raise InputError(file, "", found, _EXPECTED) from None
-    return policy_of(agent, where=str(file), made={**provenance([file], seed)})
 
 
 def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | None = None) -> Policy:

@@ -23,7 +23,7 @@ QUICK: dict[str, Any] = {
     "envs": 32,
     "segment": 40_000,
     "updates_per_step": 0.25,
-    "rate": 1e-3,
+    "learning_rate": 1e-3,
     "hidden": [128, 128],
     "energy_weight": 1e-4,
 }
@@ -47,9 +47,11 @@ def train_run(
     cell_m: float = 0.02,
     threads: int = 1,
     updates_per_step: float = 1.0,
-    rate: float = 3e-4,
+    learning_rate: float = 3e-4,
+    discount: float = 0.99,
     hidden: Sequence[int] = (256, 256),
     energy_weight: float | None = None,
+    energy_start: float = 1.0,
 ) -> list[Path]:
     """Train one arm; see ``Plan`` and the command ``train`` for what the options are.
 
@@ -61,9 +63,6 @@ def train_run(
     """
     if task not in TASKS:
         raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
-    for option, value in (("--steps", steps), ("--envs", envs), ("--segment", segment)):
-        if value < 1:
-            raise InputError("train", option, str(value), "at least 1")
     if segment < envs * TASKS[task].steps:
         expected = f"at least {envs * TASKS[task].steps}, or no episode ends in one"
         raise InputError("train", "--segment", str(segment), expected)
@@ -75,7 +74,11 @@ def train_run(
     plan = Plan(
         chosen, steps=steps, envs=envs, segment=segment, seeds=tuple(seeds), fidelity=fidelity,
         device=device, cell_m=cell_m, threads=threads,
-        settings=Settings(updates_per_step=updates_per_step, rate=rate, hidden=tuple(hidden)),
+        settings=Settings(
+            updates_per_step=updates_per_step, rate=learning_rate, gamma=discount,
+            hidden=tuple(hidden),
+        ),
+        energy_start=energy_start,
     )  # fmt: skip
     arm = Arm(name, draws_of(fitted, given, fish, seed=0))
     inputs = [robot, model, *([] if ranges is None else [ranges])]

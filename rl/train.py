@@ -76,6 +76,25 @@ class Plan:
     settings: Settings = field(default_factory=Settings)
     energy_start: float = 1.0
 
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense.
+
+        Raises:
+            InputError: If a number is out of its range.
+        """
+        s = self.settings
+        for option, value, fits, expected in (
+            ("--steps", self.steps, self.steps >= 1, "at least 1"),
+            ("--envs", self.envs, self.envs >= 1, "at least 1"),
+            ("--segment", self.segment, self.segment >= 1, "at least 1"),
+            ("--updates-per-step", s.updates_per_step, s.updates_per_step > 0, "above 0"),
+            ("--learning-rate", s.rate, s.rate > 0, "above 0"),
+            ("--discount", s.gamma, 0 <= s.gamma < 1, "from 0 to below 1"),
+            ("--energy-start", self.energy_start, 0 <= self.energy_start <= 1, "from 0 to 1"),
+        ):
+            if not fits:
+                raise InputError("train", option, str(value), expected)
+
     def task_at(self, steps: int) -> Task:
         """The task with the energy weight that counts after so many steps."""
         share = self.energy_start + (1 - self.energy_start) * min(2 * steps / self.steps, 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,60 @@ def _table() -> Array:
     return np.stack([np.interp(at, range(len(stops)), channel) for channel in stops.T], axis=1)
 
 
+class Lettering:
+    """Words and signs on a picture, in proportion to its width.
+
+    Attributes:
+        unit: Pixels of what is one pixel in a picture as wide as ``drawn_for``.
+    """
+
+    def __init__(self, image: Image, drawn_for: int = _DRAWN_FOR) -> None:
+        from PIL import Image as Pillow
+        from PIL import ImageDraw, ImageFont
+
+        self._page = Pillow.fromarray(image)
+        self._draw: Any = ImageDraw.Draw(self._page)
+        self.unit = self._page.width / drawn_for
+        self._large, self._small = (ImageFont.load_default(n * self.unit) for n in (30, 22))
+        margin = 32 * self.unit
+        self.left, self.right = margin, self._page.width - margin
+        self.top, self.low = margin, self._page.height - margin
+
+    def write(self, x: float, y: float, text: str, anchor: str, *, large: bool = False) -> None:
+        """Text at a place in pixels; ``anchor`` as Pillow has it: ``lt`` is left and top."""
+        self._draw.text(
+            (x, y), text, INK, self._large if large else self._small, anchor,
+            stroke_width=2.5 * self.unit, stroke_fill="white",
+        )  # fmt: skip
+
+    def scale(self, pixels: float) -> None:
+        """A bar as long as some way in the world, below on the right; ``pixels`` of a metre."""
+        long = _SCALE_M * pixels
+        self._draw.line(
+            (self.right - long, self.low, self.right, self.low), INK, round(4 * self.unit)
+        )
+        self.write(self.right - long / 2, self.low - 12 * self.unit, f"{_SCALE_M:g} m", "ms")
+
+    def key(self, vorticity: float) -> None:
+        """What colours mean, above on the right; ``vorticity`` in 1/s has the full colour."""
+        from PIL import Image as Pillow
+
+        unit = self.unit
+        wide, high = round(220 * unit), round(12 * unit)
+        shades = np.tile(colours(np.linspace(-1, 1, wide)), (high, 1, 1)).astype(np.uint8)
+        corner = round(self.right) - wide, round(self.top + 2 * unit)
+        self._page.paste(Pillow.fromarray(shades), corner)
+        self._draw.rectangle((*corner, corner[0] + wide, corner[1] + high), None, RULE)
+        under = corner[1] + high + 8 * unit
+        self.write(corner[0], under, f"-{vorticity:g}", "ma")
+        self.write(corner[0] + wide / 2, under, "vorticity, 1/s", "ma")
+        self.write(corner[0] + wide, under, f"{vorticity:g}", "ma")
+
+    def image(self) -> Image:
+        """The picture with what was written on it."""
+        return np.asarray(self._page)
+
+
 def lettered(image: Image, seen: Plane, pixels: float, vorticity: float) -> Image:
     """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
 
@@ -47,40 +101,11 @@ def lettered(image: Image, seen: Plane, pixels: float, vorticity: float) -> Imag
         pixels: Of a metre.
         vorticity: In 1/s, what has the full colour.
     """
-    from PIL import Image as Pillow
-    from PIL import ImageDraw, ImageFont
-
-    page = Pillow.fromarray(image)
-    draw = ImageDraw.Draw(page)
-    unit = page.width / _DRAWN_FOR
-    font, small = (ImageFont.load_default(size * unit) for size in (30, 22))
-    left, right, low = 32 * unit, page.width - 32 * unit, page.height - 32 * unit
-    top = 34 * unit
-
-    def write(
-        x: float,
-        y: float,
-        text: str,
-        anchor: str,
-        with_font: ImageFont.FreeTypeFont | ImageFont.ImageFont = small,
-    ) -> None:
-        draw.text(
-            (x, y), text, INK, with_font, anchor, stroke_width=2.5 * unit, stroke_fill="white"
-        )
-
-    write(left, top, f"cells of {100 * seen.cell:.3g} cm", "lt")
-    write(left, low, f"{seen.time:.2f} s", "ls", font)
-    write(left + 125 * unit, low, f"heading {round(np.degrees(seen.links[0, 2]))}°", "ls", font)
-    long = _SCALE_M * pixels
-    draw.line((right - long, low, right, low), INK, round(4 * unit))
-    write(right - long / 2, low - 12 * unit, f"{_SCALE_M:g} m", "ms")
-    wide, high = round(220 * unit), round(12 * unit)
-    shades = np.tile(colours(np.linspace(-1, 1, wide)), (high, 1, 1)).astype(np.uint8)
-    corner = round(right) - wide, round(top)
-    page.paste(Pillow.fromarray(shades), corner)
-    draw.rectangle((*corner, corner[0] + wide, corner[1] + high), None, RULE)
-    under = corner[1] + high + 8 * unit
-    write(corner[0], under, f"-{vorticity:g}", "ma")
-    write(corner[0] + wide / 2, under, "vorticity, 1/s", "ma")
-    write(corner[0] + wide, under, f"{vorticity:g}", "ma")
-    return np.asarray(page)
+    on = Lettering(image)
+    on.write(on.left, on.top + 2 * on.unit, f"cells of {100 * seen.cell:.3g} cm", "lt")
+    on.write(on.left, on.low, f"{seen.time:.2f} s", "ls", large=True)
+    heading = f"heading {round(np.degrees(seen.links[0, 2]))}°"
+    on.write(on.left + 125 * on.unit, on.low, heading, "ls", large=True)
+    on.scale(pixels)
+    on.key(vorticity)
+    return on.image()

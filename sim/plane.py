@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.chain import Chain, Motion
 from sim.shape import Hull
 from sim.slice import slice_kernel
 
@@ -62,19 +63,33 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
         first, size = np.zeros(2), (nx - 1, ny - 1)
         centre = origin + cell * np.array([nx, ny]) / 2
     corner = origin + cell * first
-    links, com = bodies.motion.link.numpy()[e].copy(), bodies.chain.com.numpy()[e][:, None]
-    ahead = np.stack([np.cos(links[:, 2]), np.sin(links[:, 2])], axis=1)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    links[:, :2] += drift + com * ahead - bodies.chain.side.numpy()[e][:, None] * left
     return Plane(
         vorticity=spin / swimmer.units.step_s,
         corner=(float(corner[0]), float(corner[1])),
         cell=cell,
         centre=(float(centre[0]), float(centre[1])),
         size=(size[0] * cell, size[1] * cell),
-        links=links,
+        links=front_ends(bodies.chain, bodies.motion, drift, e),
         time=time,
     )
+
+
+def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> Array:
+    """Front end and heading of each link of one robot, shape (L, 3).
+
+    Args:
+        chain: The robots.
+        motion: Their state.
+        drift: How far the pool's water has gone, shape (2,).
+        environment: Which robot.
+    """
+    e = environment
+    given: Any = motion.link, chain.com, chain.side
+    pose, com, side = (np.array(one.numpy()[e], dtype=np.float64) for one in given)
+    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    pose[:, :2] += drift + com[:, None] * ahead - side[:, None] * left
+    return pose
 
 
 def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:

@@ -33,6 +33,7 @@ class _Format:
 
 _FORMATS = {
     ".mp4": _Format("libx264", "yuv420p", {"crf": "23", "preset": "medium"}, 1280),
+    ".avi": _Format("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}, 1280),
     ".gif": _Format("gif", "pal8", {}, 640),
 }
 
@@ -41,8 +42,8 @@ def check_video(path: str | os.PathLike[str]) -> Path:
     """Make sure, before any work, that a video can be made and written to ``path``.
 
     Raises:
-        InputError: If it ends in neither .mp4 nor .gif, PyAV or Pillow is not installed, or the
-            folder can't be made or written.
+        InputError: If it ends in none of .mp4, .avi and .gif, PyAV or Pillow is not installed, or
+            the folder can't be made or written.
     """
     if Path(path).suffix.lower() not in _FORMATS:
         raise InputError(
@@ -54,9 +55,9 @@ def check_video(path: str | os.PathLike[str]) -> Path:
 
 
 class Video:
-    """An MP4 (H.264) or GIF, open inside a ``with`` block; it appears whole when the block ends.
+    """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
 
-    An error inside the block leaves nothing behind.
+    It appears whole when the block ends. An error inside the block leaves nothing behind.
 
     Attributes:
         path: Where the video will be.

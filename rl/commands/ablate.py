@@ -10,13 +10,15 @@ from typing import Any
 
 import torch
 
-from rl.ablation import Place, ablate
+from rl.ablation import ablate
 from rl.ablation_report import markdown, write_report
 from rl.agents import Settings
 from rl.arms import ARMS, arm_of
 from rl.executor import Job, run_jobs
 from rl.jobs import QUICK
+from rl.places import Place, Real, Simulated
 from rl.randomize import noise_of
+from rl.reality import RealityFile, read_reality
 from rl.task import TASKS
 from rl.train import Arm, Plan
 from rl.world import Draws
@@ -36,7 +38,9 @@ def run(options: argparse.Namespace) -> int:
             raise InputError("ablate", f"--{name}", str(getattr(options, name)), f">= {least}")
     torch.set_num_threads(1)
     robot, model = read_robot(options.robot), read_model(options.model)
-    ranges, reality = read_ranges(options.ranges), read_model(options.reality)
+    if options.ranges is None:
+        raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
+    ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
     names = options.arms or [name for name in ARMS if enriched or not ARMS[name].effects]
     if enriched is None and any(ARMS[name].effects for name in names):
@@ -44,16 +48,26 @@ def run(options: argparse.Namespace) -> int:
     arms = [arm_of(name, model, robot, ranges, enriched) for name in names]
     plan = plan_of(options)
     places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
-    files = [options.robot, options.model, options.ranges, options.reality]
+    files = [options.robot, options.model, options.ranges]
+    files += reality.files if isinstance(reality, RealityFile) else [options.reality]
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
         options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
-        note=made, trainer=None if options.executor is None else by_jobs(options),
+        sampled=options.sampled, note=made,
+        trainer=None if options.executor is None else by_jobs(options),
     )  # fmt: skip
     write_report(found, plan, options.out, made)
     print(markdown(found))
     print(f"report: {options.out / 'index.html'}")
     return 0
+
+
+def reality_of(options: argparse.Namespace) -> Model | RealityFile:
+    """What policies are tried in: a model, or a file that makes a reality of its own."""
+    if options.reality.suffix != ".py":
+        return read_model(options.reality)
+    cell = options.reality_cell_m
+    return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
 
 
 def plan_of(options: argparse.Namespace) -> Plan:
@@ -66,7 +80,8 @@ def plan_of(options: argparse.Namespace) -> Plan:
 
     settings = Settings(
         updates_per_step=chosen("updates_per_step", 1.0),
-        rate=quick.get("rate", 3e-4),
+        rate=chosen("learning_rate", 3e-4),
+        gamma=chosen("discount", 0.99),
         hidden=tuple(quick.get("hidden", (256, 256))),
     )
     task = TASKS[chosen("task", "point")]
@@ -82,11 +97,12 @@ def plan_of(options: argparse.Namespace) -> Plan:
         cell_m=options.cell_m,
         threads=options.threads,
         settings=settings,
+        energy_start=chosen("energy_start", 1.0),
     )
 
 
 def tried_in(
-    robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model,
+    robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
 ) -> list[Place]:  # fmt: skip
     """Each arm's own simulator, and the reality that none of them has seen.
@@ -95,21 +111,27 @@ def tried_in(
         robot: The robot.
         arms: The arms.
         plan: How they are trained.
-        ranges: Whose noise reality has.
-        reality: Its model.
-        cell_m: Side of its cells; half of the training's where None.
+        ranges: Whose noise the reality of a model has.
+        reality: A model, which the library's own laws run, or a file with laws of its own.
+        cell_m: Side of a model's cells; half of the training's where None.
     """
     S = len(plan.seeds)
-    noise = noise_of(ranges, [joint.name for joint in robot.joints])
     own = [Draws(arm.draws.models[:1], arm.draws.noise) for arm in arms for _ in range(S)]
+    simulation = _simulated("simulation", own, plan, plan.cell_m, {})
+    if isinstance(reality, RealityFile):
+        return [simulation, Real(reality, plan.device)]
+    noise = noise_of(ranges, [joint.name for joint in robot.joints])
     real = [Draws((reality,), noise)] * len(own)
     finer: dict[str, Any] = {"substeps": 16}
     if plan.fidelity == "fluid":
         finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
-    return [
-        Place("simulation", own, plan.fidelity, plan.cell_m, {}),
-        Place("reality", real, plan.fidelity, cell_m or plan.cell_m / 2, finer),
-    ]
+    return [simulation, _simulated("reality", real, plan, cell_m or plan.cell_m / 2, finer)]
+
+
+def _simulated(
+    name: str, draws: Sequence[Draws], plan: Plan, cell_m: float, more: dict[str, Any]
+) -> Simulated:
+    return Simulated(name, draws, plan.fidelity, cell_m, more, plan.device, plan.threads)
 
 
 def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
@@ -145,8 +167,8 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
 def asked(options: argparse.Namespace) -> dict[str, Any]:
     """The options that make the plan, as JSON keeps them."""
     names = (
-        "quick", "task", "steps", "envs", "segment", "updates_per_step", "energy_weight",
-        "fidelity", "device", "cell_m", "threads",
+        "quick", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate",
+        "discount", "energy_weight", "energy_start", "fidelity", "device", "cell_m", "threads",
     )  # fmt: skip
     return {name: getattr(options, name) for name in names}
 

@@ -164,7 +164,8 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
     print(markdown(told))
     note = (
         f"{plan.steps} steps an agent and one seed: enough to run the chain, not to compare "
-        "techniques. The comparison is that of reports/ablation."
+        "techniques. Reality is the twin with other numbers here, as a pool of its own is too slow "
+        "for two cores. The comparison is that of reports/ablation."
     )
     figures = [Figure(svg(reward_figure(rows(told)))), Figure(svg(way_figure(told)))]
     lead = keeps({row["arm"]: row for row in rows(told)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,13 @@ import torch
 from rl.controllers import Controller
 from rl.evaluate import Episodes, PolicyController, run_episodes, summary
 from rl.export import read_zip
+from rl.film import Film
 from rl.forward import read_npz
 from rl.pool import draws_of, make_world, own_stream
+from rl.sampled import SampledController
 from rl.task import TASKS
 from rl.world import World
+from sim.video import Video, check_video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
@@ -31,6 +35,8 @@ def run(options: argparse.Namespace) -> int:
     """Swim the task with each policy; print, write and draw what came of it."""
     out = None if options.out is None else check_writable(options.out)
     picture = None if options.plot is None else check_writable(options.plot)
+    if options.video is not None:
+        check_video(options.video)
     torch.set_num_threads(1)
     robot, model = read_robot(options.robot), read_model(options.model)
     ranges = None if options.ranges is None else read_ranges(options.ranges)
@@ -41,14 +47,17 @@ def run(options: argparse.Namespace) -> int:
         task = replace(task, energy=options.energy_weight)
     draws = draws_of(model, ranges, robot, seed=options.seed + 10_000, n=options.episodes)
     swims: dict[str, Episodes] = {}
-    for name in options.policies:
-        with own_stream(options.device):
-            world = make_world(
-                robot, task, draws, n_envs=options.episodes, seed=options.seed,
-                fidelity=options.fidelity, device=options.device, cell_m=options.cell_m,
-                threads=options.threads,
-            )  # fmt: skip
-            swims[name] = run_episodes(world, controller_of(name, robot, world), name=name)
+    with Video(options.video) if options.video else nullcontext() as video:
+        for name in options.policies:
+            with own_stream(options.device):
+                world = make_world(
+                    robot, task, draws, n_envs=options.episodes, seed=options.seed,
+                    fidelity=options.fidelity, device=options.device, cell_m=options.cell_m,
+                    threads=options.threads,
+                )  # fmt: skip
+                controller = controller_of(name, robot, world, sampled=options.sampled)
+                with Film(video, world, shown(name)) if video else nullcontext() as film:
+                    swims[name] = run_episodes(world, controller, name=name, watch=film)
     table = {name: summary(episodes) for name, episodes in swims.items()}
     for name, row in table.items():
         print(said(name, row))
@@ -62,8 +71,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def controller_of(name: str, robot: Robot, world: World) -> Controller:
+def controller_of(name: str, robot: Robot, world: World, *, sampled: bool = False) -> Controller:
     """A policy's file, or one of ``CONTROLLERS``.
+
+    Args:
+        name: Which.
+        robot: Its joints' limits.
+        world: Where it swims.
+        sampled: Whether a policy's ``.zip`` acts as in training, with noise.
 
     Raises:
         InputError: If it is neither.
@@ -77,24 +92,36 @@ def controller_of(name: str, robot: Robot, world: World) -> Controller:
         from rl.controllers.adrc import DisturbanceRejection
 
         return DisturbanceRejection(limits, world.n_envs)
+    from rl.controllers.discrete_cpg import read_policy, read_table
+
+    if (table := read_table(name)) is not None:
+        return read_policy(name, table, limits, world.n_envs)
     policy = read_npz(name) if name.endswith(".npz") else read_zip(name)
     if len(policy.joints) != len(limits):
         found = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", found, f"{len(limits)}, as the robot has")
+    if sampled and not name.endswith(".npz"):
+        return SampledController(name)
     return PolicyController(policy)
+
+
+def shown(name: str) -> str:
+    """A policy's name for people: that of its folder where its own says no more than ``policy``."""
+    path = Path(name)
+    return path.parent.name if path.stem == "policy" and path.parent.name else path.stem
 
 
 def said(name: str, row: dict[str, Any]) -> str:
     """One line of the table."""
 
-    def shown(key: str, unit: str, digits: int = 2) -> str:
+    def told(key: str, unit: str, digits: int = 2) -> str:
         return "-" if row[key] is None else f"{row[key]:.{digits}f} {unit}".rstrip()
 
     return (
         f"{name}: {100 * row['success']:.0f} % of {row['episodes']} arrive, "
-        f"{shown('waypoints', '', 1)} waypoints, time {shown('time_s', 's')}, "
-        f"reward {shown('reward', '')}, energy {shown('energy', 'rad2/s2', 0)}, "
-        f"faces the target after {shown('faced_target_s', 's')}"
+        f"{told('waypoints', '', 1)} waypoints, time {told('time_s', 's')}, "
+        f"reward {told('reward', '')}, energy {told('energy', 'rad2/s2', 0)}, "
+        f"faces the target after {told('faced_target_s', 's')}"
     )
 
 
@@ -108,7 +135,7 @@ def draw(swims: dict[str, Episodes], picture: Path) -> None:
         time = one.time_s
         first = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
         some = range(min(5, len(time)))
-        ways[Path(name).stem] = [Way(one.pose[:, e, :2], first) for e in some]
+        ways[shown(name)] = [Way(one.pose[:, e, :2], first) for e in some]
     figure = draw_ways(ways, next(iter(swims.values())).targets[0])
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=144)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from rl import jobs as sac
+from rl.controllers import discrete_train
 from rl.curve import draw_curves, read_progress
 from rl.executor import Job, run_jobs
-from rl.jobs import QUICK, train_run
 from sim2real.errors import InputError
+
+TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}
+"""Modules with ``train_run`` and ``QUICK``, by what ``--controller`` says."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)  # the networks are small
     given = call(options)
     if options.executor is None:
-        folders = train_run(options.out, **given)
+        folders = TRAINERS[options.controller].train_run(options.out, **given)
     else:
         folders = _side_by_side(options, given)
     if not options.no_plots:
@@ -38,16 +43,26 @@ def run(options: argparse.Namespace) -> int:
 
 
 def call(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of ``train_run``, as JSON keeps them: the quick ones, then what was asked for."""
+    """Arguments of ``train_run``, as JSON keeps them: the quick ones, then what was asked for.
+
+    Raises:
+        InputError: If an option is not of this controller.
+    """
     asked = {
         "task": options.task, "steps": options.steps, "envs": options.envs,
         "segment": options.segment, "updates_per_step": options.updates_per_step,
-        "energy_weight": options.energy_weight,
+        "learning_rate": options.learning_rate, "discount": options.discount,
+        "energy_weight": options.energy_weight, "energy_start": options.energy_start,
     }  # fmt: skip
     count = options.seeds
+    trainer = TRAINERS[options.controller]
+    given = {name: value for name, value in asked.items() if value is not None}
+    for name in given.keys() - inspect.signature(trainer.train_run).parameters:
+        found, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
+        raise InputError("train", option, found, "--controller sac")
     return {
-        **(QUICK if options.quick else {}),
-        **{name: value for name, value in asked.items() if value is not None},
+        **(trainer.QUICK if options.quick else {}),
+        **given,
         "robot": str(options.robot),
         "model": str(options.model),
         "ranges": None if options.ranges is None else str(options.ranges),
@@ -68,7 +83,8 @@ def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Pa
             k: str(Path(given[k]).absolute()) for k in ("robot", "model", "ranges") if given[k]
         }
         one = {**given, **files, "seeds": [seed]}
-        jobs.append(Job(name, "rl.jobs:train_run", one, options.out / name))
+        work = f"{TRAINERS[options.controller].__name__}:train_run"
+        jobs.append(Job(name, work, one, options.out / name))
     outcomes = run_jobs(
         jobs, executor=options.executor, at_once=options.jobs, address=options.address,
         gpus=0 if options.device == "cpu" else 1, retries=options.retries,

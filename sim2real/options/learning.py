@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sim2real.options.command import Command
 
-_TASKS = ("point", "near", "turn", "pentagram")
+_TASKS = ("point", "near", "mixed", "turn", "pentagram")
 _ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects")
 
 
@@ -19,6 +19,14 @@ def _water(command: argparse.ArgumentParser) -> None:
     command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
     command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="of the fluid")
     command.add_argument("--threads", type=int, default=1, help="of the simulator (default 1)")
+
+
+def _sampled(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--sampled",
+        action="store_true",
+        help="policies act as in training, with their own noise, and not by their mean",
+    )
 
 
 def _executor(command: argparse.ArgumentParser) -> None:
@@ -36,19 +44,37 @@ def _executor(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _train(command: argparse.ArgumentParser) -> None:
-    _water(command)
-    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
-    command.add_argument("--task", choices=_TASKS, help="(default point)")
-    command.add_argument("--quick", action="store_true", help="near targets, minutes on a CPU")
-    command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
-    command.add_argument("--steps", type=int, help="of each agent (default 1000000)")
+def _plan(command: argparse.ArgumentParser, steps: int) -> None:
+    command.add_argument("--steps", type=int, help=f"of each agent (default {steps})")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
     command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
     command.add_argument("--updates-per-step", type=float, help="(default 1)")
+    command.add_argument("--learning-rate", type=float, help="(default 0.0003)")
+    command.add_argument("--discount", type=float, help="of a step later (default 0.99)")
     command.add_argument(
         "--energy-weight", type=float, help="of the joints' squared rates (default 0.001)"
     )
+    command.add_argument(
+        "--energy-start",
+        type=float,
+        metavar="SHARE",
+        help="of that weight at first; the whole from half of the steps on (default 1)",
+    )
+
+
+def _train(command: argparse.ArgumentParser) -> None:
+    _water(command)
+    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
+    command.add_argument(
+        "--controller",
+        choices=("sac", "discrete-cpg"),
+        default="sac",
+        help="what learns: joint angles (default), or which gait of a pattern generator",
+    )
+    command.add_argument("--task", choices=_TASKS, help="(default point)")
+    command.add_argument("--quick", action="store_true", help="near targets, minutes on a CPU")
+    command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
+    _plan(command, 1_000_000)
     command.add_argument("--tensorboard", action="store_true", help="write its files too")
     command.add_argument("--no-plots", action="store_true", help="write no curve.png")
     _executor(command)
@@ -57,7 +83,10 @@ def _train(command: argparse.ArgumentParser) -> None:
 def _ablate(command: argparse.ArgumentParser) -> None:
     _water(command)
     command.add_argument(
-        "--reality", type=Path, required=True, help="MODEL.json that training never sees"
+        "--reality",
+        type=Path,
+        required=True,
+        help="what training never sees: MODEL.json, or a Python file that offers make (rl.reality)",
     )
     command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
@@ -66,14 +95,16 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         "--seeds", type=int, default=3, metavar="N", help="of each arm (default 3)"
     )
     command.add_argument("--repeats", type=int, default=5, help="turns of each agent (default 5)")
-    command.add_argument("--reality-cell-m", type=float, metavar="M", help="(default: half)")
+    command.add_argument(
+        "--reality-cell-m",
+        type=float,
+        metavar="M",
+        help="of its water (default: half of training's, or the Python file's own)",
+    )
+    _sampled(command)
     command.add_argument("--task", choices=_TASKS, help="to train at (default point)")
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
-    command.add_argument("--steps", type=int, help="of each agent (default 600000)")
-    command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
-    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
-    command.add_argument("--updates-per-step", type=float, help="(default 1)")
-    command.add_argument("--energy-weight", type=float, help="(default 0.001)")
+    _plan(command, 600_000)
     _executor(command)
 
 
@@ -83,10 +114,14 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     )
     _water(command)
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
+    _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
     command.add_argument("--energy-weight", type=float, help="in the reward (default 0.001)")
     command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
     command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
+    command.add_argument(
+        "--video", type=Path, metavar="MP4", help="each policy's first robot, or a .avi, .gif of it"
+    )
 
 
 def _export(command: argparse.ArgumentParser) -> None:
@@ -135,7 +170,7 @@ COMMANDS = (
         _ablate,
         "train with and without each technique, and compare in simulation and in reality",
         "sim2real ablate --robot fish.toml --model model.json --ranges ranges.json "
-        "--reality reality.json --out runs/ablation",
+        "--reality reality.py --out runs/ablation",
         resumes=True,
     ),
     Command(

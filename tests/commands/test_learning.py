@@ -56,6 +56,17 @@ def test_a_policy_that_is_none_is_refused(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_a_reality_that_is_none_is_refused_before_any_training(tmp_path, capsys):
+    bad, out = tmp_path / "bad.py", tmp_path / "run"
+    bad.write_text("def make(robot, n, seed, device): ...")
+    files = [*FILES, "--ranges", str(POOL / "ranges.json"), "--reality", str(bad)]
+    assert main(["ablate", *files, "--reality-cell-m", "0.02", "--out", str(out)]) == 2
+    line = capsys.readouterr().err
+    assert f"{bad}: make: found" in line
+    assert line.count("\n") == 1
+    assert not out.exists()
+
+
 def test_the_fifth_arm_needs_an_enriched_model(tmp_path, capsys):
     files = [*FILES, "--ranges", str(POOL / "ranges.json"), "--reality", str(POOL / "reality.json")]
     call = ["ablate", *files, "--arms", "all-and-effects", "--out", str(tmp_path)]

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import rl.ablation
+import rl.places
 from rl.ablation import ablate, bootstrap
 from rl.ablation_report import markdown, worth, write_report
 from rl.agents import Settings
 from rl.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.commands.ablate import tried_in
+from rl.reality import read_reality
 from rl.task import TASKS, shortened
 from rl.train import Plan
 from sim2real.density import normalised_density
@@ -64,14 +66,28 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
     assert arm_of("all", model, robot, RANGES).draws.noise.position_m == 0.002
 
 
-@pytest.fixture
-def run(robot, model, tmp_path):
-    def call(folder="run", reality=None):
+@pytest.fixture(scope="module")
+def ablated(robot, model):
+    def call(folder, reality=None):
         arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
         places = tried_in(robot, arms, PLAN, RANGES, reality or model)
-        return ablate(tmp_path / folder, robot, arms, PLAN, places, repeats=3)
+        return ablate(folder, robot, arms, PLAN, places, repeats=3)
 
     return call
+
+
+@pytest.fixture(scope="module")
+def trained(ablated, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    ablated(folder)
+    return folder
+
+
+@pytest.fixture
+def run(ablated, trained, tmp_path):
+    """Does an ablation again whose agents are trained."""
+    shutil.copytree(trained, tmp_path / "run")
+    return lambda reality=None: ablated(tmp_path / "run", reality)
 
 
 def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
@@ -82,11 +98,43 @@ def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
     (tmp_path / "run" / "reality.json").unlink()
     assert run() == found
     with monkeypatch.context() as patch:
-        patch.setattr(rl.ablation, "run_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.places, "run_episodes", None)  # nothing is left to swim
         assert run() == found
         joints = {k: replace(v, latency_s=0.2) for k, v in model.joints.items()}
         with pytest.raises(TypeError):
             run(reality=replace(model, joints=joints))
+
+
+GLIDER = """
+class Glider:
+    def reset(self, pose, joint):
+        self.pose = pose.copy()
+        return pose, joint
+
+    def step(self, desired):
+        self.pose[:, 2] += {turns}
+        return self.pose.copy(), desired
+
+def make(robot, n, seed, device):
+    return Glider()
+"""
+
+
+def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp_path, monkeypatch):
+    path = tmp_path / "glider.py"
+    path.write_text(GLIDER.format(turns=0.01))
+    found = run(read_reality(path))
+    assert "glider.py" in found["said"]["reality"]
+    agent = found["agents"][0]["reality"]
+    assert len(agent["reward"]) == 3
+    assert not any(agent["success"])
+    assert agent["faced_s"][0] is not None, "it turns"
+    with monkeypatch.context() as patch:
+        patch.setattr(rl.places, "run_real_episodes", None)  # nothing is left to swim
+        assert run(read_reality(path)) == found
+        path.write_text(GLIDER.format(turns=0.02))
+        with pytest.raises(TypeError):
+            run(read_reality(path))
 
 
 def test_the_report_is_written(run, tmp_path):

@@ -20,7 +20,8 @@ from rl.controllers.adrc import (
     TransientProfile,
 )
 from rl.controllers.cpg import CONTROL_S, CentralPatternGenerator, Gait, Gliding
-from rl.controllers.discrete_cpg import TABLE, DiscreteCPG, DiscreteCPGEnv
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPG
+from rl.controllers.discrete_env import DiscreteCPGEnv
 from rl.controllers.guidance import LineOfSight, line_of_sight_rate
 from rl.controllers.pnl import PNLGains, ProportionalNavigation
 from rl.controllers.tuned import PACES, tuned

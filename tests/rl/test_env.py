@@ -6,6 +6,7 @@ import warnings
 
 import gymnasium.utils.env_checker
 import numpy as np
+import pytest
 import stable_baselines3.common.env_checker
 import torch
 
@@ -116,3 +117,12 @@ def test_a_seed_gives_the_same_episodes(world_of):
         return torch.stack([world.step(torch.full((3, 3), 0.3)).observation for _ in range(12)])
 
     assert torch.equal(run(), run())
+
+
+def test_mixed_targets_are_near_as_often_as_far_and_all_in_the_pool():
+    pose, _, target = TASKS["mixed"].place(np.random.default_rng(3), 4_000, 3)
+    away = np.hypot(*(target[:, 0] - pose[:, :2]).T)
+    assert away.min() > 0.12 - 1e-9
+    assert away.max() < 2.0
+    assert np.median(away) == pytest.approx(np.sqrt(0.12 * 2.0), rel=0.05)
+    assert np.abs(np.concatenate([pose[:, :2], target[:, 0]])).max() <= 1.4

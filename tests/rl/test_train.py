@@ -131,3 +131,24 @@ def test_a_world_adopts_other_robots_at_resets(robot, model, world_of):
     for _ in range(5):
         a, b = mixed.step(torch.full((1, 3), 0.5)), made.step(torch.full((1, 3), 0.5))
         assert torch.allclose(a.final, b.final, atol=1e-6)
+
+
+def test_the_energy_weight_grows_until_half_of_the_steps():
+    plan = replace(PLAN, energy_start=0.1)
+    weights = [plan.task_at(steps).energy / plan.task.energy for steps in (0, 120, 240, 480)]
+    assert weights == pytest.approx([0.1, 0.55, 1.0, 1.0])
+    assert PLAN.task_at(0) == PLAN.task
+
+
+@pytest.mark.parametrize(
+    ("change", "option"),
+    [
+        ({"energy_start": 1.5}, "--energy-start"),
+        ({"steps": 0}, "--steps"),
+        ({"settings": Settings(gamma=1.0)}, "--discount"),
+        ({"settings": Settings(rate=0.0)}, "--learning-rate"),
+    ],
+)
+def test_a_plan_that_makes_no_sense_is_refused(change, option):
+    with pytest.raises(InputError, match=option):
+        replace(PLAN, **change)

@@ -1,0 +1,156 @@
+"""Robots in a pool that the library does not know: one box of water each, all boxes at once.
+
+The water is the lattice-Boltzmann fluid of ``sim`` in cells of its own size, with another
+viscosity, another sub-grid constant and other relaxation times than what is calibrated and trained
+in. The joints that it is given are slack: what moves them, and all else that acts on a robot, is
+written in this folder in NumPy, for all robots at once, and shares no code with the library's laws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from servos import Servos
+from surfaces import Surfaces
+from truth import Truth, values
+
+from sim.fluid import Fluid
+from sim.swimmer import CONTROL_S, Swimmer
+from sim2real.model import JointModel, Model
+from sim2real.robot import Robot, read_robot
+
+Array = NDArray[np.float64]
+
+ROBOT = Path(__file__).parent / "robot.toml"
+VISCOSITY_M2_S = 4e-5
+SMAGORINSKY, MAGIC = 0.14, 1e-2
+"""Of the sub-grid viscosity, and of the two relaxation times; the library has 0.1 and 3/16."""
+
+
+class World:
+    """Robots of one file, each with what is concealed of it.
+
+    Attributes:
+        robot: Links and joints.
+        truths: What is concealed of each of the E robots.
+        swimmer: The water and the bodies in it.
+    """
+
+    def __init__(
+        self,
+        truths: Sequence[Truth],
+        *,
+        device: str,
+        cell_m: float,
+        rng: np.random.Generator,
+        robot: Robot | None = None,
+    ) -> None:
+        """Fill the boxes, with the robots straight and at rest.
+
+        Args:
+            truths: One for each box.
+            device: ``cpu`` or ``cuda:0``.
+            cell_m: Side of a cell.
+            rng: Of what drifts at random.
+            robot: Links and joints; those of ``robot.toml`` where None.
+        """
+        self.robot, self.truths = robot or read_robot(ROBOT), list(truths)
+        slack = JointModel(1e-12, 0.0, 0.0, 0.001)
+        model = Model(joints={joint.name: slack for joint in self.robot.joints})
+        with _other_collision():
+            self.swimmer = Swimmer(
+                self.robot, model, n_envs=len(self.truths), cell_m=cell_m, device=device,
+                viscosity_m2_s=VISCOSITY_M2_S, smagorinsky=SMAGORINSKY,
+                substeps=max(32, 2 * int(np.ceil(CONTROL_S * 1.4 / 0.15 / cell_m / 2))), threads=2,
+            )  # fmt: skip
+        self.h = CONTROL_S / self.swimmer.substeps
+        self.servos = Servos(self.truths, len(self.robot.joints), self.h, rng)
+        com = self.swimmer.bodies.chain.com.numpy()[0, 0]
+        self.surfaces = Surfaces(self.truths, self.robot, self.swimmer.hull, float(com))
+        self._trim = self._column("trim_asymmetry", "offset_rad")
+        self._stiff = self._column("skin_elasticity", "stiffness_Nm_per_rad")
+        self._soft = self._column("skin_viscoelasticity", "stiffness_Nm_per_rad")
+        self._relax = np.maximum(self._column("skin_viscoelasticity", "relaxation_s"), 1e-3)
+        self._tether = self._column("tether", "stiffness_N_per_m")
+        self._anchor = np.stack([values(truths, "tether", n) for n in ("x_m", "y_m")], axis=1)
+        self._current = np.stack(
+            [values(truths, "pool_current", n) for n in ("u_m_s", "v_m_s")], axis=1
+        )
+        self.reset()
+
+    def _column(self, effect: str, name: str) -> Array:
+        return values(self.truths, effect, name)[:, None]
+
+    def reset(self, pose: Array | None = None, joint: Array | None = None) -> None:
+        """Put all robots at rest in still water.
+
+        Args:
+            pose: x, y of the head's centre of mass and heading, shape (E, 3); at the origin where
+                None.
+            joint: Joint angles as the servos show them, shape (E, J); straight where None.
+        """
+        self.swimmer.reset(pose=pose, joint=joint)
+        motion = self.swimmer.bodies.motion
+        q, v = (x.numpy().copy() for x in (motion.q, motion.v))
+        q[:, 3:] += self._trim
+        v[:, :2] = -self._current
+        self.swimmer.bodies.place(q, v)
+        self._strain = np.zeros((len(self.truths), len(self.robot.joints)))
+        self.servos.reset(q[:, 3:])
+        self._periods = 0
+
+    @property
+    def t(self) -> float:
+        """Seconds since the robots were put there."""
+        return CONTROL_S * self._periods
+
+    def where(self) -> tuple[Array, Array]:
+        """Poses in the pool (E, 3), and angles at the servos' shafts (E, J)."""
+        q = self.swimmer.bodies.motion.q.numpy().copy()
+        q[:, :2] += self._current * self.t
+        return q[:, :3], q[:, 3:] - self._trim
+
+    def stopped(self) -> NDArray[np.bool_]:
+        """Boxes that the fluid's guard has stopped, shape (E,)."""
+        return np.asarray(self.swimmer.fluid.stopped.numpy() >= 0)
+
+    def step(self, sent: Array) -> None:
+        """Send set-points in rad, shape (E, J), and go on by one control period."""
+        t, bodies = self.t, self.swimmer.bodies
+        self.servos.send(t, sent)
+        for sub in range(self.swimmer.substeps):
+            bodies.push(self._forces(t + sub * self.h))
+            bodies.step()
+        self.swimmer._sponge()
+        self._periods += 1
+
+    def _forces(self, t: float) -> Array:
+        """Generalised forces on x, y, heading and joints of each robot, shape (E, 3 + J)."""
+        motion = self.swimmer.bodies.motion
+        q, v = motion.q.numpy(), motion.v.numpy()
+        turn = q[:, 3:]
+        torque = self.servos.torque(t, turn, v[:, 3:], self._trim)
+        torque -= self._stiff * turn
+        self._strain += self.h / self._relax * (turn - self._strain)
+        torque -= self._soft * (turn - self._strain)
+        out = np.zeros(q.shape)
+        out[:, 3:] = torque
+        out[:, :2] += self._tether * (self._anchor - self._current * t - q[:, :2])
+        self.surfaces.add(out, q, v)
+        return out
+
+
+@contextmanager
+def _other_collision() -> Iterator[None]:
+    """Within this block a fluid relaxes otherwise; ``Swimmer`` has no option for it."""
+    defaults = Fluid.__init__.__kwdefaults__ or {}
+    known = defaults["magic"]
+    defaults["magic"] = MAGIC
+    try:
+        yield
+    finally:
+        defaults["magic"] = known

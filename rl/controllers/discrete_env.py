@@ -1,0 +1,79 @@
+"""Choices between gaits as the actions of a vector environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from rl.controllers.cpg import CentralPatternGenerator
+from rl.controllers.discrete_cpg import TABLE, ActionTable, with_phase
+
+Array = NDArray[np.float64]
+
+_PHASE = 2
+
+
+class DiscreteCPGEnv(VecEnvWrapper):
+    """A vector environment whose actions are rows of a table, each held for ``table.hold`` periods.
+
+    Rewards of the periods add up. The observation gets the sine and cosine of the first joint's
+    phase, without which it would not tell what a choice does next. An episode that ends within a
+    choice gives its reward until then; what the next one earns before its own first choice, with
+    the same gait, is not counted.
+    """
+
+    def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
+        """Wrap ``venv``, whose actions -1 and 1 are the ends ``low`` and ``high`` of its joints."""
+        seen = venv.observation_space
+        if not isinstance(seen, spaces.Box):
+            raise TypeError(f"observations in {seen}, a box is needed")
+        low, high = (np.append(x, [y] * _PHASE) for x, y in ((seen.low, -1), (seen.high, 1)))
+        box = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        super().__init__(venv, box, spaces.Discrete(len(table)))
+        self.table = table
+        ends = (np.asarray(venv.get_attr(name)[0]) for name in ("low", "high"))
+        self._generator = CentralPatternGenerator(np.stack(list(ends), axis=1), venv.num_envs)
+        self._choice = np.zeros(venv.num_envs, dtype=np.int64)
+
+    def reset(self) -> NDArray[np.float32]:  # type: ignore[override]
+        """As ``VecEnv.reset``."""
+        observation: Any = self.venv.reset()
+        self._begin(np.ones(self.num_envs, dtype=bool), observation)
+        return with_phase(observation, self._generator)
+
+    def step_async(self, actions: NDArray[np.integer]) -> None:  # type: ignore[override]
+        """Take the choices (E,)."""
+        self._choice = np.asarray(actions, dtype=np.int64)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Swim them for ``table.hold`` periods."""
+        gait = self.table.gait(self._choice)
+        observation: Any = None
+        reward = np.zeros(self.num_envs, dtype=np.float32)
+        over = np.zeros(self.num_envs, dtype=bool)
+        ends: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for _ in range(self.table.hold):
+            self.venv.step_async(self._scaled(self._generator.step(gait)))
+            observation, gained, done, infos = self.venv.step_wait()
+            reward += np.where(over, 0.0, gained).astype(np.float32)
+            for e in np.flatnonzero(done & ~over):
+                ends[e] = dict(infos[e])
+                last = np.atleast_2d(ends[e]["terminal_observation"])
+                ends[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
+            over |= done
+            if done.any():
+                self._begin(done, observation)
+        return with_phase(observation, self._generator), reward, over, ends
+
+    def _scaled(self, angle: Array) -> NDArray[np.float32]:
+        low, high = self._generator.limits_rad.T
+        return np.asarray(2 * (angle - low) / (high - low) - 1, dtype=np.float32)
+
+    def _begin(self, mask: NDArray[np.bool_], observation: Any) -> None:  # noqa: ANN401
+        joints = self._generator.phase.shape[1]
+        self._generator.reset(mask, angle=observation[:, 3 : 3 + joints])

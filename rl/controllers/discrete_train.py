@@ -1,0 +1,205 @@
+"""Train ``discrete_cpg``'s policy with Stable-Baselines3's deep Q-learning, on a CPU in minutes.
+
+Mnih et al., "Human-level control through deep reinforcement learning" (Nature 518, 2015).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+from tqdm import tqdm
+
+from rl.controllers.discrete_cpg import TABLE, ActionTable
+from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.pool import Fidelity, draws_of, make_world, own_stream
+from rl.task import TASKS
+from rl.vec_env import FishVecEnv
+from sim2real.errors import InputError
+from sim2real.model import read_model
+from sim2real.output import provenance, write_json, write_whole
+from sim2real.ranges.entry import read_ranges
+from sim2real.robot import read_robot
+
+COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
+ROWS = 50
+"""Rows of ``progress.csv``."""
+QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy_weight": 1e-4}
+"""What ``train --quick`` sets: a minute or two on one core, in the twin."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters.
+
+    Attributes:
+        gamma: Discount from choice to choice: 0.95 of 0.2 s looks 4 s ahead.
+        rate: Learning rate.
+        memory: Choices remembered.
+        batch: Choices of an update.
+        hidden: Widths of the hidden layers.
+        warm_up: Random choices before learning begins.
+        updates: Updates each time that all robots have chosen.
+        follow: Choices between copies to the target network.
+        exploring: Share of the training over which exploration falls to ``least``.
+        least: Share of random choices in the end.
+    """
+
+    gamma: float = 0.95
+    rate: float = 1e-3
+    memory: int = 100_000
+    batch: int = 256
+    hidden: tuple[int, ...] = (64, 64)
+    warm_up: int = 2_000
+    updates: int = 8
+    follow: int = 200
+    exploring: float = 0.3
+    least: float = 0.05
+
+
+def make_dqn(env: VecEnv, seed: int, settings: Settings = Settings()) -> DQN:
+    """A fresh agent for ``env``, a ``DiscreteCPGEnv``."""
+    return DQN(
+        "MlpPolicy", env, learning_rate=settings.rate, buffer_size=settings.memory,
+        learning_starts=settings.warm_up, batch_size=settings.batch, gamma=settings.gamma,
+        train_freq=1, gradient_steps=settings.updates, target_update_interval=settings.follow,
+        exploration_fraction=settings.exploring, exploration_final_eps=settings.least,
+        policy_kwargs={"net_arch": list(settings.hidden)}, seed=seed, device="cpu",
+    )  # fmt: skip
+
+
+def train_run(
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str | None = None,
+    name: str = "policy",
+    task: str = "point",
+    steps: int = 1_000_000,
+    envs: int = 32,
+    seeds: Sequence[int] = (0,),
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    threads: int = 1,
+    energy_weight: float | None = None,
+    table: ActionTable = TABLE,
+) -> list[Path]:
+    """Train an agent for each seed, one after the other; see the command ``train`` for the options.
+
+    A run that was killed keeps the agents that were done and begins the others anew.
+
+    Returns:
+        The agents' folders, each with ``policy.zip`` and ``progress.csv``.
+
+    Raises:
+        InputError: If a file or an option is at fault.
+    """
+    for option, value in (("--steps", steps), ("--envs", envs)):
+        if value < 1:
+            raise InputError("train", option, str(value), "at least 1")
+    fish, fitted = read_robot(robot), read_model(model)
+    given = None if ranges is None else read_ranges(ranges)
+    chosen, settings = TASKS[task], Settings()
+    if energy_weight is not None:
+        chosen = replace(chosen, energy=energy_weight)
+    draws = draws_of(fitted, given, fish, seed=0)
+    inputs = [robot, model, *([] if ranges is None else [ranges])]
+    about = {
+        "controller": "discrete-cpg", "task": task, "energy": chosen.energy, "steps": steps,
+        "envs": envs, "fidelity": fidelity, "gaits": table.content(), "settings": asdict(settings),
+    }  # fmt: skip
+    folders = [folder / f"{name}-{seed}" for seed in seeds]
+    for place, seed in zip(folders, seeds, strict=True):
+        if _is_done(place, {**about, "seed": seed}, provenance(inputs, seed)):
+            continue
+        with own_stream(device):
+            world = make_world(
+                fish, chosen, draws, n_envs=envs, seed=seed, fidelity=fidelity, device=device,
+                cell_m=cell_m, threads=threads,
+            )  # fmt: skip
+            agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world), table), seed, settings)
+            telling = Telling(steps, table.hold)
+            agent.learn(-(-steps // table.hold), callback=telling)
+        agent.gaits, agent.joints = table.content(), [joint.name for joint in fish.joints]
+        write_whole(place / "progress.csv", telling.csv())
+        save(agent, place / "policy.zip")
+    return folders
+
+
+def _is_done(place: Path, about: dict[str, Any], made: dict[str, Any]) -> bool:
+    """Whether this very agent is trained; ``run.json`` says which it is."""
+    path = place / "run.json"
+    if not path.exists():
+        write_json(path, {**about, "provenance": made})
+    known = json.loads(path.read_text())
+    same = json.loads(json.dumps(about))
+    if {k: known.get(k) for k in same} != same or known["provenance"]["inputs"] != made["inputs"]:
+        expected = "the same options and files, or a new folder"
+        raise InputError(place, "run.json", "another run", expected)
+    return (place / "policy.zip").exists()
+
+
+def save(agent: DQN, path: Path) -> None:
+    """Write a policy, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}")
+    agent.save(temporary)
+    os.replace(temporary, path)
+
+
+class Telling(BaseCallback):
+    """A progress bar, and the rows of ``progress.csv``.
+
+    Attributes:
+        rows: ``COLUMNS`` of each part of the training.
+    """
+
+    def __init__(self, steps: int, hold: int) -> None:
+        """``steps`` of all robots together in control periods, ``hold`` of them a choice."""
+        super().__init__()
+        self.rows: list[list[float]] = []
+        self._every, self._hold = max(1, steps // ROWS), hold
+        self._ended: list[tuple[float, float, float]] = []
+        self._recent: deque[bool] = deque(maxlen=200)
+        self._bar = tqdm(total=steps, desc="train", unit="step", disable=None)
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                won = bool(info["is_success"])
+                self._ended.append((info["episode"]["r"], won, info["episode"]["l"]))
+                self._recent.append(won)
+        steps = self.num_timesteps * self._hold
+        self._bar.update(steps - self._bar.n)
+        if steps >= (len(self.rows) + 1) * self._every:
+            self._note(steps)
+        return True
+
+    def _on_training_end(self) -> None:
+        if self._ended or not self.rows:
+            self._note(self.num_timesteps * self._hold)
+        self._bar.close()
+
+    def _note(self, steps: int) -> None:
+        mean = np.mean(self._ended, axis=0) if self._ended else np.full(3, np.nan)
+        exploring = getattr(self.model, "exploration_rate", np.nan)
+        self.rows.append([steps, len(self._ended), *mean, exploring])
+        self._ended = []
+        if self._recent:
+            self._bar.set_postfix_str(f"{100 * np.mean(self._recent):.0f} % arrive")
+
+    def csv(self) -> str:
+        """The content of ``progress.csv``."""
+        lines = [",".join(f"{x:.6g}" for x in row) for row in self.rows]
+        return "\n".join([",".join(COLUMNS), *lines]) + "\n"

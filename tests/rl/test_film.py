@@ -1,0 +1,28 @@
+"""A film of an evaluation: as long as the swim, with the robot, its way and its target on it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rl.controllers.pnl import ProportionalNavigation
+from rl.evaluate import run_episodes
+from rl.film import TARGET, Film
+from rl.task import TASKS, shortened
+from sim.video import FRAMES_PER_S, Video
+
+
+def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
+    path = tmp_path / "swim.avi"
+    world = world_of(2, shortened(TASKS["near"], 100), seed=1)
+    limits = np.stack([world.low.numpy(), world.high.numpy()], axis=1)
+    with Video(path) as video, Film(video, world, "pnl", width=320) as film:
+        run_episodes(world, ProportionalNavigation(limits, 2), watch=film)
+    read = cv2.VideoCapture(str(path))
+    frames = []
+    while (more := read.read())[0]:
+        frames.append(more[1][:, :, ::-1])
+    assert abs(len(frames) - (2.0 + 1.0) * FRAMES_PER_S) <= 2
+    green = np.abs(frames[0].astype(int) - np.array(TARGET)).max(axis=2) < 60
+    assert 5 < green.sum() < 0.02 * green.size
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 100

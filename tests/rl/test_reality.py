@@ -1,0 +1,258 @@
+"""Realities of one's own: the file, the episodes in it, and that it shares nothing by accident."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rl.evaluate import PolicyController, run_episodes
+from rl.forward import Policy
+from rl.places import Crew, Real
+from rl.pool import make_world
+from rl.real_episodes import Starts, run_real_episodes
+from rl.reality import read_reality
+from rl.task import TASKS, observation_bounds, observation_names, shortened
+from rl.world import Draws
+from sim.twin import Twin
+from sim2real.errors import InputError
+
+GLIDER = """
+import numpy as np
+AT_ONCE = {at_once}
+
+class Glider:
+    def reset(self, pose, joint):
+        self.pose, self.joint = pose.copy(), joint.copy()
+        return self.pose.copy(), self.joint.copy()
+
+    def step(self, desired):
+        self.pose[:, 0] += {speed} * 0.02
+        self.joint = desired
+        return self.pose.copy(), self.joint.copy()
+
+def make(robot, n, seed, device, *, cell_m=0.01):
+    return Glider()
+"""
+
+
+class Still:
+    """Asks for straight joints, and remembers what it saw."""
+
+    def __init__(self):
+        self.saw = []
+
+    def reset(self, mask):
+        pass
+
+    def act(self, observation):
+        self.saw.append(observation.copy())
+        return np.zeros((len(observation), (observation.shape[1] - 5) // 2), dtype=np.float32)
+
+
+@pytest.fixture
+def glider(tmp_path):
+    def write(speed="0.1", at_once="None", name="glider.py"):
+        (tmp_path / name).write_text(GLIDER.format(speed=speed, at_once=at_once))
+        return tmp_path / name
+
+    return write
+
+
+def ahead(n, away=0.2, J=3):
+    """n robots at the origin, the target ahead."""
+    targets = np.tile([away, 0.0], (n, 1, 1))
+    return Starts(np.zeros((n, 3)), np.zeros((n, J)), targets)
+
+
+TURN = TASKS["turn"]
+
+
+def test_arrival_reward_and_velocity_come_from_what_is_seen(glider, robot):
+    reality = read_reality(glider())(robot, 2, 0, "cpu")
+    still = Still()
+    found = run_real_episodes(reality, still, robot, TURN, ahead(2))
+    assert found.success.all()
+    assert np.allclose(found.time_s, 1.52, atol=0.021), "0.15 m at 0.1 m/s"
+    closest = 0.2 - 0.1 * found.time_s
+    assert np.allclose(found.reward, 10 * (0.2 - closest) + 10, atol=1e-4)
+    surge = np.array(still.saw)[:, 0, 0]
+    assert surge[0] == 0
+    assert np.allclose(surge[5:], 0.1, atol=1e-5)
+    assert len(found.pose) == found.steps.max() + 1, "no step is swum after the last episode"
+
+
+def test_it_leaves_the_pool_at_a_loss(glider, robot):
+    reality = read_reality(glider("-1.0"))(robot, 1, 0, "cpu")
+    found = run_real_episodes(reality, Still(), robot, TURN, ahead(1))
+    assert not found.success.any()
+    assert np.isclose(found.steps[0], 91, atol=1)
+    assert found.reward[0] < -27
+
+
+def test_waypoints_are_reached_one_after_the_other(glider, robot):
+    reality = read_reality(glider())(robot, 1, 0, "cpu")
+    starts = replace(ahead(1), targets=np.array([[[0.2, 0.0], [0.4, 0.0]]]))
+    found = run_real_episodes(reality, Still(), robot, TURN, starts)
+    assert found.reached.tolist() == [2]
+    assert np.isclose(found.time_s[0], 3.52, atol=0.021)
+
+
+def test_an_unseen_robot_is_given_up_after_half_a_second(glider, robot):
+    class Dark:
+        def __init__(self):
+            self.left = 10
+
+        def reset(self, pose, joint):
+            return pose, joint
+
+        def step(self, desired):
+            self.left -= 1
+            return np.full((1, 3), np.nan if self.left < 0 else 0.0), desired
+
+    found = run_real_episodes(Dark(), Still(), robot, TURN, ahead(1))
+    assert found.steps[0] == 10 + 26
+    assert np.isfinite(found.reward).all()
+
+
+def policy_of(robot):
+    rng = np.random.default_rng(3)
+    names = tuple(joint.name for joint in robot.joints)
+    limits = np.array([joint.limits_rad for joint in robot.joints], dtype=np.float32).T
+    shapes = ((16, 5 + 2 * len(names)), (len(names), 16))
+    weights = [rng.normal(0, 0.7, shape).astype(np.float32) for shape in shapes]
+    biases = tuple(np.zeros(len(w), dtype=np.float32) for w in weights)
+    bound = np.array(observation_bounds(len(names)), dtype=np.float32)
+    seen = tuple(observation_names(names))
+    return Policy(tuple(weights), biases, *limits, names, seen, bound)
+
+
+def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
+    """Observation, velocities and reward are those that policies are trained with."""
+
+    class Seen:
+        def __init__(self, n):
+            self.twin = Twin(robot, model, n_envs=n)
+
+        def look(self):
+            state = self.twin.state()
+            return state.pose, state.measured
+
+        def reset(self, pose, joint):
+            self.twin.reset(None, pose, joint)
+            return self.look()
+
+        def step(self, desired):
+            self.twin.step(desired)
+            return self.look()
+
+    task = replace(shortened(TURN, 120), energy=0.0)
+    controller = PolicyController(policy_of(robot))
+    known = run_episodes(make_world(robot, task, Draws((model,)), n_envs=3, seed=4), controller)
+    starts = Starts(known.pose[0], np.zeros((3, 3)), known.targets)
+    found = run_real_episodes(Seen(3), controller, robot, task, starts)
+    assert np.ptp(known.pose[:, 0, 2]) > 0.1, "it does move"
+    assert np.allclose(found.pose, known.pose, atol=1e-4)
+    assert np.allclose(found.reward, known.reward, atol=1e-4)
+
+
+def test_robots_are_swum_in_groups(glider, robot):
+    wanted = None
+    for at_once in ("None", "2", "3"):
+        place = Real(read_reality(glider(at_once=at_once)))
+        starts = Starts(
+            np.zeros((5, 3)), np.zeros((5, 3)), np.linspace(0.1, 0.5, 5)[:, None, None] * [1.0, 0.0]
+        )
+        found = place.swim(Crew([Still()], 5), robot, TURN, starts, seed=0)
+        assert found.success.all()
+        told = (found.reward.tolist(), found.steps.tolist())
+        assert wanted in (None, told)
+        wanted = told
+        assert len(found.pose) == found.steps.max() + 1
+        assert np.isnan(found.pose[-1, 0]).all()
+
+
+def test_a_crew_steers_each_share_by_its_own_controller():
+    class Says:
+        def __init__(self, what):
+            self.what = what
+
+        def reset(self, mask):
+            assert mask.all()
+
+        def act(self, observation):
+            return np.full((len(observation), 2), self.what, dtype=np.float32)
+
+    crew = Crew([Says(1), Says(2), Says(3)], 2)
+    crew.reset(np.ones(6, dtype=bool))
+    assert crew.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [1, 1, 2, 2, 3, 3]
+    some = crew.of(np.array([1, 4, 5]))
+    assert some.act(np.zeros((3, 9), dtype=np.float32))[:, 0].tolist() == [1, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        (None, "no such file"),
+        ("def make(", "SyntaxError"),
+        ("import nowhere_to_be_found", "ModuleNotFoundError"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("x = 1", "nothing to call"),
+        ("def make(robot, n): ...", "too many positional"),
+        ("AT_ONCE = 0\ndef make(robot, n, seed, device): ...", "AT_ONCE"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, source, said):
+    path = tmp_path / "bad.py"
+    if source is not None:
+        path.write_text(source)
+    with pytest.raises(InputError, match=said) as caught:
+        read_reality(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
+    with pytest.raises(InputError, match="cell"):
+        read_reality(glider(), cell=0.02)
+    path = tmp_path / "half.py"
+    path.write_text("def make(robot, n, seed, device):\n    return 1")
+    with pytest.raises(InputError, match="without reset"):
+        read_reality(path)(robot, 1, 0, "cpu")
+    reality = read_reality(glider())(robot, 2, 0, "cpu")
+    with pytest.raises(InputError, match="shapes"):
+        run_real_episodes(reality, Still(), robot, TURN, replace(ahead(3), pose=np.zeros((2, 3))))
+
+
+def test_the_key_knows_file_neighbours_and_options(tmp_path):
+    (tmp_path / "wall.py").write_text("HARD = 1")
+    (tmp_path / "unused.py").write_text("x = 1")
+    path = tmp_path / "mine.py"
+    path.write_text("from wall import HARD\ndef make(robot, n, seed, device, cell_m=0.01): ...")
+    first = Real(read_reality(path)).key()
+    assert Real(read_reality(path)).key() == first
+    assert Real(read_reality(path, cell_m=0.01)).key() == first
+    assert Real(read_reality(path, cell_m=0.02)).key() != first
+    (tmp_path / "unused.py").write_text("x = 2")
+    assert Real(read_reality(path)).key() == first
+    (tmp_path / "wall.py").write_text("HARD = 2")
+    second = Real(read_reality(path)).key()
+    assert second != first
+    path.write_text(path.read_text() + "\n")
+    assert Real(read_reality(path)).key() not in (first, second)
+
+
+def test_neighbours_are_forgotten_and_others_of_their_name_kept(tmp_path, monkeypatch):
+    kept = object()
+    monkeypatch.setitem(sys.modules, "wall", kept)
+    (tmp_path / "wall.py").write_text("HARD = 1")
+    (tmp_path / "door.py").write_text("OPEN = 1")
+    path = tmp_path / "mine.py"
+    path.write_text("import wall, door\nassert wall.HARD\ndef make(robot, n, seed, device): ...")
+    before = list(sys.path)
+    read_reality(path)
+    assert sys.modules["wall"] is kept
+    assert "door" not in sys.modules
+    assert sys.path == before
