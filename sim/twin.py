@@ -75,6 +75,7 @@ class Twin:
     Attributes:
         robot: The robot.
         n_envs: Number of robots E.
+        period_s: Control period in s.
         step_count: Control periods since the start.
     """
 
@@ -89,6 +90,7 @@ class Twin:
         substeps: int = SUBSTEPS,
         threads: int = 2,
         hull: Hull | None = None,
+        period_s: float = CONTROL_S,
     ) -> None:
         """Put robots into the water, straight, at rest, at the origin, heading along x.
 
@@ -101,11 +103,13 @@ class Twin:
             substeps: Sub-steps of a control period.
             threads: CPU threads.
             hull: The links' shape; from the robot's file where None.
+            period_s: Control period in s.
 
         Raises:
             InputError: If robot and model do not go together.
         """
         self.robot, self.n_envs, self.substeps, self.threads = robot, n_envs, substeps, threads
+        self.period_s = period_s
         models = [model] * n_envs if isinstance(model, Model) else list(model)
         if len(models) != n_envs:
             raise InputError("twin", "model", f"{len(models)} models", f"{n_envs}, one a robot")
@@ -290,7 +294,7 @@ class Twin:
         chosen = np.zeros(self.n_envs, dtype=np.intp) if which is None else which
         start = np.array(self.motion.clock.numpy())
         track = self._swim(given, chosen, given.shape[1])
-        t = start[:, None] + CONTROL_S * np.arange(1, given.shape[1] + 1)
+        t = start[:, None] + self.period_s * np.arange(1, given.shape[1] + 1)
         current = np.broadcast_to(self.outside.current, (self.n_envs, 2))
         track[:, :, :2] += current[:, None] * t[..., None]
         self.step_count += given.shape[1]
@@ -307,7 +311,7 @@ class Twin:
         return np.array(track.numpy())
 
     def _launch(self, signal: Any, which: Any, track: Any) -> None:  # noqa: ANN401 - Warp arrays
-        h, E = wp.float64(CONTROL_S / self.substeps), self.n_envs
+        h, E = wp.float64(self.period_s / self.substeps), self.n_envs
 
         def part(first: int, last: int) -> None:
             wp.launch(
