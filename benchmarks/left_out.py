@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import sim2real as s2r
 from sim.calibrate import Calibrated, Free, calibrate, law_parameters
-from sim.diagnose_swims import ENOUGH, candidates
+from sim.diagnose_swims import candidates
 from sim.prescribed import by_film, follower
 from sim.swims import Simulator, Swim, simulated
 from sim.twin import Coefficients
@@ -25,6 +25,8 @@ HIDDEN = ("skin_elasticity", "skin_damping", "skin_viscoelasticity", "skin_coupl
 """Torques on the joints: a tail that is moved as filmed does not feel them."""
 LAW = ("linear_drag", "form_drag", "added_mass")
 """What the twin's law has already, under another name."""
+ENOUGH = 8.0
+"""Gain in log-likelihood from which an effect is named in a film."""
 _SEEN = 0.01  # ``calibrate`` holds out the last samples; here whole clips are held out
 _BLOCK_S = 2.0
 

@@ -65,7 +65,7 @@ class Calibrated:
         best: Its values, shape (F,).
         sd: Their standard deviations, shape (F,).
         rmse: Root mean square error of each signal on what was held out, before and after, shape
-            (2, 3 + J).
+            (2, 3 + J), or (2, K) of another view.
         train: Likewise on what was fitted.
     """
 
@@ -139,6 +139,7 @@ def calibrate(
     uncalibrated: Model | None = None,
     held_out: float = HELD_OUT_SHARE,
     evaluations: int = 12,
+    view: Callable[[Array], Array] = lambda signals: signals,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Calibrated:
     """Fit parameters to the first part of each swim and score them on the rest.
@@ -151,6 +152,7 @@ def calibrate(
         uncalibrated: What errors are compared with; ``model`` with the starts of ``free`` if None.
         held_out: Share of each swim at its end that is held out.
         evaluations: Most steps of each round.
+        view: What of the signals (..., T, 3 + J) is compared, shape (..., T, K).
         progress: Called with the share that is done.
     """
     free = tuple(free)
@@ -167,7 +169,7 @@ def calibrate(
             for x in points
         ]
         return [
-            np.nan_to_num(simulated(swim, models, simulator) - swim.signals, nan=1e3)
+            np.nan_to_num(view(simulated(swim, models, simulator) - swim.signals), nan=1e3)
             for swim in swims
         ]
 

@@ -30,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(where, "kind", "a recording of a bench", "swims alone, or servos alone")
     if options.model is None:
         raise InputError("diagnose", "--model", "none", "MODEL.json of the servos, to swim with")
+    references = [read_recording(path) for path in options.references or ()]
     out = check_writable(options.out)
     robot, model = read_robot(options.robot), read_model(options.model)
     with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
@@ -38,9 +39,11 @@ def run(options: argparse.Namespace) -> int:
             model,
             robot,
             by_twin(robot),
+            references=[swim_of(one, robot) for one in references],
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
-    inputs = [*options.recordings, options.robot, options.model]
+    files = [*options.recordings, *(options.references or ())]
+    inputs = [*files, options.robot, options.model]
     found = replace(found, provenance=provenance(inputs, options.seed))
     enriched = out.with_name(f"{out.stem}.enriched.json")
     write_model(found.model, enriched)

@@ -40,6 +40,24 @@ def test_a_swim_with_nothing_missing_is_consistent(few):
     assert all(np.isfinite(rival.probability) for rival in found.rivals)
 
 
+def test_what_a_reference_shows_too_is_not_named(few):
+    swim, other = ({"skin_elasticity.stiffness_Nm_per_rad": 0.6} for _ in range(2))
+    given = [swum(swim)], servos(), FISH, by_twin(FISH)
+    found = rooms.diagnose_swims(*given, references=[swum(other, seed=1)])
+    assert found.verdict == "consistent"
+    assert rooms.diagnose_swims(*given, references=[swum({}, seed=1)]).verdict == "explained"
+
+
+def test_a_mean_over_two_seconds_stands_beside_the_signals():
+    t = np.arange(600) * 0.02
+    signals = np.stack([np.sin(2 * np.pi * t), 0.01 * t, 0 * t, t, t, t], axis=1)
+    both = rooms.seen(signals[None])[0]
+    assert both.shape == (600, 9)
+    assert (both[:, :6] == signals).all()
+    assert np.abs(both[50:-50, 6]).max() < 0.02
+    assert both[50:-50, 7] == pytest.approx(signals[50:-50, 1], abs=2e-4)
+
+
 def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):
     robot = ["--robot", "datasets/pool/robot.toml", "--out", str(tmp_path / "d.json")]
     assert main(["diagnose", "datasets/pool/p1.csv", *robot]) == 2

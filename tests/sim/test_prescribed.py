@@ -8,7 +8,6 @@ import pytest
 from drag_fish import PERIOD_S, ROBOT, angles, swum
 
 from sim.calibrate import effect_parameters
-from sim.diagnose_swims import ENOUGH
 from sim.prescribed import by_film, follower
 from sim.swims import Swim, simulated, with_values
 from sim2real.model import Model
@@ -78,7 +77,7 @@ def test_what_another_simulation_hides_is_named_and_helps_films_left_out(benchma
     for split in found["splits"]:
         best, *others = split["effects"]
         assert best["effect"] == "pool_current"
-        assert best["gain"] > ENOUGH
+        assert best["gain"] > left_out.ENOUGH
         assert all(one["gain"] < best["gain"] - 5 for one in others)
         assert best["probability"] > 0.9
     error = {name: rows.mean(axis=0) for name, rows in found["errors"].items()}
