@@ -258,9 +258,9 @@ def _rivals(found: list[Row], rivals: list[Row]) -> Section:
     own = [one for one in found if one["set"] == rivals[0]["set"]]
     for one in [*own, *rivals]:
         rows = [row for row in one["cases"] if row["case"] in answered]
-        header.append(
-            "sim2real" if any(one is mine for mine in own) else one["verdicts"].replace("_", " ")
-        )
+        name = "sim2real" if any(one is mine for mine in own) else one["verdicts"]
+        fewer = "" if len(rows) == len(answered) else f"\n{len(rows)} of them"
+        header.append(name.replace("_", " ") + fewer)
         columns.append(summarize(rows)["metrics"])
     lines = []
     for label, name in labels:
