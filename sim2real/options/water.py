@@ -20,7 +20,7 @@ def _simulate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--dimensions", type=int, choices=(2, 3), default=3)
     command.add_argument("--walls", action="store_true", help="a closed box, not one that follows")
     command.add_argument("--picture", type=Path, metavar="PNG", help="the water at the end")
-    command.add_argument("--video", type=Path, metavar="MP4", help="the swim, or a .gif of it")
+    command.add_argument("--video", type=Path, metavar="MP4", help="the swim; or .avi, .gif")
 
 
 def _calibrate(command: argparse.ArgumentParser) -> None:
