@@ -159,7 +159,7 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
     folder = options.out / "ablation"
     with _stage("ablate", f"{len(arms)} arms, {plan.steps} steps each, in the twin"):
         places = tried_in(robot, arms, plan, found.ranges, reality)
-        told = ablate(folder, robot, arms, plan, places, seed=options.seed)
+        told = ablate(folder, robot, arms, plan, places, seed=options.seed, sampled=True)
     write_report(told, plan, folder, model.provenance)
     print(markdown(told))
     note = (
