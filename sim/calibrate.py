@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
@@ -136,7 +137,6 @@ def calibrate(
     free: Sequence[Free],
     simulator: Simulator,
     *,
-    uncalibrated: Model | None = None,
     held_out: float = HELD_OUT_SHARE,
     evaluations: int = 12,
     view: Callable[[Array], Array] = lambda signals: signals,
@@ -149,7 +149,6 @@ def calibrate(
         model: Where to start.
         free: What to fit.
         simulator: The twin or the fluid.
-        uncalibrated: What errors are compared with; ``model`` with the starts of ``free`` if None.
         held_out: Share of each swim at its end that is held out.
         evaluations: Most steps of each round.
         view: What of the signals (..., T, 3 + J) is compared, shape (..., T, K).
@@ -163,8 +162,8 @@ def calibrate(
     center, spread = start / size, np.array([p.prior_sd for p in free]) / size
     cut = [round(swim.t.size * (1 - held_out)) for swim in swims]
 
-    def errors(points: Array, models: Sequence[Model] = ()) -> list[Array]:
-        models = models or [
+    def errors(points: Array) -> list[Array]:
+        models = [
             with_values(model, {p.name: float(v) for p, v in zip(free, x * size, strict=True)})
             for x in points
         ]
@@ -200,8 +199,6 @@ def calibrate(
         if done < _ROUNDS - 1:
             weight = 1 / _rmse(errors(x[None]), cut, held=False)[0]
     after = errors(x[None])
-    if uncalibrated is not None:
-        before = errors(x[None], [uncalibrated])
     best = x * size
     return Calibrated(
         model=with_values(model, {p.name: float(v) for p, v in zip(free, best, strict=True)}),
@@ -211,6 +208,12 @@ def calibrate(
         rmse=np.concatenate([_rmse(e, cut, held=True) for e in (before, after)]),
         train=np.concatenate([_rmse(e, cut, held=False) for e in (before, after)]),
     )
+
+
+def seen(signals: Array) -> Array:
+    """Signals (..., T, 3 + J) with the means of the first three over two seconds beside them."""
+    slow = uniform_filter1d(signals[..., :3], BLOCK, axis=-2, mode="nearest")
+    return np.concatenate([signals, slow], axis=-1)
 
 
 def _fitted(errors: list[Array], weight: Array, cut: list[int]) -> Array:

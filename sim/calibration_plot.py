@@ -18,7 +18,7 @@ def comparison(
     swim: Swim, before: Model, after: Model, simulator: Simulator, robot: Robot
 ) -> Figure:
     """Surge, sway, yaw rate and the first joint, before and after; what was held out is shaded."""
-    was, now = (simulated(swim, [model], simulator)[0] for model in (before, after))
+    was, now = simulated(swim, [before, after], simulator)
     names = [*(f"{n} ({u})" for n, u in zip(SIGNALS, UNITS, strict=True))]
     names.append(f"{robot.joints[0].name} (rad)")
     with house_style():

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from sim.calibrate import (
     BLOCK,
@@ -26,6 +25,7 @@ from sim.calibrate import (
     calibrate,
     effect_parameters,
     law_parameters,
+    seen,
     servo_parameters,
 )
 from sim.swims import SIGNALS, Simulator, Swim
@@ -153,12 +153,6 @@ def diagnose_swims(
         now = ranked[0].fit
     progress(1.0)
     return _diagnosis(plain, now, kept, ranked, robot, enough)
-
-
-def seen(signals: Array) -> Array:
-    """Signals (..., T, 3 + J) with the means of the first three over two seconds beside them."""
-    slow = uniform_filter1d(signals[..., :3], BLOCK, axis=-2, mode="nearest")
-    return np.concatenate([signals, slow], axis=-1)
 
 
 def _samples(swims: Sequence[Swim]) -> int:

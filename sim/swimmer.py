@@ -37,6 +37,17 @@ _FASTEST = 0.15
 _SPONGE = 0.5
 
 
+def steps_of(cell_m: float) -> int:
+    """Steps of the lattice in a control period, even: the tail moves 0.15 cells in one."""
+    return 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
+
+
+def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
+    """Smallest viscosity in m2/s that is safe in cells of this size; water's where that is more."""
+    step_s = CONTROL_S / (substeps or steps_of(cell_m))
+    return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
+
+
 @dataclass(frozen=True)
 class State:
     """Where the robots are and how they move, copied from the device; world frame, SI.
@@ -132,14 +143,16 @@ class Swimmer:
         mass = sum(link.mass_kg for link in robot.links)
         self.hull, depth, under = _in_water(self.hull, mass, flat, depth_m, box_m[2])
         if substeps is None:
-            substeps = 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
+            substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
             raise InputError("swimmer", "substeps", str(substeps), "an even number above 0")
         self.substeps = substeps
         self.units = Units(cell_m, CONTROL_S / substeps, depth if flat else cell_m)
-        least = LEAST_VISCOSITY / self.units.viscosity_lu(1.0)
-        given = max(WATER_M2_S, least) if viscosity_m2_s is None else viscosity_m2_s
-        self.viscosity_m2_s = np.broadcast_to(np.asarray(given, dtype=np.float64), (n_envs,))
+        if viscosity_m2_s is None:
+            least = least_viscosity(cell_m, substeps)
+            own = [one.body.get("water", {}).get("viscosity_m2_s", least) for one in models]
+            viscosity_m2_s = np.maximum(own, least)
+        self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
         self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
         self.fluid = Fluid(
             D2Q9 if flat else D3Q19,
@@ -216,6 +229,8 @@ class Swimmer:
 
     def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
         """Give the robots of some boxes other models, before their ``reset``.
+
+        The water keeps its viscosity.
 
         Args:
             which: Indices of the boxes, shape (n,).

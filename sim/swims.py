@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 SIGNALS = ("surge", "sway", "yaw rate")
 UNITS = ("m/s", "m/s", "rad/s")
+_MEDIAN = 0.6745
+"""Median of the size of a normal deviate."""
 _REST = 10
 """Samples at the start that give the first pose."""
 
@@ -41,6 +43,8 @@ class Swim:
         command: Set-points in force when each period begins, shape (T, J).
         start: First pose: x, y, heading.
         signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
+        noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
+            it is not known.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Swim:
     command: Array
     start: Array
     signals: Array
+    noise: Array | float = 0.0
 
 
 def swim_of(recording: Recording, robot: Robot) -> Swim:
@@ -86,14 +91,33 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
         command=command,
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
+        noise=_noise(t, np.concatenate([grid, joints], axis=1)),
     )
 
 
+def _noise(t: Array, shown: Array) -> Array:
+    """Noise of surge, sway, yaw rate and joints, from poses and angles (T, 3 + J).
+
+    That of a pose is what its third differences show, in which no motion of a robot is left: for
+    white noise their variance is 20 times its own. The velocities' is what the estimator makes of
+    such noise.
+    """
+    third = np.abs(np.diff(shown, 3, axis=0))
+    sd = np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)
+    drawn = np.random.default_rng(0).standard_normal((t.size, 3)) * np.nan_to_num(sd[:3])
+    return np.concatenate([body_velocity(t, drawn).std(axis=0), np.nan_to_num(sd[3:])])
+
+
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
-    """The same signals by a simulator, the models' camera included, shape (E, T, 3 + J)."""
+    """The same signals by a simulator, the models' camera included, shape (E, T, 3 + J).
+
+    Those of a robot that was stopped are NaN.
+    """
     track = simulator(models, swim.command, swim.start)
-    out = np.empty((len(models), swim.t.size, track.shape[2]))
+    out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
     for e, model in enumerate(models):
+        if not np.isfinite(track[e]).all():
+            continue
         pose = observed(swim.t, track[e, :, :3], values(model))
         out[e, :, :3] = body_velocity(swim.t, pose)
         out[e, :, 3:] = track[e, :, 3:]
@@ -138,8 +162,8 @@ def _now(swimmer: Twin | Swimmer) -> Array:
 def with_values(model: Model, given: Mapping[str, float]) -> Model:
     """The model with parameters by name.
 
-    ``j1.kp_Nm_per_rad`` belongs to a joint, ``twin.along`` to the twin's law, anything else to the
-    body's or the camera's effects.
+    ``j1.kp_Nm_per_rad`` belongs to a joint, ``twin.along`` to the twin's law,
+    ``water.viscosity_m2_s`` to the fluid, anything else to the body's or the camera's effects.
     """
     joints, body = dict(model.joints), dict(model.body)
     law = {**vars(FITTED), **body.get("twin", {})}
@@ -151,6 +175,8 @@ def with_values(model: Model, given: Mapping[str, float]) -> Model:
             joints[head] = replace(joints[head], **changed)
         elif head == "twin":
             law[tail] = value
+        elif head == "water":
+            body["water"] = {**body.get("water", {}), tail: value}
         else:
             effects[name] = value
     if any(name.startswith("twin.") for name in given) or "twin" in body:
@@ -159,4 +185,25 @@ def with_values(model: Model, given: Mapping[str, float]) -> Model:
     return replace(model, joints=joints, body=body)
 
 
-__all__ = ["Coefficients", "Simulator", "Swim", "by_fluid", "by_twin", "simulated", "swim_of"]
+def values_of(model: Model, names: Sequence[str]) -> Array:
+    """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect.
+
+    Raises:
+        KeyError: If the model does not say what a parameter of the water is.
+    """
+    effects = values(model)
+    out = []
+    for name in names:
+        head, _, tail = name.partition(".")
+        if head in model.joints:
+            out.append(float(getattr(model.joints[head], tail)))
+        elif head in ("twin", "water"):
+            out.append(float(model.body[head][tail]))
+        else:
+            out.append(effects.get(name, 0.0))
+    return np.array(out)
+
+
+__all__ = [
+    "Coefficients", "Simulator", "Swim", "by_fluid", "by_twin", "simulated", "swim_of", "values_of",
+]  # fmt: skip

@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from sim.calibrate import (
-    HELD_OUT_SHARE,
-    Calibrated,
-    Free,
-    body_parameters,
-    calibrate,
-    law_parameters,
-    servo_parameters,
-)
+from sim.calibrate import Calibrated, Free, calibrate, law_parameters, servo_parameters
 from sim.calibration_plot import comparison
+from sim.fluid_calibration import InFluid, calibrate_in_fluid
 from sim.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, swim_of, with_values
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model, write_model
@@ -25,8 +18,6 @@ from sim2real.output import check_writable, provenance
 from sim2real.recording import read_recording
 from sim2real.report.drawing import save_png
 from sim2real.robot import Robot, read_robot
-
-_BODY = ("form_drag", "linear_drag", "surface_friction", "added_mass", "com_offset")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     swims = [swim_of(read_recording(path), robot) for path in options.recordings]
     twin = by_twin(robot)
     free = [*law_parameters(), *servo_parameters(model, robot, gains=options.fit_gains)]
-    found = _fit(swims, model, free, twin, "twin", options.held_out)
+    found: Calibrated | InFluid = _in_twin(swims, model, free, twin, options.held_out)
     print(table(found, "twin", robot))
     shown: Simulator = twin
     if options.fluid:
@@ -49,15 +40,12 @@ def run(options: argparse.Namespace) -> int:
         }
         law = {"twin": found.model.body["twin"]}
         start = replace(with_values(model, late), body={**model.body, **law})
-        fluid = by_fluid(robot, device=options.device, cell_m=options.cell_m, threads=2)
-        more = [*body_parameters(robot), *servo_parameters(start, robot, gains=options.fit_gains)]
-        found = _fit(
-            swims, start, more, fluid, "fluid", options.held_out, options.steps, uncalibrated=model
-        )
+        found, shown = _in_fluid(swims, start, model, robot, options)
         print(table(found, f"fluid, cells of {options.cell_m:g} m", robot))
-        shown = fluid
     inputs = [*options.recordings, options.robot, options.model]
-    written = replace(_with_figures(found, robot), provenance=provenance(inputs, options.seed))
+    written = replace(
+        _with_figures(found, robot, options.cell_m), provenance=provenance(inputs, options.seed)
+    )
     write_model(written, out)
     print(f"\nmodel: {out}")
     if not options.no_plots:
@@ -67,46 +55,79 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _fit(
-    swims: list[Swim],
-    model: Model,
-    free: list[Free],
-    simulator: Simulator,
-    where: str,
-    held_out: float,
-    evaluations: int = 12,
-    uncalibrated: Model | None = None,
+def _in_twin(
+    swims: list[Swim], model: Model, free: list[Free], twin: Simulator, held_out: float
 ) -> Calibrated:
-    with tqdm(total=100, desc=f"calibrate, {where}", unit="%", disable=None) as bar:
+    with tqdm(total=100, desc="calibrate, twin", unit="%", disable=None) as bar:
         return calibrate(
             swims,
             model,
             free,
-            simulator,
-            uncalibrated=uncalibrated,
+            twin,
             held_out=held_out,
-            evaluations=evaluations,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
 
 
-def table(found: Calibrated, where: str, robot: Robot) -> str:
-    """Parameters with intervals, and errors before and after on what was held out."""
+def _in_fluid(
+    swims: list[Swim],
+    start: Model,
+    uncalibrated: Model,
+    robot: Robot,
+    options: argparse.Namespace,
+) -> tuple[InFluid, Simulator]:
+    given = {"device": options.device, "threads": 2}
+    fluid = by_fluid(robot, cell_m=options.cell_m, **given)
+    with tqdm(total=100, desc="calibrate, fluid", unit="%", disable=None) as bar:
+        found = calibrate_in_fluid(
+            swims,
+            start,
+            robot,
+            fluid,
+            cell_m=options.cell_m,
+            coarser=by_fluid(robot, cell_m=2 * options.cell_m, **given),
+            gains=options.fit_gains,
+            count=options.rollouts,
+            held_out=options.held_out,
+            uncalibrated=uncalibrated,
+            seed=options.seed,
+            progress=lambda share: bar.update(round(100 * share) - bar.n),
+        )
+    return found, fluid
+
+
+def table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
+    """Parameters with intervals, and errors before and after on what was held out.
+
+    Where the recordings' noise is known, also by how much the error beyond it fell.
+    """
     lines = [f"in the {where}:"]
     ends = found.interval()
     for p, best, (low, high) in zip(found.free, found.best, ends, strict=True):
         lines.append(f"  {p.name:34s} {best:10.4g}   90 % {low:.4g} to {high:.4g}")
+    if isinstance(found, InFluid) and found.grid is None:
+        lines.append(
+            "  the intervals lack the cells' share: those of twice the size stop the robot"
+        )
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
+    noise = found.noise if isinstance(found, InFluid) else np.zeros(len(names))
+    beyond = np.sqrt(np.maximum(found.rmse**2 - noise**2, 0.0))
     lines.append("  held-out error            before     after")
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         before, after = found.rmse[:, k]
-        share = f"{100 * (after / before - 1):+.0f} %"
-        lines.append(f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {share}")
+        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {_fall(before, after)}"
+        if noise[k] > 0:
+            line += f"; beyond the noise of {noise[k]:.4f} {_fall(*beyond[:, k])}"
+        lines.append(line)
     return "\n".join(lines)
 
 
-def _with_figures(found: Calibrated, robot: Robot) -> Model:
+def _fall(before: float, after: float) -> str:
+    return f"{100 * (after / before - 1):+.0f} %" if before > 0 else "-"
+
+
+def _with_figures(found: Calibrated | InFluid, robot: Robot, cell_m: float) -> Model:
     names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
     names += [f"{joint.name}.position_rad" for joint in robot.joints]
     figures = {
@@ -122,9 +143,16 @@ def _with_figures(found: Calibrated, robot: Robot) -> Model:
         for p, (low, high) in zip(found.free, found.interval(), strict=True)
     }
     body = {**found.model.body, "interval": interval}
+    if isinstance(found, InFluid):
+        body["posterior"] = {
+            "cell_m": cell_m,
+            "names": list(interval),
+            "mean": [float(x) for x in found.best],
+            "covariance": [[float(x) for x in row] for row in found.fitted.covariance],
+        }
     if not np.all(np.isfinite(found.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
     return replace(found.model, body=body, fit={**found.model.fit, **figures})
 
 
-__all__ = ["HELD_OUT_SHARE", "run", "table"]
+__all__ = ["run", "table"]

@@ -8,14 +8,15 @@ from dataclasses import replace
 from tqdm import tqdm
 
 from sim.diagnose_swims import diagnose_swims
-from sim.swims import by_twin, swim_of
+from sim.fluid_diagnosis import diagnose_in_fluid, effects_of, moves, read_water, swim_batches
+from sim.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
 from sim2real.commands import diagnose as servos
-from sim2real.diagnose.result import write_diagnosis
+from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import InputError
-from sim2real.model import read_model, write_model
+from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
 from sim2real.recording import read_recording
-from sim2real.robot import read_robot
+from sim2real.robot import Robot, read_robot
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,16 +34,22 @@ def run(options: argparse.Namespace) -> int:
     references = [read_recording(path) for path in options.references or ()]
     out = check_writable(options.out)
     robot, model = read_robot(options.robot), read_model(options.model)
+    if options.water:
+        read_water(options.water, robot, options.cell_m)  # a wrong file is told before the work
+    given = [swim_of(one, robot) for one in swims]
     with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
         found = diagnose_swims(
-            [swim_of(one, robot) for one in swims],
+            given,
             model,
             robot,
             by_twin(robot),
             references=[swim_of(one, robot) for one in references],
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
+    if options.water:
+        found = _in_fluid(given, model, robot, found, options)
     files = [*options.recordings, *(options.references or ())]
+    files += [options.water] if options.water else []
     inputs = [*files, options.robot, options.model]
     found = replace(found, provenance=provenance(inputs, options.seed))
     enriched = out.with_name(f"{out.stem}.enriched.json")
@@ -57,3 +64,33 @@ def run(options: argparse.Namespace) -> int:
     for rival in found.rivals[:3]:
         print(f"  considered: {rival.effect} ({rival.component}), {100 * rival.probability:.0f} %")
     return 0
+
+
+def _in_fluid(
+    swims: list[Swim], model: Model, robot: Robot, twin: Diagnosis, options: argparse.Namespace
+) -> Diagnosis:
+    """The search again in the fluid, from what the twin named."""
+    water, prior = read_water(options.water, robot, options.cell_m)
+    named = [(one.effect, one.component) for one in twin.effects]
+    claimed = [
+        one for one in effects_of(robot) if moves(one) and (one.name, one.component) in named
+    ]
+    names = [p.name for one in claimed for p in one.free]
+    start = with_values(model, dict(zip((p.name for p in water), prior.mean, strict=True)))
+    start = with_values(start, dict(zip(names, values_of(twin.model, names), strict=True)))
+    fluid = by_fluid(robot, cell_m=options.cell_m, device=options.device, threads=2)
+    batches = [
+        swim_batches(swim, start, robot, fluid, water, claimed, count=options.rollouts)
+        for swim in swims
+    ]
+    with tqdm(total=100, desc="diagnose, fluid", unit="%", disable=None) as bar:
+        return diagnose_in_fluid(
+            batches,
+            start,
+            robot,
+            fluid,
+            water,
+            prior,
+            claimed,
+            progress=lambda share: bar.update(round(100 * share) - bar.n),
+        )

@@ -32,7 +32,9 @@ def _calibrate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--fluid", action="store_true", help="go on in the fluid (a GPU's work)")
     command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
     command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
-    command.add_argument("--steps", type=int, default=5, help="most steps of a round in the fluid")
+    command.add_argument(
+        "--rollouts", type=int, default=48, metavar="N", help="of a batch in the fluid (default 48)"
+    )
     command.add_argument(
         "--held-out", type=float, default=1 / 3, help="share of each swim to score on (default 1/3)"
     )

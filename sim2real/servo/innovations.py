@@ -66,7 +66,9 @@ class WhitenedServo:
         sums: Any = wp.zeros(angle.shape[0], dtype=wp.float64, device="cpu")
         names = ("length", "position", "counts", "autoregression")
         inputs = [len(self.traces), self.autoregression.size, *map(self._given.get, names), angle]
-        wp.launch(innovation_energy, dim=angle.shape[0], inputs=inputs, outputs=[sums])
+        wp.launch(
+            innovation_energy, dim=angle.shape[0], inputs=inputs, outputs=[sums], device="cpu"
+        )
         taken: Array = sums.numpy()
         return taken
 

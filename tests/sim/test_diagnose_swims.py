@@ -8,7 +8,7 @@ from swimming_robots import FISH, servos
 from test_calibrate import swum
 
 import sim.diagnose_swims as rooms
-from sim.calibrate import effect_parameters
+from sim.calibrate import effect_parameters, seen
 from sim.swims import by_twin
 from sim2real.cli import main
 
@@ -51,7 +51,7 @@ def test_what_a_reference_shows_too_is_not_named(few):
 def test_a_mean_over_two_seconds_stands_beside_the_signals():
     t = np.arange(600) * 0.02
     signals = np.stack([np.sin(2 * np.pi * t), 0.01 * t, 0 * t, t, t, t], axis=1)
-    both = rooms.seen(signals[None])[0]
+    both = seen(signals[None])[0]
     assert both.shape == (600, 9)
     assert (both[:, :6] == signals).all()
     assert np.abs(both[50:-50, 6]).max() < 0.02
