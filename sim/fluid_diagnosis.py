@@ -267,7 +267,7 @@ def _diagnosis(
         for k in range(len(SIGNALS))
         if kept and held[1, k] < 0.8 * held[0, k]
     )
-    alike = any(len(one.group) > 1 for one in named)
+    alike = any(_alike(one) for one in kept)
     return Diagnosis(
         verdict="consistent" if not named else "ambiguous" if alike else "explained",
         mismatch=mismatch,
@@ -293,6 +293,11 @@ def _diagnosis(
     )
 
 
+def _alike(one: Tried) -> list[Tried]:
+    """Effects that the swims cannot tell from this one."""
+    return [other for other in one.rivals if one.gain - other.gain < _ALIKE]
+
+
 def _named(
     one: Tried, base: Fitted, now: Fitted, usual: dict[str, float], errors: tuple[float, float]
 ) -> NamedEffect:
@@ -304,8 +309,10 @@ def _named(
         short = p.name.rpartition(".")[2]
         parameters[short] = Estimate(mean, sd, mean - _Z90 * sd, mean + _Z90 * sd)
         told.append(f"{short} {mean:.3g}")
-    alike = [other for other in one.rivals if one.gain - other.gain < _ALIKE]
+    alike = _alike(one)
     rest = [other.gain - one.gain for other in one.rivals] or [-np.inf]
+    others = [f"{other.effect.name} ({other.effect.component})" for other in alike]
+    or_else = f" Or, as likely: {', '.join(others)}." if others else ""
     listed = [p.name for p in base.free]
     title = body_effect(one.effect.name).title
     where = ""
@@ -315,7 +322,7 @@ def _named(
         effect=one.effect.name,
         component=one.effect.component,
         probability=min(1 / (1 + float(np.exp([*rest, -one.gain]).sum())), 0.99),
-        group=(one.effect.name, *(other.effect.name for other in alike)),
+        group=tuple(dict.fromkeys([one.effect.name, *(other.effect.name for other in alike)])),
         parameters=parameters,
         heldout={
             "rmse_before": errors[0], "rmse_after": errors[1], "recoverable_removed": None,
@@ -325,7 +332,7 @@ def _named(
             for k, name in enumerate(listed)
         },
         stability=1.0,
-        statement=f"{title[0].upper()}{title[1:]}{where}: {', '.join(told)}.",
+        statement=f"{title[0].upper()}{title[1:]}{where}: {', '.join(told)}.{or_else}",
     )  # fmt: skip
 
 

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 
 from tqdm import tqdm
 
 from sim.diagnose_swims import diagnose_swims
-from sim.fluid_diagnosis import diagnose_in_fluid, effects_of, moves, read_water, swim_batches
+from sim.fluid_diagnosis import (
+    Effect,
+    diagnose_in_fluid,
+    effects_of,
+    moves,
+    read_water,
+    swim_batches,
+)
 from sim.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
 from sim2real.commands import diagnose as servos
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
@@ -79,18 +87,31 @@ def _in_fluid(
     start = with_values(model, dict(zip((p.name for p in water), prior.mean, strict=True)))
     start = with_values(start, dict(zip(names, values_of(twin.model, names), strict=True)))
     fluid = by_fluid(robot, cell_m=options.cell_m, device=options.device, threads=2)
-    batches = [
-        swim_batches(swim, start, robot, fluid, water, claimed, count=options.rollouts)
-        for swim in swims
-    ]
-    with tqdm(total=100, desc="diagnose, fluid", unit="%", disable=None) as bar:
-        return diagnose_in_fluid(
-            batches,
-            start,
-            robot,
-            fluid,
-            water,
-            prior,
-            claimed,
-            progress=lambda share: bar.update(round(100 * share) - bar.n),
-        )
+
+    def search(start: Model, claimed: Sequence[Effect]) -> Diagnosis:
+        count = options.rollouts
+        batches = [
+            swim_batches(swim, start, robot, fluid, water, claimed, count=count) for swim in swims
+        ]
+        with tqdm(total=100, desc="diagnose, fluid", unit="%", disable=None) as bar:
+            return diagnose_in_fluid(
+                batches,
+                start,
+                robot,
+                fluid,
+                water,
+                prior,
+                claimed,
+                progress=lambda share: bar.update(round(100 * share) - bar.n),
+            )
+
+    found = search(start, claimed)
+    if not claimed:
+        return found
+    named = [(one.effect, one.component) for one in found.effects]
+    start = with_values(start, {one.free[0].name: 0.0 for one in claimed})
+    claimed = [one for one in claimed if (one.name, one.component) in named]
+    names = [p.name for one in claimed for p in one.free]
+    # again, about where it landed: far from the twin's guess the emulator knows little
+    found_there = dict(zip(names, values_of(found.model, names), strict=True))
+    return search(with_values(start, found_there), claimed)
