@@ -28,9 +28,10 @@ from sim.calibrate import (
     seen,
     servo_parameters,
 )
-from sim.swims import SIGNALS, Simulator, Swim
+from sim.swim_findings import findings
+from sim.swims import Simulator, Swim
 from sim2real.body import BODY, CAMERA, body_effect
-from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, Verdict
+from sim2real.diagnose.result import Diagnosis, Estimate, NamedEffect, Rival, Verdict
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -184,49 +185,15 @@ def _diagnosis(
     rest = [one for one in ranked if (one.effect, one.component) not in chosen]
     top = np.array([max(one.gain, -50.0) for one in rest])
     share = np.exp(top - enough) / (1 + np.exp(top - enough).sum()) if rest else top
-    signals = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    signals += [f"{joint.name}.position_rad" for joint in robot.joints]
-
-    def fit(one: Calibrated) -> dict[str, dict[str, float | None]]:
-        return {
-            signal: {"train": float(one.train[1, k]), "heldout": float(one.rmse[1, k])}
-            for k, signal in enumerate(signals)
-        }
-
-    mismatch = tuple(
-        Mismatch(
-            signal=f"body.{name.replace(' ', '_')}",
-            component="body",
-            rmse=float(plain.rmse[1, k]),
-            noise=float(now.rmse[1, k]),
-            share=float(1 - (now.rmse[1, k] / plain.rmse[1, k]) ** 2),
-            windows_s={},
-            where="",
-        )
-        for k, name in enumerate(SIGNALS)
-        if kept and now.rmse[1, k] < 0.8 * plain.rmse[1, k]
-    )
-    return Diagnosis(
-        verdict=_verdict(named),
-        mismatch=mismatch,
-        effects=named,
-        rivals=tuple(
-            Rival(one.effect, one.component, float(p))
-            for one, p in zip(rest[:5], share[:5], strict=True)
-        ),
-        unknown={},
-        hypothesis={},
-        false_discovery_rate=0.0,
-        baseline_fit=fit(plain),
-        enriched_fit=fit(now),
-        ladders={},
-        detection_limits=(),
-        next_experiment=None,
-        gate=(
-            "By the reduced-order twin: its own error (reports/twin) counts as nothing missing.",
-        ),
-        model=now.model,
-        baseline=plain.model,
+    rivals = [
+        Rival(one.effect, one.component, float(p))
+        for one, p in zip(rest[:5], share[:5], strict=True)
+    ]
+    gate = "By the reduced-order twin: its own error (reports/twin) counts as nothing missing."
+    train, held = (np.stack([getattr(fit, part)[1] for fit in (plain, now)])
+                   for part in ("train", "rmse"))  # fmt: skip
+    return findings(
+        robot, _verdict(named), named, rivals, train, held, held[1], gate, now.model, plain.model
     )
 
 

@@ -25,9 +25,10 @@ from sim.diagnose_swims import MOST, candidates
 from sim.emulator import ROLLOUTS, Batch, Emulator, rollouts
 from sim.fluid_calibration import water_parameters
 from sim.fluid_fit import SHARE, Fitted, Prior, fit, rmse
-from sim.swims import SIGNALS, Simulator, Swim, simulated, with_values
+from sim.swim_findings import findings
+from sim.swims import Simulator, Swim, simulated, with_values
 from sim2real.body import body_effect
-from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival
+from sim2real.diagnose.result import Diagnosis, Estimate, NamedEffect, Rival, Verdict
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
 from sim2real.robot import Robot
@@ -159,27 +160,23 @@ def diagnose_in_fluid(
     swims = [one.near.swim for one in batches]
     near, plain = (Emulator([getattr(b, one) for b in batches]) for one in ("near", "plain"))
     servos = servo_parameters(model, robot, gains=True)
-    start = _without(model, claimed)
 
-    def tried(with_: Sequence[Effect], like: Fitted | None) -> Fitted:
+    def tried(with_: Sequence[Effect], like: Fitted | None, by: Simulator) -> Fitted:
         free, belief = _believed(servos, water, prior, with_)
+        begin = _without(model, [one for one in claimed if one not in with_])
         weights = like.weights if like else None
-        begin, by = (start, plain) if not held else (model, near)
         return fit(swims, begin, free, by, prior=belief, share=share, weights=weights)
 
-    held: list[Effect] = []
-    base = now = tried((), None)
+    base = now = tried((), None, plain)
     kept: list[Tried] = []
-    varied = set(batches[0].plain.names)
+    held: list[Effect] = []
+    by, varied = plain, set(batches[0].plain.names)
     if claimed:
-        held = list(claimed)
-        found = tried(held, base)
-        gain = found.evidence - base.evidence
-        if gain >= ENOUGH:
-            now, kept = found, [Tried(one, gain, found) for one in held]
-            varied = set(batches[0].near.names)
-        else:
-            held = []
+        stands, gains = _standing(claimed, lambda with_: tried(with_, base, near))
+        found = tried(stands, base, near)
+        if stands and found.evidence - base.evidence >= ENOUGH:
+            now, held, by, varied = found, stands, near, set(batches[0].near.names)
+            kept = [Tried(one, gain, now) for one, gain in zip(stands, gains, strict=True)]
     ranked: list[Tried] = []
     every = effects_of(robot)
     while len(kept) < MOST:
@@ -188,7 +185,7 @@ def diagnose_in_fluid(
             progress((len(kept) + k / len(every)) / MOST * 0.95)
             swum = not moves(effect) or all(p.name in varied for p in effect.free)
             if effect not in held and swum:
-                found = tried([*held, effect], base)
+                found = tried([*held, effect], base, by)
                 ranked.append(Tried(effect, found.evidence - now.evidence, found))
         ranked.sort(key=lambda one: -one.gain)
         if ranked[0].gain < ENOUGH:
@@ -202,6 +199,24 @@ def diagnose_in_fluid(
     usual = {p.name: float(m) for p, m in zip(water, prior.mean, strict=True)}
     noise = np.mean([np.broadcast_to(one.noise, one.signals.shape[1]) for one in swims], axis=0)
     return _diagnosis(robot, base, now, kept, ranked, np.sqrt(np.mean(errors, 0)), noise, usual)
+
+
+def _standing(
+    claimed: Sequence[Effect], tried: Callable[[Sequence[Effect]], Fitted]
+) -> tuple[list[Effect], list[float]]:
+    """Claims without which the others explain less, and the evidence that each adds to them."""
+    stands = list(claimed)
+    while stands:
+        whole = tried(stands).evidence
+        gains = [
+            whole - tried([other for other in stands if other is not one]).evidence
+            for one in stands
+        ]
+        weakest = int(np.argmin(gains))
+        if gains[weakest] >= ENOUGH:
+            return stands, gains
+        del stands[weakest]
+    return [], []
 
 
 def _believed(
@@ -239,58 +254,26 @@ def _diagnosis(
     noise: Array,
     usual: dict[str, float],
 ) -> Diagnosis:
-    fitted, held = errors
+    train, held = errors
     before, after = (float(np.hypot(*held[e, :2])) for e in (0, 1))
-    named = tuple(_named(one, base, now, usual, (before, after)) for one in kept)
+    named = [_named(one, base, now, usual, (before, after)) for one in kept]
     chosen = [one.effect for one in kept]
     rest = [one for one in ranked if one.effect not in chosen]
     odds = np.exp([min(one.gain, ENOUGH) - ENOUGH for one in rest])
-    signals = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    signals += [f"{joint.name}.position_rad" for joint in robot.joints]
-
-    def figures(e: int) -> dict[str, dict[str, float | None]]:
-        return {
-            name: {"train": float(fitted[e, k]), "heldout": float(held[e, k])}
-            for k, name in enumerate(signals)
-        }
-
-    mismatch = tuple(
-        Mismatch(
-            signal=signals[k],
-            component="body",
-            rmse=float(held[0, k]),
-            noise=float(noise[k]),
-            share=float(1 - (held[1, k] / held[0, k]) ** 2),
-            windows_s={},
-            where="",
-        )
-        for k in range(len(SIGNALS))
-        if kept and held[1, k] < 0.8 * held[0, k]
-    )
+    rivals = [
+        Rival(one.effect.name, one.effect.component, float(p / (1 + odds.sum())))
+        for one, p in zip(rest[:5], odds[:5], strict=False)
+    ]
     alike = any(_alike(one) for one in kept)
-    return Diagnosis(
-        verdict="consistent" if not named else "ambiguous" if alike else "explained",
-        mismatch=mismatch,
-        effects=named,
-        rivals=tuple(
-            Rival(one.effect.name, one.effect.component, float(p / (1 + odds.sum())))
-            for one, p in zip(rest[:5], odds[:5], strict=False)
-        ),
-        unknown={},
-        hypothesis={},
-        false_discovery_rate=0.0,
-        baseline_fit=figures(0),
-        enriched_fit=figures(1),
-        ladders={},
-        detection_limits=(),
-        next_experiment=None,
-        gate=(
-            "In the fluid: its water is that of a swim in which nothing is missing, and its own "
-            "error is taken as a share of what moves.",
-        ),
-        model=now.model,
-        baseline=base.model,
+    verdict: Verdict = "consistent" if not named else "ambiguous" if alike else "explained"
+    gate = (
+        "In the fluid: its water is that of a swim in which nothing is missing, and its own "
+        "error is taken as a share of what moves."
     )
+    return findings(
+        robot, verdict, named, rivals, train, held, noise, gate, now.model,
+        base.model,
+    )  # fmt: skip
 
 
 def _alike(one: Tried) -> list[Tried]:
