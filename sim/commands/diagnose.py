@@ -32,6 +32,8 @@ def run(options: argparse.Namespace) -> int:
     recordings = [read_recording(path) for path in options.recordings]
     swims = [one for one in recordings if one.kind == "pool" and "body.x_m" in one.columns]
     if not swims:
+        if options.water:
+            raise InputError("diagnose", "--water", "recordings of a bench", "swims in a pool")
         return servos.run(options)
     if len(swims) < len(recordings):
         other = next(one for one in recordings if one not in swims)

@@ -14,7 +14,7 @@ from sim.calibrate import Free, effect_parameters, servo_parameters
 from sim.emulator import Batch, Emulator, places_of, rollouts
 from sim.fluid_calibration import calibrate_in_fluid, water_parameters
 from sim.fluid_fit import Prior, fit
-from sim.swimmer import least_viscosity
+from sim.swimmer import Swimmer, least_viscosity
 from sim.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
 from sim2real.errors import InputError
 from sim2real.recording import read_recording
@@ -164,3 +164,10 @@ def test_the_waters_viscosity_begins_where_cells_can_hold_it():
     assert least_viscosity(0.01) == pytest.approx(2.4e-5)
     swim = Swim("s", TIMES, SENT, np.zeros(3), np.zeros((TIMES.size, 6)))
     assert swim.noise == 0.0
+
+
+def test_each_box_has_the_viscosity_of_its_model_but_none_that_is_unsafe():
+    given = [with_values(servos(), {"water.viscosity_m2_s": v}) for v in (3e-4, 1e-6)]
+    swimmer = Swimmer(FISH, [*given, servos()], n_envs=3, cell_m=0.04)
+    least = least_viscosity(0.04)
+    assert swimmer.viscosity_m2_s == pytest.approx([3e-4, least, least])

@@ -94,6 +94,9 @@ def test_the_water_comes_from_a_calibration_in_the_fluid(tmp_path, capsys):
     given += ["--model", "datasets/pool/model.json", "--out", str(tmp_path / "d.json")]
     assert main(["diagnose", *given, "--water", "datasets/pool/model.json"]) == 2
     assert "as calibrate --fluid finds it" in capsys.readouterr().err
+    bench = ["datasets/servo_steps/steps.csv", *given[1:]]
+    assert main(["diagnose", *bench, "--water", str(path)]) == 2
+    assert "recordings of a bench, expected swims in a pool" in capsys.readouterr().err
     assert not (tmp_path / "d.json").exists()
 
 
