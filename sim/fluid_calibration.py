@@ -1,9 +1,10 @@
 """Calibration in the fluid: fitted on an emulator, checked where it lands, with the cells' share.
 
-The second fit, in cells of twice the size, is what fluid dynamics calls a grid study: with errors
-of the first order in the size of a cell, how far a parameter moves from coarse to fine is how far
-it still is from where no cells would put it (Roache, J. Fluids Eng. 116 (1994) 405). The intervals
-hold both, that and the fit's own.
+Another fit, in cells of twice the size, is what fluid dynamics calls a grid study: were errors of
+the first order in the size of a cell, a parameter would move as far from coarse to fine as it still
+is from where no cells would put it (Roache, J. Fluids Eng. 116 (1994) 405). The order cannot be
+read off here (``reports/resolution``), so the whole shift goes into the intervals, beside the fit's
+own spread.
 """
 
 from __future__ import annotations

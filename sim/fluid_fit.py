@@ -1,7 +1,8 @@
 """Fit parameters to swims in a simulator that is known to be wrong by a share of what moves.
 
-Cells of a centimetre get a swimmer's speed wrong by a tenth to a quarter (``reports/resolution``).
-A fit that takes what is left for noise believes every parameter that hides it. Here the error of a
+In cells of a centimetre a swimmer is slow by a third, and corrected for one wave still wrong by 3 to
+33 % for others (``reports/resolution``). A fit that takes what is left for noise believes every
+parameter that hides it. Here the error of a
 signal at a moment is normal, with the recording's noise and ``SHARE`` of the signal's size about
 that moment, and it lasts: a signal counts as one sample an autocorrelation time of what is left of
 it. Intervals and evidence are Laplace's (MacKay, Neural Comput. 4 (1992) 415).
@@ -26,8 +27,7 @@ from sim2real.model import Model
 Array = NDArray[np.float64]
 
 SHARE = 0.2
-"""Error of the fluid in cells of 1 cm as a share of a signal's size: finer cells swim a tenth to a
-quarter faster (``reports/resolution``)."""
+"""Error of the fluid in cells of 1 cm as a share of a signal's size, once calibrated."""
 _ROUNDS = 2
 _EVALUATIONS = 8
 _STEP = 0.02
