@@ -54,7 +54,9 @@ def rows(content: dict[str, Any], truth: dict[str, Any]) -> list[tuple[str, floa
                     for name, value in parameters.items():
                         found = one["parameters"][name]
                         ends = sorted((found["q05"] / value, found["q95"] / value))
-                        words = f"{effect} {material} {name.partition('_')[0]}".replace("_", " ")
+                        stem = name.partition("_")[0]
+                        last = "" if stem in effect else stem
+                        words = f"{effect} {material} {last}".replace("_", " ")
                         label = " ".join(f"{world['name']}: {words}".split())
                         out.append((label, found["mean"] / value, *ends))
     return out
