@@ -55,7 +55,7 @@ def rows(content: dict[str, Any], truth: dict[str, Any]) -> list[tuple[str, floa
                         found = one["parameters"][name]
                         ends = sorted((found["q05"] / value, found["q95"] / value))
                         stem = name.partition("_")[0]
-                        last = "" if stem in effect else stem
+                        last = "" if stem in effect.split("_") else stem
                         words = f"{effect} {material} {last}".replace("_", " ")
                         label = " ".join(f"{world['name']}: {words}".split())
                         out.append((label, found["mean"] / value, *ends))
