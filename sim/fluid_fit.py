@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from emcee.autocorr import integrated_time
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
@@ -23,6 +22,7 @@ from scipy.stats import norm
 from sim.calibrate import BLOCK, HELD_OUT_SHARE, Free, seen
 from sim.swims import Simulator, Swim, simulated, with_values
 from sim2real.model import Model
+from sim2real.posterior.convergence import autocorrelation_times
 
 Array = NDArray[np.float64]
 
@@ -206,17 +206,10 @@ def _weight(swim: Swim, error: Array, share: float, end: int) -> Array:
     size = np.concatenate([size, size[:, :3]], axis=1)
     least = 1e-3 * np.sqrt((size**2).mean(axis=0)) + 1e-9
     sd = np.sqrt(noise**2 + (share * size) ** 2 + least**2)
-    time = [_time((error / sd)[:end, k]) for k in range(sd.shape[1])]
-    return np.asarray(1 / (sd * np.sqrt(time)))
-
-
-def _time(series: Array) -> float:
-    """Autocorrelation time in samples, at least 1."""
-    series = series - series.mean()
-    if not series.any():
-        return 1.0
-    time = float(integrated_time(series, tol=0, quiet=True)[0])
-    return float(np.clip(time, 1.0, _LONGEST))
+    left = (error / sd)[:end]
+    left = left - left.mean(axis=0)
+    times = [float(autocorrelation_times(column)[0]) for column in left.T]
+    return np.asarray(1 / (sd * np.sqrt(np.minimum(times, _LONGEST))))
 
 
 __all__ = ["SHARE", "Fitted", "Prior", "fit", "rmse"]

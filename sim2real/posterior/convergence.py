@@ -55,18 +55,28 @@ class Convergence:
 
 
 def convergence(chain: Chain) -> Convergence:
-    """Measure how well a chain has mixed.
+    """Measure how well a chain has mixed."""
+    times = autocorrelation_times(chain.coordinates)
+    tries = max(chain.steps * chain.accepted.size, 1)
+    return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
 
-    The autocorrelation time is that of emcee, averaged over walkers: Goodman and Weare (2010), sec.
-    5, with Sokal's window.
+
+def autocorrelation_times(series: Array) -> Array:
+    """Integrated autocorrelation times in samples, at least 1; the length of a series without one.
+
+    That of emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
+
+    Args:
+        series: Shape (T,), or (T, walkers, F).
+
+    Returns:
+        Shape (F,).
     """
     from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
 
     with np.errstate(invalid="ignore", divide="ignore"):
-        times = np.asarray(integrated_time(chain.coordinates, quiet=True, tol=0))
-    times = np.where(np.isfinite(times), np.maximum(times, 1.0), chain.steps)
-    tries = max(chain.steps * chain.accepted.size, 1)
-    return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
+        times = np.asarray(integrated_time(series, quiet=True, tol=0))
+    return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
 
 
 def require(found: Convergence, what: str, names: tuple[str, ...]) -> None:
