@@ -24,6 +24,7 @@ from scipy.stats import binom
 from tqdm import tqdm
 
 from sim2real.output import write_json, write_whole
+from sim2real.posterior.convergence import LEAST_TIMES
 from sim2real.posterior.prior import Prior, Priors
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load, Recording
@@ -47,8 +48,6 @@ SECONDS, RATE_HZ, JITTER_S = 30.0, 50.0, 0.001
 WHITE_RAD, WANDER_RAD = 0.0015, 0.0015
 WANDER_S = (0.05, 1.0)
 STEPS = (800, 4000, 20000)
-ENOUGH = 50.0
-"""Autocorrelation times that a chain must span to be published."""
 DRAWS, BINS = 199, 10
 TITLES = ("kp", "kd", "latency")
 
@@ -184,9 +183,9 @@ def text(shares: dict[float, Array], cases: int, worst: float, spans: Array) -> 
     lines += [
         "",
         f"The farthest is {100 * worst:.1f} points off; the bar is 5. Every chain that spans less "
-        "than 50 of its",
+        f"than {LEAST_TIMES} of its",
         f"autocorrelation times is sampled again with more steps, up to {STEPS[-1]}; "
-        f"{int((spans < ENOUGH).sum())} of them stay below, the",
+        f"{int((spans < LEAST_TIMES).sum())} of them stay below, the",
         f"shortest at {spans.min():.0f}.",
         "",
         "![Rank histograms](ranks.png)",

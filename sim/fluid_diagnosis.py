@@ -172,8 +172,7 @@ def diagnose_in_fluid(
     held: list[Effect] = []
     by, varied = plain, set(batches[0].plain.names)
     if claimed:
-        stands, gains = _standing(claimed, lambda with_: tried(with_, base, near))
-        found = tried(stands, base, near)
+        stands, gains, found = _standing(claimed, lambda with_: tried(with_, base, near))
         if stands and found.evidence - base.evidence >= ENOUGH:
             now, held, by, varied = found, stands, near, set(batches[0].near.names)
             kept = [Tried(one, gain, now) for one, gain in zip(stands, gains, strict=True)]
@@ -203,20 +202,18 @@ def diagnose_in_fluid(
 
 def _standing(
     claimed: Sequence[Effect], tried: Callable[[Sequence[Effect]], Fitted]
-) -> tuple[list[Effect], list[float]]:
-    """Claims without which the others explain less, and the evidence that each adds to them."""
-    stands = list(claimed)
+) -> tuple[list[Effect], list[float], Fitted]:
+    """Claims without which the others explain less, what each adds to them, and their fit."""
+    stands, found = list(claimed), tried(claimed)
     while stands:
-        whole = tried(stands).evidence
-        gains = [
-            whole - tried([other for other in stands if other is not one]).evidence
-            for one in stands
-        ]
+        others = [tried([other for other in stands if other is not one]) for one in stands]
+        gains = [found.evidence - fitted.evidence for fitted in others]
         weakest = int(np.argmin(gains))
         if gains[weakest] >= ENOUGH:
-            return stands, gains
+            return stands, gains, found
+        found = others[weakest]
         del stands[weakest]
-    return [], []
+    return [], [], found
 
 
 def _believed(
@@ -270,10 +267,7 @@ def _diagnosis(
         "In the fluid: its water is that of a swim in which nothing is missing, and its own "
         "error is taken as a share of what moves."
     )
-    return findings(
-        robot, verdict, named, rivals, train, held, noise, gate, now.model,
-        base.model,
-    )  # fmt: skip
+    return findings(robot, verdict, named, rivals, train, held, noise, gate, now.model, base.model)
 
 
 def _alike(one: Tried) -> list[Tried]:

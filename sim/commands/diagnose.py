@@ -82,8 +82,11 @@ def _in_fluid(
     """The search again in the fluid, from what the twin named."""
     water, prior = read_water(options.water, robot, options.cell_m)
     named = [(one.effect, one.component) for one in twin.effects]
+    own = {p.name for p in water}  # what the water has is searched from its own mean
     claimed = [
-        one for one in effects_of(robot) if moves(one) and (one.name, one.component) in named
+        one
+        for one in effects_of(robot)
+        if moves(one) and one.free[0].name not in own and (one.name, one.component) in named
     ]
     names = [p.name for one in claimed for p in one.free]
     start = with_values(model, dict(zip((p.name for p in water), prior.mean, strict=True)))
