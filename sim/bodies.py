@@ -154,7 +154,7 @@ class Bodies:
         tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
         self._low = 0 if flat else max(0, int(self.middle) - tall)
         self._high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
-        self._cover = cover_kernel(fluid.lattice, fluid.storage)
+        self._cover = cover_kernel(fluid.lattice, fluid.storage, fluid.wide)
         self.place(np.zeros((E, N)))
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:

@@ -5,8 +5,10 @@ from typing import Any
 
 import warp as wp
 
-from sim.cell import BODY
+from sim.cell import BODY, Box
 from sim.chain import RING, Chain, Motion
+from sim.lattice import Lattice
+from sim.populations import populations
 from sim2real.servo.law import arrival_time
 
 HISTORY = 16
@@ -66,24 +68,25 @@ def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
 
 
 @cache
-def calm(storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
+def calm(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that brings boxes to rest."""
-    kind = wp.float16 if storage == "float16" else wp.float32
+    made = populations(lattice, storage, wide)
+    Stored, write = made.Stored, made.write
 
     @wp.kernel(enable_backward=False, module="unique")
     def calm(
         mask: wp.array(dtype=wp.int32),
-        f: wp.array(dtype=kind),
+        f: Stored,
         flags: wp.array(dtype=wp.uint8),
-        cells: int,
+        box: Box,
         stopped: wp.array(dtype=wp.int32),
     ):
         e, n = wp.tid()
         if mask[e] == 0:
             return
-        cell = e * cells + n
-        for d in range(f.shape[0] // flags.shape[0]):
-            f[d * flags.shape[0] + cell] = kind(0.0)
+        cell = e * box.cells + n
+        for d in range(wp.static(lattice.Q)):
+            write(f, d, cell, box.total, 0.0)
         flag = int(flags[cell])
         if (flag & wp.static(BODY)) != 0:
             flags[cell] = wp.uint8(flag - wp.static(BODY))

@@ -27,9 +27,9 @@ _MOST_SHARE = 0.99999
 
 
 @cache
-def cover_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
+def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
-    made = populations(lattice, storage)
+    made = populations(lattice, storage, wide)
     Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
 
     @wp.func

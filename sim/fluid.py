@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sim.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box
 from sim.kernels import kernels
 from sim.lattice import Lattice
-from sim.populations import STORAGE
+from sim.populations import allocate, is_wide, most_cells
 from sim.walls import let_out, wall_kernels
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
@@ -21,8 +21,6 @@ from sim2real.warp_start import start_warp
 Array = NDArray[np.float32]
 CS2 = 1 / 3
 """Square of the lattice's speed of sound."""
-MOST_SLOTS = 2**31
-"""Populations of one batch: what 32 bits can count, and 8.6 GB in single precision."""
 BLOCK = 128
 """CUDA threads of a block: measured fastest of 64, 128, 256 and 512 on an H200."""
 _LEAST_SLAB = 4096
@@ -39,6 +37,7 @@ class Fluid:
         size: Cells (nx, ny, nz) of one box, walls included.
         boxes: Number of boxes E.
         device: Warp device.
+        wide: Whether there are too many populations to number them in 32 bits.
         t: Parity of the next step.
     """
 
@@ -78,7 +77,8 @@ class Fluid:
             threads: CPU threads; slabs of cells share the work.
 
         Raises:
-            InputError: If there is no such device, or a viscosity that is not above 0.
+            InputError: If there is no such device, a viscosity that is not above 0, or more cells
+                than one batch can have.
         """
         self.lattice, self.boxes, self.threads = lattice, boxes, max(1, threads)
         self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
@@ -88,18 +88,18 @@ class Fluid:
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
-        if lattice.Q * boxes * self.cells >= MOST_SLOTS:
-            most = MOST_SLOTS // lattice.Q
+        if boxes * self.cells > most_cells(storage):
             found = f"{boxes * self.cells} cells in {boxes} boxes"
-            raise InputError("fluid", "size", found, f"under {most} in one batch")
-        self.kernels = kernels(lattice, storage, self.device.is_cuda)
-        self._walls, self._openings = wall_kernels(lattice, storage)
+            expected = f"at most {most_cells(storage)} in one batch of {storage}"
+            raise InputError("fluid", "size", found, expected)
+        self.wide = is_wide(lattice, boxes * self.cells)
+        self.kernels = kernels(lattice, storage, self.wide, self.device.is_cuda)
+        self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.total = self.cells, boxes * self.cells
         self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
-        kind, _ = STORAGE[storage]
-        self.f: Any = wp.zeros(lattice.Q * self.box.total, dtype=kind, device=self.device)
+        self.f: Any = allocate(lattice, storage, self.wide, self.box.total, self.device)
         above = viscous / CS2
         self.tau = self._put((above + 0.5).astype(np.float32))
         rates = np.stack([1 / (above + 0.5), above / (above / 2 + magic)], axis=1)

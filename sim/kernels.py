@@ -17,7 +17,7 @@ SUPERSONIC = 0.16
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels for one lattice and storage type.
+    """Kernels for one lattice, storage type and width of memory.
 
     Attributes:
         step: Collide and stream.
@@ -33,11 +33,11 @@ class Kernels:
 
 
 @cache
-def kernels(lattice: Lattice, storage: str, cuda: bool) -> Kernels:
+def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    made, collide = populations(lattice, storage), collision(lattice, storage)
-    Stored, Vector, read, packed = made.Stored, made.Vector, made.read, made.packed
+    made, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
+    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
     neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
     subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
 
@@ -204,7 +204,6 @@ def kernels(lattice: Lattice, storage: str, cuda: bool) -> Kernels:
         keep = 1.0 - strength * wp.min(depth * depth, 1.0)
         cell = e * box.cells + n
         for d in range(wp.static(lattice.Q)):
-            i = d * box.total + cell
-            f[i] = packed(keep * read(f[i]))
+            write(f, d, cell, box.total, keep * read(f, d, cell, box.total))
 
     return Kernels(step, fields, initialise, damp)

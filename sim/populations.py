@@ -6,13 +6,18 @@ cell owns sends back what arrived in it: a solid cell bounces back by being left
 Lehmann, Computation 10 (2022) 92. Numbers stored are f - w, whose rounding error is that of the
 deviation from rest: Skordos, Phys. Rev. E 48 (1993) 4823.
 
-Symbols: n cell, counted through all boxes; t parity of the step; c velocity of a direction.
+Memory is an array of one dimension as long as 32 bits can number its slots. From 2^31 slots on it
+is wide: an array of two, (Q, cells), whose offsets Warp computes in 64 bits.
+
+Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t parity of the step;
+c velocity of a direction.
 """
 
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from sim.cell import EDGE, Box, place
@@ -24,20 +29,40 @@ STORAGE = {"float32": (wp.float32, 1.0), "float16": (wp.float16, 512.0)}
 Half precision then ends at the deviations that a fluid at a tenth of the speed of sound has.
 Source: Lehmann et al., Phys. Rev. E 106 (2022) 015308.
 """
+WIDE_FROM = 2**31
+"""Slots of the smallest batch whose memory is wide."""
+_LONGEST_ROW = 2**31 - 1
+"""Bytes in a row of wide memory: Warp holds the stride of an axis in 32 bits."""
+
+
+def is_wide(lattice: Lattice, cells: int) -> bool:
+    """Whether a batch of so many cells needs wide memory."""
+    return lattice.Q * cells >= WIDE_FROM
+
+
+def most_cells(storage: str) -> int:
+    """Cells that one batch can have: 2^29 - 1 in single precision, 2^30 - 1 in half."""
+    return _LONGEST_ROW // np.dtype(storage).itemsize
+
+
+def allocate(lattice: Lattice, storage: str, wide: bool, cells: int, device: Any) -> Any:  # noqa: ANN401
+    """Memory for the populations of so many cells, filled with water at rest."""
+    shape = (lattice.Q, cells) if wide else lattice.Q * cells
+    return wp.zeros(shape, dtype=STORAGE[storage][0], device=device)
 
 
 @dataclass(frozen=True)
 class Populations:
-    """Types and Warp functions for one lattice and storage type.
+    """Types and Warp functions for one lattice, storage type and width of memory.
 
     Attributes:
-        Stored: Type of the array in memory, Q rows of all cells one after the other.
+        Stored: Type of the array in memory: Q rows of all cells, one after the other.
         Vector: Type of one cell's populations, in single precision.
         neighbours: Cells that the odd directions point to from a cell.
         load: Populations that arrive at a cell.
         store: Send populations on from a cell.
         moments: Density less 1, and momentum.
-        read, packed: Between a stored number and its value.
+        read, write: Get or set the value of one slot.
     """
 
     Stored: Any
@@ -47,25 +72,31 @@ class Populations:
     store: Any
     moments: Any
     read: Any
-    packed: Any
+    write: Any
 
 
 @cache
-def populations(lattice: Lattice, storage: str) -> Populations:
+def populations(lattice: Lattice, storage: str, wide: bool) -> Populations:
     """The functions for a lattice; populations stored as ``float32`` or ``float16``."""
     c, pairs = lattice.velocities, lattice.pairs
     kind, scale = STORAGE[storage]
-    Stored = wp.array(dtype=kind)
+    Stored = wp.array2d(dtype=kind) if wide else wp.array(dtype=kind)
     Vector = wp.types.vector(length=lattice.Q, dtype=wp.float32)
     Cells = wp.types.vector(length=pairs, dtype=wp.int32)
 
     @wp.func
-    def read(x: kind) -> float:
-        return float(x) * wp.static(1.0 / scale)
+    def read(f: Stored, row: int, n: int, total: int) -> float:
+        if wp.static(wide):
+            return float(f[row, n]) * wp.static(1.0 / scale)
+        else:
+            return float(f[row * total + n]) * wp.static(1.0 / scale)
 
     @wp.func
-    def packed(x: float) -> kind:
-        return kind(x * wp.static(scale))
+    def write(f: Stored, row: int, n: int, total: int, x: float):
+        if wp.static(wide):
+            f[row, n] = kind(x * wp.static(scale))
+        else:
+            f[row * total + n] = kind(x * wp.static(scale))
 
     @wp.func
     def neighbours(n: int, flag: int, box: Box) -> Cells:
@@ -110,18 +141,18 @@ def populations(lattice: Lattice, storage: str) -> Populations:
     @wp.func
     def load(f: Stored, n: int, j: Cells, t: int, total: int) -> Vector:
         p = Vector()
-        p[0] = read(f[n])
+        p[0] = read(f, 0, n, total)
         for k in range(wp.static(pairs)):
-            p[2 * k + 1] = read(f[(wp.static(2 * k + 2) - t) * total + n])
-            p[2 * k + 2] = read(f[(wp.static(2 * k + 1) + t) * total + j[k]])
+            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - t, n, total)
+            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + t, j[k], total)
         return p
 
     @wp.func
     def store(f: Stored, n: int, j: Cells, t: int, total: int, p: Vector) -> int:
-        f[n] = packed(p[0])
+        write(f, 0, n, total, p[0])
         for k in range(wp.static(pairs)):
-            f[(wp.static(2 * k + 1) + t) * total + j[k]] = packed(p[2 * k + 1])
-            f[(wp.static(2 * k + 2) - t) * total + n] = packed(p[2 * k + 2])
+            write(f, wp.static(2 * k + 1) + t, j[k], total, p[2 * k + 1])
+            write(f, wp.static(2 * k + 2) - t, n, total, p[2 * k + 2])
         return 0
 
     @wp.func
@@ -141,4 +172,4 @@ def populations(lattice: Lattice, storage: str) -> Populations:
                 mz += wp.static(float(c[2 * k + 1][2])) * d
         return wp.vec4(rho, mx, my, mz)
 
-    return Populations(Stored, Vector, neighbours, load, store, moments, read, packed)
+    return Populations(Stored, Vector, neighbours, load, store, moments, read, write)

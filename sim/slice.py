@@ -11,9 +11,9 @@ from sim.populations import populations
 
 
 @cache
-def slice_kernel(lattice: Lattice, storage: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The kernel for a lattice and storage type."""
-    made = populations(lattice, storage)
+def slice_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel for a lattice, storage type and width of memory."""
+    made = populations(lattice, storage, wide)
     Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -218,9 +218,9 @@ class Swimmer:
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
-            calm(self.fluid.storage),
+            calm(fluid.lattice, fluid.storage, fluid.wide),
             (E, fluid.cells),
-            [on_device, fluid.f, fluid.flags, fluid.cells, fluid.stopped],
+            [on_device, fluid.f, fluid.flags, fluid.box, fluid.stopped],
         )
         v = np.zeros_like(q)
         v[:, :2] = -self.outside.current  # at rest in the pool, whose water moves

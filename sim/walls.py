@@ -54,20 +54,20 @@ def _triple(x: list[int]) -> tuple[int, int, int]:
 
 
 @cache
-def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
+def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
     """Kernels for walls, and for what flows through inlets and outlets."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    made = populations(lattice, storage)
-    Stored, Vector = made.Stored, made.Vector
+    made = populations(lattice, storage, wide)
+    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
     neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
     exchanges = mirrors(lattice)
 
     @wp.func
-    def slot(d: int, t: int, total: int) -> int:
-        """Where the row of what arrives along direction d begins."""
+    def row(d: int, t: int) -> int:
+        """The row of what arrives along direction d."""
         if d % 2 == 0:
-            return (d - 1 + t) * total
-        return (d + 1 - t) * total
+            return d - 1 + t
+        return d + 1 - t
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(
@@ -118,11 +118,11 @@ def wall_kernels(lattice: Lattice, storage: str) -> tuple[Any, Any]:
                                 wp.static(-exchanges[m].one[2]),
                                 box,
                             )
-                        at_two += slot(two, t, box.total)
-                        at_one += slot(one, t, box.total)
-                        held = f[at_two]
-                        f[at_two] = f[at_one]
-                        f[at_one] = held
+                        row_one = row(one, t)
+                        row_two = row(two, t)
+                        held = read(f, row_two, at_two, box.total)
+                        write(f, row_two, at_two, box.total, read(f, row_one, at_one, box.total))
+                        write(f, row_one, at_one, box.total, held)
             return
         u = velocity[k]
         rest = float(0.0)

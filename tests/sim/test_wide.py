@@ -1,0 +1,112 @@
+"""Memory of more slots than 32 bits can number, put to use at sizes that are small."""
+
+import numpy as np
+import pytest
+from swimming_robots import FISH, servos
+
+import sim.populations
+from sim.cell import INLET, MOVING, OUTLET, SLIP, SOLID
+from sim.fluid import Fluid
+from sim.lattice import D2Q9, D3Q19
+from sim.plane import plane_of
+from sim.populations import is_wide, most_cells
+from sim.swimmer import CONTROL_S, Swimmer
+from sim2real.errors import InputError
+
+STORAGES = pytest.mark.parametrize("storage", ["float32", "float16"])
+
+
+@pytest.fixture
+def narrow_and_wide(monkeypatch):
+    """Do the same in narrow and in wide memory."""
+
+    def twice(work):
+        narrow = work()
+        monkeypatch.setattr(sim.populations, "WIDE_FROM", 0)
+        return narrow, work()
+
+    return twice
+
+
+def channel(lattice, storage):
+    """From inlet to outlet past a block: a floor that moves, free-slip sides, a top at rest.
+
+    In two dimensions the top is free-slip.
+    """
+    size = (16, 12, 8)[: lattice.dimensions]
+    walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
+    walls[0], walls[-1], normals[0] = INLET, OUTLET, 1
+    walls[..., 0], walls[..., -1] = MOVING, SOLID
+    walls[:, -1], normals[:, -1] = SLIP, 2
+    if lattice.dimensions == 3:
+        walls[:, 0], normals[:, 0] = SLIP, 3
+    walls[6:8, 4:6] = SOLID
+    velocity = np.zeros((*size, 3), np.float32)
+    velocity[..., 0] = 0.05
+    fluid = Fluid(
+        lattice, size, viscosity=[0.01, 0.05], boxes=2, walls=walls, normals=normals,
+        wall_velocity=velocity, smagorinsky=0.1, storage=storage,
+    )  # fmt: skip
+    start = np.random.default_rng(0).normal(0, 0.01, (*fluid.size, 3))
+    start[..., lattice.dimensions :] = 0
+    fluid.set(velocity=start)
+    fluid.accelerate(np.array([1e-5, 2e-5, 0]))
+    return fluid
+
+
+@STORAGES
+@pytest.mark.parametrize("lattice", [D2Q9, D3Q19], ids=lambda one: one.name)
+def test_water_among_walls_is_the_same_bit_for_bit(lattice, storage, narrow_and_wide):
+    def flow():
+        fluid = channel(lattice, storage)
+        fluid.step(201)
+        return fluid
+
+    narrow, wide = narrow_and_wide(flow)
+    assert wide.f.shape == (lattice.Q, 2 * wide.cells) and narrow.f.ndim == 1
+    assert np.array_equal(narrow.f.numpy(), wide.f.numpy().ravel())
+    assert np.array_equal(wide.stopped.numpy(), [-1, -1])
+    density, velocity = wide.moments()
+    assert np.array_equal(narrow.moments()[0], density)
+    assert np.array_equal(narrow.moments()[1], velocity)
+    assert np.abs(velocity).max() > 0.03
+
+
+@STORAGES
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_swimmers_are_the_same_bit_for_bit(dimensions, storage, narrow_and_wide):
+    def swim():
+        swimmer = Swimmer(
+            FISH, servos(), n_envs=2, dimensions=dimensions, cell_m=0.04, box_m=(0.9, 0.7, 0.32),
+            storage=storage,
+        )  # fmt: skip
+        for k in range(40):
+            if k == 15:
+                swimmer.reset(np.array([False, True]))
+            wave = np.sin(2 * np.pi * 1.5 * CONTROL_S * k - 1.2 * np.arange(3))
+            swimmer.step(np.array([0.3, 0.45, 0.6]) * wave)
+        return swimmer
+
+    narrow, wide = narrow_and_wide(swim)
+    assert wide.fluid.wide and not narrow.fluid.wide
+    assert np.array_equal(narrow.fluid.f.numpy(), wide.fluid.f.numpy().ravel())
+    for name, value in vars(wide.state()).items():
+        assert np.array_equal(getattr(narrow.state(), name), value), name
+    seen = plane_of(wide).vorticity
+    assert np.array_equal(plane_of(narrow).vorticity, seen)
+    assert np.abs(seen).max() > 0
+
+
+def test_memory_is_wide_where_32_bits_end():
+    most = 2**31 // 19
+    assert not is_wide(D3Q19, most)
+    assert is_wide(D3Q19, most + 1)
+
+
+@STORAGES
+def test_what_is_too_large_is_refused_in_one_line(storage):
+    most = most_cells(storage)
+    with pytest.raises(InputError) as caught:
+        Fluid(D3Q19, (most + 1, 1, 1), viscosity=0.1, storage=storage)
+    text = str(caught.value)
+    assert f"{most + 1} cells" in text and f"at most {most} " in text and "\n" not in text
