@@ -35,13 +35,20 @@ ROBOT = s2r.read_robot("datasets/pool/robot.toml")
 MODEL = Model(joints={j.name: JointModel(2.0, 0.07, 0.066, 0.002) for j in ROBOT.joints})
 OUT = Path("reports/twin")
 NAMES = tuple(field.name for field in fields(Coefficients))
-BOUNDS = {"slender": (0.2, 20.0), "head": (0.05, 2.0), "wake": (1e-3, 0.95), "wake_s": (0.1, 10.0)}
+BOUNDS = {
+    "slender": (0.2, 20.0),
+    "head": (0.05, 2.0),
+    "wake": (1e-3, 0.95),
+    "wake_s": (0.1, 10.0),
+    "tail": (0.2, 5.0),
+    "lag": (0.02, 10.0),
+}
 _LEAST, _MOST = 1e-3, 100.0
 _STEP = 0.02
 STARTS = (
-    Coefficients(4.0, 1.0, 1.0, 0.3, 1.0, 2.0, 0.5, 0.3, 0.5, 1.0),
-    Coefficients(2.0, 0.3, 0.8, 0.8, 0.3, 2.0, 0.8, 0.1, 0.2, 2.0),
-    Coefficients(8.0, 2.0, 1.0, 0.1, 3.0, 1.0, 0.5, 0.5, 0.6, 0.5),
+    Coefficients(4.0, 1.0, 1.0, 0.3, 1.0, 2.0, 0.5, 0.3, 0.5, 1.0, 1.0, 0.5),
+    Coefficients(2.0, 0.3, 0.8, 0.8, 0.3, 2.0, 0.8, 0.1, 0.2, 2.0, 1.0, 0.2),
+    Coefficients(8.0, 2.0, 1.0, 0.1, 3.0, 1.0, 0.5, 0.5, 0.6, 0.5, 1.5, 1.0),
 )
 
 

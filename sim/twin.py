@@ -24,7 +24,7 @@ from sim.shape import Hull, hull_of
 from sim.swimmer import CONTROL_S, State
 from sim.tank import POOL_M
 from sim.twin_kernel import Water, start_twin, swim_twin
-from sim.twin_law import FITTED, Coefficients, hull_in_water, law_rows, sections
+from sim.twin_law import FITTED, POINTS, Coefficients, hull_in_water, law_rows, sections
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -142,6 +142,7 @@ class Twin:
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=self.device)
         s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
         law.pool = wp.vec3d(POOL_M[0] / 2, POOL_M[1] / 2, self.hull.body_length)
+        law.late = room((E, L, POINTS), wp.float64)
         law.carried, law.moved = room((E, L), wp.vec3d), room((E, L), wp.vec2d)
         self._friction = room((E, J), wp.float64)
         self._signal = room((E, 1, J), wp.float64)
@@ -175,8 +176,13 @@ class Twin:
             q[:, :3] = pose
         q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
         v[:, :2] = -self.outside.current
-        still = np.zeros((E, J + 1, 2))
-        for array, values in ((self.motion.q, q), (self.motion.v, v), (self.water.moved, still)):
+        at_rest = np.zeros((E, J + 1, POINTS))
+        for array, values in (
+            (self.motion.q, q),
+            (self.motion.v, v),
+            (self.water.moved, at_rest[..., :2]),
+            (self.water.late, at_rest),
+        ):
             held = array.numpy()
             held[chosen] = values[chosen]
             array.assign(held)

@@ -8,7 +8,9 @@ along the tail is - m w u across it and + m w w / 2 along it. Drag is that of Mo
 and a share linear in the speed, taken implicitly, against water that the robot has set in motion:
 around a link it takes on a share of the link's velocity V in a time T, d moved / dt =
 (share V - moved) / T, and keeps its direction in space. Without it a robot gets up to speed too
-soon, and one that turns swims too fast through the water it stirs. The rest is that of
+soon, and one that turns swims too fast through the water it stirs. The quadratic drag across,
+C |w| w, grows with the vortices that make it: it is C |w| late, and late follows w over a way, as
+lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that of
 ``sim.multibody``.
 """
 
@@ -34,6 +36,7 @@ class Water:
         place: Distance of each point before the link's centre of mass in m, (E, L, POINTS).
         added: Water that goes along across each point in kg, (E, L, POINTS).
         broad: Drag across at each point in N s2/m2, (E, L, POINTS).
+        reach: Way in m over which that drag grows at each point, (E, L, POINTS).
         slow: Drag across at each point in N s/m, (E, L, POINTS).
         along: Drag along each link in N s/m and in N s2/m2, (E, L).
         axial: Water that goes along each link along its axis in kg, (E, L).
@@ -44,11 +47,13 @@ class Water:
         pool: Half the pool's length and width in m, and the body's length.
         carried: Momentum and spin of the water that went along in the last step, (E, L).
         moved: Velocity of the water around each link in m/s, in the world's frame, (E, L).
+        late: Speed across each point in m/s that its grown drag stands for, (E, L, POINTS).
     """
 
     place: wp.array3d(dtype=wp.float64)
     added: wp.array3d(dtype=wp.float64)
     broad: wp.array3d(dtype=wp.float64)
+    reach: wp.array3d(dtype=wp.float64)
     slow: wp.array3d(dtype=wp.float64)
     along: wp.array2d(dtype=wp.vec2d)
     axial: wp.array2d(dtype=wp.float64)
@@ -58,6 +63,7 @@ class Water:
     pool: wp.vec3d
     carried: wp.array2d(dtype=wp.vec3d)
     moved: wp.array2d(dtype=wp.vec2d)
+    late: wp.array3d(dtype=wp.float64)
 
 
 @wp.func
@@ -139,10 +145,17 @@ def advance_twin(
         for j in range(POINTS):
             r = water.place[e, k, j]
             w = own + V[2] * r - flow_n
-            drag = h * (water.slow[e, k, j] + water.broad[e, k, j] * wp.abs(w))
+            broad = h * water.broad[e, k, j] * wp.abs(w)
+            drag = h * water.slow[e, k, j] + broad
             both = water.added[e, k, j] + drag
-            push_n += drag * flow_n
-            turn += drag * flow_n * r
+            back = drag * flow_n
+            if water.reach[e, k, j] > zero:
+                gone = h * wp.sqrt(w * w + (ahead - flow_t) * (ahead - flow_t))
+                behind = (w - water.late[e, k, j]) * wp.exp(-gone / water.reach[e, k, j])
+                back += broad * behind
+                water.late[e, k, j] = w - behind
+            push_n += back
+            turn += back * r
             a0 += both
             a1 += both * r
             a2 += both * r * r
@@ -159,11 +172,11 @@ def advance_twin(
             R += pull(e, h, chain, s)
             tied = h * h * chain.tether[e][0]
         if k == L - 1:
-            behind = water.tip[e][1]
-            end = tail_end(e, ahead, own - V[2] * behind, s, water)
+            arm = water.tip[e][1]
+            end = tail_end(e, ahead, own - V[2] * arm, s, water)
             push_t += h * end[0]
             push_n += h * end[1]
-            turn -= h * behind * end[1]
+            turn -= h * arm * end[1]
         R += wp.vec3d(push_t * c - push_n * d, push_t * d + push_n * c, turn)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)

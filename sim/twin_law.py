@@ -45,6 +45,9 @@ class Coefficients:
         wake: Share of a link's own velocity that the water around it has taken on, in time; all
             drag is that of the link against this water.
         wake_s: Time in s in which it takes it on and loses it again.
+        tail: Drag coefficient of the last link across its axis, of ``across``: a fin has edges.
+        lag: Way, in wetted heights, that a section goes through the water while its vortices, and
+            with them the drag of ``across``, grow.
     """
 
     across: float = 1.5
@@ -57,6 +60,8 @@ class Coefficients:
     axial: float = 0.0
     wake: float = 0.0
     wake_s: float = 1.0
+    tail: float = 1.0
+    lag: float = 0.0
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> Coefficients:
@@ -72,8 +77,8 @@ class Coefficients:
 FIRST = frozenset(("across", "along", "added_mass", "thrust", "linear"))
 """Names of the law as it first was."""
 FITTED = Coefficients(
-    across=3.883, along=0.001, added_mass=1.057, thrust=0.2052, linear=3.443,
-    slender=1.649, head=0.4412, axial=0.5848, wake=0.5748, wake_s=1.094,
+    across=4.7, along=0.001, added_mass=1.236, thrust=0.273, linear=5.512, slender=1.66,
+    head=0.5077, axial=0.5565, wake=0.7691, wake_s=0.3404, tail=1.377, lag=0.8648,
 )  # fmt: skip
 """Fitted to the fluid in cells of 1 cm: ``reports/twin``."""
 
@@ -89,6 +94,7 @@ class Sections:
         broad: Half the density times the wetted side in kg/m, shape (L, POINTS).
         frontal: Half the density times the head's wetted cross-section in kg/m.
         displaced: Water displaced by each link in kg, shape (L,).
+        height: Wetted heights in m, shape (L, POINTS).
         tip: Water of the circle at the tail's end in kg/m.
         end: How far behind the last joint the tail ends, in m.
         share: Each link's length, of their sum, shape (L,).
@@ -100,6 +106,7 @@ class Sections:
     broad: Array
     frontal: float
     displaced: Array
+    height: Array
     tip: float
     end: float
     share: Array
@@ -135,6 +142,7 @@ def sections(hull: Hull, above: float) -> Sections:
         broad=0.5 * WATER_KG_M3 * wet * part,
         frontal=0.5 * WATER_KG_M3 * float((np.pi / 2 * wide[0] * wet[0]).max()),
         displaced=(WATER_KG_M3 * np.pi / 2 * wet * wide * part).sum(axis=1),
+        height=wet,
         tip=float(WATER_KG_M3 * np.pi / 2 * (end + np.clip(above, -end, end)) * end),
         end=float(hull.length[-1] + hull.half_width[-1, 2]),
         share=hull.length / hull.length.sum(),
@@ -159,8 +167,8 @@ def law_rows(
 
     E, L = com.shape
     added = of("added_mass") * (1 + more[:, None])
-    heads = np.ones((E, L))
-    heads[:, :1] = of("head")
+    heads, tails = np.ones((E, L)), np.ones((E, L))
+    heads[:, :1], tails[:, -1:] = of("head"), of("tail")
     along = np.zeros((E, L, 2))
     along[:, :, 0] = of("linear") * seen.share
     along[:, :1, 1] = of("along") * seen.frontal
@@ -169,7 +177,8 @@ def law_rows(
     return {
         "place": com[:, :, None] - seen.place * hull.length[None, :, None],
         "added": (added * heads)[:, :, None] * seen.added,
-        "broad": of("across")[:, :, None] * seen.broad,
+        "broad": (of("across") * tails)[:, :, None] * seen.broad,
+        "reach": of("lag")[:, :, None] * seen.height,
         "slow": across[:, :, None] * seen.weight,
         "along": along,
         "axial": of("axial") * seen.displaced,
