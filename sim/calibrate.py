@@ -83,13 +83,28 @@ class Calibrated:
         return np.stack([self.best - reach, self.best + reach], axis=1)
 
 
+_LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
+"""What counts as a usual value of a coefficient where the fitted one is smaller."""
+
+
 def law_parameters() -> list[Free]:
-    """The twin's own law, each within a factor of a few of what the fluid gave."""
+    """The twin's own law, each within a factor of a few of what the fluid gave.
+
+    The wake differs most from one water to another. The others (``slender``, ``head`` and so on)
+    stay as the fluid gave them: a few swims cannot tell them from these, and would hide an effect
+    behind them.
+    """
     out = []
-    for name in ("across", "along", "added_mass", "linear"):
+    for name, least in _LEAST.items():
         value = float(getattr(FITTED, name))
-        out.append(Free(f"twin.{name}", value, 0.5 * value, 0.05 * value, 20 * value, 2 * value))
-    return [*out, Free("twin.thrust", FITTED.thrust, 0.1, 0.0, 2.0, 0.5)]
+        usual = max(value, least)
+        out.append(Free(f"twin.{name}", value, 0.5 * usual, 0.05 * value, 20 * usual, 2 * usual))
+    return [
+        *out,
+        Free("twin.thrust", FITTED.thrust, 0.1, 0.0, 2.0, 0.5),
+        Free("twin.wake", FITTED.wake, 0.1, 0.0, 0.95, 0.3),
+        Free("twin.wake_s", FITTED.wake_s, 0.3 * FITTED.wake_s, 0.05, 10.0, FITTED.wake_s),
+    ]
 
 
 def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Free]:

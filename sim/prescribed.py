@@ -78,7 +78,7 @@ def _fine(command: Array) -> tuple[Array, Array]:
 
 
 def _carry(twin: Twin, pose: Array) -> None:
-    """Put the robots at a pose of the pool without touching how they move."""
+    """Put robots and the water around them at a pose of the pool; how they move stays."""
     clock = np.array(twin.motion.clock.numpy())
     q, v = np.array(twin.motion.q.numpy()), np.array(twin.motion.v.numpy())
     turn = pose[2] - q[:, 2]
@@ -88,6 +88,10 @@ def _carry(twin: Twin, pose: Array) -> None:
     q[:, 2] = pose[2]
     twin.motion.q.assign(q)
     twin.motion.v.assign(v)
+    moved = np.array(twin.water.moved.numpy())
+    x, y = moved[..., 0], moved[..., 1]
+    rotated = np.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y], axis=-1)
+    twin.water.moved.assign(rotated)
     everyone: Any = wp.ones(twin.n_envs, dtype=wp.int32, device=twin.device)
     inputs = [twin.chain, twin.motion, twin.water, everyone]
     wp.launch(start_twin, dim=twin.n_envs, inputs=inputs, device=twin.device)

@@ -45,7 +45,8 @@ _KINDS: Mapping[str, Any] = {
     "current": wp.vec2d,
     "active": wp.int32,
     "tip": wp.vec2d,
-    "scale": wp.vec4d,
+    "along": wp.vec2d,
+    "wake": wp.vec2d,
 }
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from sim.swimmer import CONTROL_S, Swimmer
-from sim.twin import FITTED, Coefficients, Twin
+from sim.twin import Coefficients, Twin
 from sim2real.body import listed, values
 from sim2real.camera import observed
 from sim2real.errors import InputError
@@ -166,7 +166,7 @@ def with_values(model: Model, given: Mapping[str, float]) -> Model:
     ``water.viscosity_m2_s`` to the fluid, anything else to the body's or the camera's effects.
     """
     joints, body = dict(model.joints), dict(model.body)
-    law = {**vars(FITTED), **body.get("twin", {})}
+    law = dict(vars(Coefficients.of(body)))
     effects = values(model)
     for name, value in given.items():
         head, _, tail = name.partition(".")

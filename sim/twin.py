@@ -7,9 +7,8 @@ never passed off as the fluid. Where the robot floats, only what is under water 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,11 +20,11 @@ from sim.control import remember
 from sim.effects import Outside, outside
 from sim.live import Live
 from sim.rows import chain_rows, change_rows, changed, make_rows, masses, servo_rows
-from sim.shape import Hull, afloat, draught, hull_of
+from sim.shape import Hull, hull_of
 from sim.swimmer import CONTROL_S, State
 from sim.tank import POOL_M
 from sim.twin_kernel import Water, start_twin, swim_twin
-from sim.units import WATER_KG_M3
+from sim.twin_law import FITTED, POINTS, Coefficients, hull_in_water, law_rows, sections
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -35,36 +34,6 @@ Array = NDArray[np.float64]
 
 SUBSTEPS = 8
 """Sub-steps of a control period: halving them moves a swim of 10 s by less than 1 % of its way."""
-POINTS = 3
-
-
-@dataclass(frozen=True)
-class Coefficients:
-    """The water's law; pure numbers, 1 where the textbook's value is right.
-
-    Attributes:
-        across: Drag coefficient of a link that moves across its axis.
-        along: Drag coefficient of the head's cross-section along it.
-        added_mass: Of the mass of the ellipse's circle (Lamb, Hydrodynamics, 1932, art. 71).
-        thrust: Of Lighthill's reactive force at the tail's end.
-        linear: Drag in N s/m, shared by the links according to their lengths.
-    """
-
-    across: float = 1.5
-    along: float = 0.3
-    added_mass: float = 1.0
-    thrust: float = 1.0
-    linear: float = 0.0
-
-    @classmethod
-    def of(cls, body: Mapping[str, Any]) -> Coefficients:
-        """Those of a model's body, the fitted ones of ``FITTED`` where it names none."""
-        given = body.get("twin", {})
-        return replace(FITTED, **{k: float(v) for k, v in given.items()})
-
-
-FITTED = Coefficients(8.228, 2.661, 0.998, 0.0, 1.676)
-"""Fitted to the fluid in cells of 1 cm: ``reports/twin``."""
 
 
 class Twin:
@@ -114,10 +83,9 @@ class Twin:
         if len(models) != n_envs:
             raise InputError("twin", "model", f"{len(models)} models", f"{n_envs}, one a robot")
         self.device: Any = wp.get_device(device)
-        self.hull = hull if hull is not None else hull_of(robot)
-        self._above = draught(self.hull, sum(link.mass_kg for link in robot.links))
-        if self._above is None:
-            self.hull, _ = afloat(self.hull, sum(link.mass_kg for link in robot.links), False)
+        shape = hull if hull is not None else hull_of(robot)
+        self.hull, above = hull_in_water(shape, sum(link.mass_kg for link in robot.links))
+        self._sections = sections(self.hull, above)
         self.outside = outside(robot, models, self.hull)
         if coefficients is None:
             laws = [Coefficients.of(one.body) for one in models]
@@ -139,15 +107,10 @@ class Twin:
         chain["mass"] = np.stack([own.mass, own.inertia], axis=-1)
         chain["water"] = np.zeros((E, L, 2))
         resist = np.array(np.broadcast_to(more.resist, (E, L, 4)))
-        scale = np.array([[c.across, c.along, c.added_mass, c.thrust] for c in laws])
-        scale[:, 2] *= 1 + resist[:, 0, 2]  # added mass belongs to the law here
-        resist[:, :, 2:] = 0.0
-        share = self.hull.length / self.hull.length.sum()
-        resist[:, :, 0] += np.array([c.linear for c in laws])[:, None] * share
+        water = law_rows(self._sections, self.hull, chain["com"], laws, resist[:, 0, 2])
+        resist[:, :, 2:] = 0.0  # added mass belongs to the law here
         chain["resist"] = resist
-        place, tip = self._places(chain["com"])
-        wall = np.broadcast_to(more.wall, (E,))
-        return chain, {"place": place, "tip": tip, "scale": scale, "wall": wall}
+        return chain, {**water, "wall": np.array(np.broadcast_to(more.wall, (E,)))}
 
     def _build(self, models: list[Model], laws: list[Coefficients]) -> None:
         E, L = self.n_envs, len(self.robot.links)
@@ -178,45 +141,15 @@ class Twin:
         s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=self.device)
         s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
-        water, across, along = self._sections()
-        law.mass, law.across = put(water, wp.float64), put(across, wp.float64)
-        law.along = put(along, wp.float64)
         law.pool = wp.vec3d(POOL_M[0] / 2, POOL_M[1] / 2, self.hull.body_length)
-        law.carried = room((E, L), wp.vec3d)
+        law.late = room((E, L, POINTS), wp.float64)
+        law.carried, law.moved = room((E, L), wp.vec3d), room((E, L), wp.vec2d)
         self._friction = room((E, J), wp.float64)
         self._signal = room((E, 1, J), wp.float64)
         self._command = self._signal.reshape((E, J))
         self._own = put(np.arange(E), wp.int32)
         self._no_track = room((E, 0, 3 + J), wp.float64)
         self._stopped = wp.full(E, -1, dtype=wp.int32, device=self.device)
-
-    def _sections(self) -> tuple[Array, Array, Array]:
-        """What the water sees of each link: mass that goes along, drag across, drag along."""
-        _, part, high, wet = self._points()
-        water = WATER_KG_M3 * np.pi / 4 * wet * 2 * high * part
-        across = 0.5 * WATER_KG_M3 * wet * part
-        wide = self.hull.half_width @ _curve(_gauss()[0]).T
-        along = np.zeros(self.hull.length.size)
-        along[0] = 0.5 * WATER_KG_M3 * float((np.pi / 2 * wide * wet).max())
-        return water, across, along
-
-    def _points(self) -> tuple[Array, Array, Array, Array]:
-        """Gauss's points on each link: places, lengths, half-heights, heights under water."""
-        s, weights = _gauss()
-        high = self.hull.half_height @ _curve(s).T  # (L, POINTS), from front to back
-        above = high if self._above is None else np.full_like(high, self._above)
-        part = weights[None] * self.hull.length[:, None]
-        return s, part, high, high + np.clip(above, -high, high)
-
-    def _places(self, com: Array) -> tuple[Array, Array]:
-        """Where those points are about centres of mass at ``com``; the tail's end."""
-        s = _gauss()[0]
-        place = com[:, :, None] - s[None, None] * self.hull.length[None, :, None]
-        end = float(self.hull.half_height[-1, 2])
-        wet_end = end + (end if self._above is None else float(np.clip(self._above, -end, end)))
-        mass = WATER_KG_M3 * np.pi / 4 * wet_end * 2 * end
-        behind = self.hull.length[-1] + self.hull.half_width[-1, 2] - com[:, -1]
-        return place, np.stack([np.full_like(behind, mass), behind], axis=1)
 
     def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
         """Give some robots other models, before their ``reset``; as ``Swimmer.adopt``."""
@@ -243,7 +176,13 @@ class Twin:
             q[:, :3] = pose
         q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
         v[:, :2] = -self.outside.current
-        for array, values in ((self.motion.q, q), (self.motion.v, v)):
+        at_rest = np.zeros((E, J + 1, POINTS))
+        for array, values in (
+            (self.motion.q, q),
+            (self.motion.v, v),
+            (self.water.moved, at_rest[..., :2]),
+            (self.water.late, at_rest),
+        ):
             held = array.numpy()
             held[chosen] = values[chosen]
             array.assign(held)
@@ -354,11 +293,4 @@ class Twin:
         )
 
 
-def _gauss() -> tuple[Array, Array]:
-    nodes, weights = np.polynomial.legendre.leggauss(POINTS)
-    return (nodes + 1) / 2, np.asarray(weights / 2)
-
-
-def _curve(s: Array) -> Array:
-    """Shares of a parabola's front, middle and back value at places s of a link."""
-    return np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)], axis=1)
+__all__ = ["FITTED", "SUBSTEPS", "Coefficients", "Twin"]

@@ -1,15 +1,22 @@
 """The kernels of the reduced-order twin: a chain of links in water that is a force law.
 
-Each link carries water that goes along as it moves across its axis (Kirchhoff's impulse, with the
-turning moment that follows from it), and feels drag across and along it. At the tail's end the
-water keeps the momentum that it has: the reactive thrust of elongated bodies (Lighthill, Proc. R.
-Soc. B 179 (1971) 125), which per length of water m with speed w across and u along the tail is
-- m w u across it and + m w w / 2 along it. Drag is that of Morison et al. (1950), taken implicitly.
-The rest is that of ``sim.multibody``.
+Each link carries water that goes along as it moves across its axis and along it (Kirchhoff's
+impulse, with the turning moment that follows from it), and feels drag across and along it. At the
+tail's end the water keeps the momentum that it has: the reactive thrust of elongated bodies
+(Lighthill, Proc. R. Soc. B 179 (1971) 125), which per length of water m with speed w across and u
+along the tail is - m w u across it and + m w w / 2 along it. Drag is that of Morison et al. (1950)
+and a share linear in the speed, taken implicitly, against water that the robot has set in motion:
+around a link it takes on a share of the link's velocity V in a time T, d moved / dt =
+(share V - moved) / T, and keeps its direction in space. Without it a robot gets up to speed too
+soon, and one that turns swims too fast through the water it stirs. The quadratic drag across,
+C |w| w, grows with the vortices that make it: it is C |w| late, and late follows w over a way, as
+lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that of
+``sim.multibody``.
 """
 
 import warp as wp
 
+from sim import twin_law
 from sim.chain import RING, Chain, Motion
 from sim.joints import drive, stop_joints
 from sim.linear import factorise, solve
@@ -18,8 +25,7 @@ from sim.outside import pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.law import SENSOR_BITS, arrival_time, measured_angle
 
-POINTS = wp.constant(3)
-"""Points of Gauss's rule on a link."""
+POINTS = wp.constant(twin_law.POINTS)
 
 
 @wp.struct
@@ -28,26 +34,36 @@ class Water:
 
     Attributes:
         place: Distance of each point before the link's centre of mass in m, (E, L, POINTS).
-        mass: Water that goes along at each point in kg, (L, POINTS).
-        across: Drag across at each point in N s2/m2, (L, POINTS).
-        along: Drag along each link in N s2/m2, (L,).
+        added: Water that goes along across each point in kg, (E, L, POINTS).
+        broad: Drag across at each point in N s2/m2, (E, L, POINTS).
+        reach: Way in m over which that drag grows at each point, (E, L, POINTS).
+        slow: Drag across at each point in N s/m, (E, L, POINTS).
+        along: Drag along each link in N s/m and in N s2/m2, (E, L).
+        axial: Water that goes along each link along its axis in kg, (E, L).
         tip: Water per length at the tail's end in kg/m, and how far behind the last link's centre
             of mass it ends in m, (E,).
-        scale: Of across, along, mass, and of the thrust at the tail, (E,).
+        wake: Share of a link's velocity that the water around it takes on, its time in s, (E,).
         wall: Share that a wall one body length away adds to the thrust, (E,).
         pool: Half the pool's length and width in m, and the body's length.
         carried: Momentum and spin of the water that went along in the last step, (E, L).
+        moved: Velocity of the water around each link in m/s, in the world's frame, (E, L).
+        late: Speed across each point in m/s that its grown drag stands for, (E, L, POINTS).
     """
 
     place: wp.array3d(dtype=wp.float64)
-    mass: wp.array2d(dtype=wp.float64)
-    across: wp.array2d(dtype=wp.float64)
-    along: wp.array(dtype=wp.float64)
+    added: wp.array3d(dtype=wp.float64)
+    broad: wp.array3d(dtype=wp.float64)
+    reach: wp.array3d(dtype=wp.float64)
+    slow: wp.array3d(dtype=wp.float64)
+    along: wp.array2d(dtype=wp.vec2d)
+    axial: wp.array2d(dtype=wp.float64)
     tip: wp.array(dtype=wp.vec2d)
-    scale: wp.array(dtype=wp.vec4d)
+    wake: wp.array(dtype=wp.vec2d)
     wall: wp.array(dtype=wp.float64)
     pool: wp.vec3d
     carried: wp.array2d(dtype=wp.vec3d)
+    moved: wp.array2d(dtype=wp.vec2d)
+    late: wp.array3d(dtype=wp.float64)
 
 
 @wp.func
@@ -62,10 +78,35 @@ def impulse(e: int, k: int, chain: Chain, s: Motion, water: Water) -> wp.vec3d:
     spin = wp.float64(0.0)
     for j in range(POINTS):
         r = water.place[e, k, j]
-        m = water.scale[e][2] * water.mass[k, j] * (own + V[2] * r)
+        m = water.added[e, k, j] * (own + V[2] * r)
         p += m
         spin += m * r
-    return wp.vec3d(-p * d, p * c, spin)
+    ahead = water.axial[e, k] * (c * V[0] + d * V[1])
+    return wp.vec3d(ahead * c - p * d, ahead * d + p * c, spin)
+
+
+@wp.func
+def stir(e: int, k: int, h: wp.float64, s: Motion, water: Water) -> int:
+    """Let the water around link k take on its share of the link's velocity."""
+    wake = water.wake[e]
+    if wake[0] != wp.float64(0.0):
+        V = s.twist[e, k]
+        moved = water.moved[e, k]
+        kept = wp.exp(-h / wake[1])
+        water.moved[e, k] = kept * moved + (wp.float64(1.0) - kept) * wake[0] * wp.vec2d(V[0], V[1])
+    return 0
+
+
+@wp.func
+def tail_end(e: int, ahead: wp.float64, w: wp.float64, s: Motion, water: Water) -> wp.vec2d:
+    """Lighthill's force at the tail's end, along and across it, more near a wall if so asked."""
+    mass = water.tip[e][0]
+    if water.wall[e] != wp.float64(0.0):
+        at = s.link[e, s.link.shape[1] - 1]
+        gap = wp.min(water.pool[0] - wp.abs(at[0]), water.pool[1] - wp.abs(at[1]))
+        share = water.pool[2] / wp.max(gap, wp.float64(0.5) * water.pool[2])
+        mass = mass * (wp.float64(1.0) + water.wall[e] * share * share)
+    return wp.vec2d(wp.float64(0.5) * mass * w * w, -mass * w * ahead)
 
 
 @wp.func
@@ -86,7 +127,6 @@ def advance_twin(
         s.b[e, i] = h * chain.push[e, i]
         for j in range(i + 1):
             s.A[e, i, j] = zero
-    scale = water.scale[e]
     for k in range(L):
         at = s.link[e, k]
         V = s.twist[e, k]
@@ -94,39 +134,50 @@ def advance_twin(
         d = wp.sin(at[2])
         ahead = c * V[0] + d * V[1]
         own = c * V[1] - d * V[0]
+        moved = water.moved[e, k]
+        flow_t = c * moved[0] + d * moved[1]
+        flow_n = c * moved[1] - d * moved[0]
         a0 = zero
         a1 = zero
         a2 = zero
+        push_n = zero
+        turn = zero
         for j in range(POINTS):
             r = water.place[e, k, j]
-            w = own + V[2] * r
-            both = scale[2] * water.mass[k, j] + h * scale[0] * water.across[k, j] * wp.abs(w)
+            w = own + V[2] * r - flow_n
+            broad = h * water.broad[e, k, j] * wp.abs(w)
+            drag = h * water.slow[e, k, j] + broad
+            both = water.added[e, k, j] + drag
+            back = drag * flow_n
+            if water.reach[e, k, j] > zero:
+                gone = h * wp.sqrt(w * w + (ahead - flow_t) * (ahead - flow_t))
+                behind = (w - water.late[e, k, j]) * wp.exp(-gone / water.reach[e, k, j])
+                back += broad * behind
+                water.late[e, k, j] = w - behind
+            push_n += back
+            turn += back * r
             a0 += both
             a1 += both * r
             a2 += both * r * r
-        along = h * scale[1] * water.along[k] * wp.abs(ahead)
+        rough = water.along[e, k]
+        drag = h * (rough[0] + rough[1] * wp.abs(ahead - flow_t))
+        along = water.axial[e, k] + drag
+        push_t = drag * flow_t
         m = chain.mass[e, k]
         old = water.carried[e, k]
-        across = old[1] * c - old[0] * d
-        R = wp.vec3d(
-            m[0] * V[0] + old[0], m[0] * V[1] + old[1], m[1] * V[2] + old[2] - h * ahead * across
-        )
+        turn += h * (own * (old[0] * c + old[1] * d) - ahead * (old[1] * c - old[0] * d))
+        R = wp.vec3d(m[0] * V[0] + old[0], m[0] * V[1] + old[1], m[1] * V[2] + old[2])
         tied = zero
         if k == 0:
             R += pull(e, h, chain, s)
             tied = h * h * chain.tether[e][0]
         if k == L - 1:
-            tip = water.tip[e]
-            w = own - V[2] * tip[1]
-            near = zero
-            if water.wall[e] != zero:
-                gap = wp.min(water.pool[0] - wp.abs(at[0]), water.pool[1] - wp.abs(at[1]))
-                share = water.pool[2] / wp.max(gap, wp.float64(0.5) * water.pool[2])
-                near = water.wall[e] * share * share
-            mass = scale[3] * scale[2] * tip[0] * (wp.float64(1.0) + near)
-            f_n = -mass * w * ahead
-            f_t = wp.float64(0.5) * mass * w * w
-            R += h * wp.vec3d(f_t * c - f_n * d, f_t * d + f_n * c, -tip[1] * f_n)
+            arm = water.tip[e][1]
+            end = tail_end(e, ahead, own - V[2] * arm, s, water)
+            push_t += h * end[0]
+            push_n += h * end[1]
+            turn -= h * arm * end[1]
+        R += wp.vec3d(push_t * c - push_n * d, push_t * d + push_n * c, turn)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, R)
@@ -155,6 +206,7 @@ def advance_twin(
     move_links(e, chain, s)
     for k in range(L):
         water.carried[e, k] = impulse(e, k, chain, s, water)
+        stir(e, k, h, s, water)
     s.clock[e] = s.clock[e] + h
     return 0
 

@@ -8,7 +8,7 @@ import warp as wp
 from swimming_robots import FISH, servos
 
 from sim.swimmer import CONTROL_S
-from sim.twin import Coefficients, Twin
+from sim.twin import FITTED, Coefficients, Twin
 from sim.twin_kernel import start_twin
 from sim2real.body import listed
 from sim2real.errors import InputError
@@ -126,3 +126,64 @@ def test_bad_input_is_refused():
         twin.step(np.array([0.0, np.nan, 0.0]))
     with pytest.raises(InputError, match="2 models"):
         Twin(FISH, [servos()] * 2, n_envs=3)
+
+
+def test_a_law_of_the_first_five_names_stays_what_it_was():
+    first = {"across": 3.0, "along": 0.5, "added_mass": 0.8, "thrust": 0.7, "linear": 0.5}
+    old = Coefficients.of({"twin": first})
+    assert old == Coefficients(**first)
+    assert (old.slender, old.head, old.tail) == (1.0, 1.0, 1.0)
+    assert (old.axial, old.wake, old.lag) == (0.0, 0.0, 0.0)
+    assert Coefficients.of({"twin": {"across": 3.0}}) == replace(FITTED, across=3.0)
+    assert Coefficients.of({}) == FITTED
+    assert Coefficients.of({"twin": vars(FITTED)}) == FITTED
+
+
+def test_the_water_goes_along_and_a_robot_glides_farther():
+    straight = np.zeros((100, 3))
+    still = Twin(FISH, servos(), n_envs=2, coefficients=[
+        Coefficients(1.5, 1.0, 1.0, 0.0, 1.0, wake=share, wake_s=0.5) for share in (0.0, 0.6)
+    ])  # fmt: skip
+    v = np.zeros((2, 6))
+    v[:, 0] = 0.3
+    still.motion.v.assign(v)
+    ones = wp.array(np.ones(2, np.int32), dtype=wp.int32)
+    wp.launch(start_twin, dim=2, inputs=[still.chain, still.motion, still.water, ones])
+    track = still.swim(straight)
+    gone = track[:, -1, 0] - track[:, 0, 0]
+    assert gone[1] > 1.1 * gone[0]
+    assert track[:, :, 1] == pytest.approx(0, abs=1e-12)
+    moved = still.water.moved.numpy()
+    assert np.all(moved[0] == 0) and np.all(moved[1, :, 0] > 0)
+    still.reset()
+    assert np.all(still.water.moved.numpy() == 0)
+
+
+def test_an_added_mass_along_the_body_takes_its_share_of_a_push():
+    heavy = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0, axial=1.0)
+    twin = Twin(FISH, servos(), n_envs=2, coefficients=[DRY, heavy])
+    push = np.zeros((2, 6))
+    push[:, 0] = 0.1
+    twin.chain.push.assign(push)
+    twin.swim(np.zeros((50, 3)))
+    speed = twin.motion.v.numpy()[:, 0]
+    mass = sum(link.mass_kg for link in FISH.links)
+    carried = twin.water.axial.numpy()[1].sum()
+    assert speed[0] / speed[1] == pytest.approx(1 + carried / mass, rel=1e-6)
+    assert carried == pytest.approx(mass, rel=0.15)  # it floats: it displaces its own mass
+
+
+def test_drag_that_lags_by_nothing_is_drag_that_does_not_lag():
+    base = Coefficients(4.0, 1.0, 1.0, 0.3, 1.0)
+    laws = [replace(base, lag=lag) for lag in (0.0, 1e-9, 1.0)]
+    track = Twin(FISH, servos(), n_envs=3, coefficients=laws).swim(signal(3.0))
+    assert track[1] == pytest.approx(track[0], abs=1e-9)
+    assert np.abs(track[2] - track[0]).max() > 1e-3
+
+
+def test_added_mass_and_drag_are_shared_as_the_law_says():
+    laws = [Coefficients(), Coefficients(head=0.5, tail=2.0)]
+    water = Twin(FISH, servos(), n_envs=2, coefficients=laws).water
+    added, broad = water.added.numpy(), water.broad.numpy()
+    assert added[1] / added[0] == pytest.approx(np.array([0.5, 1, 1, 1])[:, None].repeat(3, 1))
+    assert broad[1] / broad[0] == pytest.approx(np.array([1, 1, 1, 2.0])[:, None].repeat(3, 1))
