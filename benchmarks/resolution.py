@@ -1,10 +1,11 @@
-"""How the three-joint robot's swimming speed depends on the size of the cells, in three dimensions.
+"""How swimming speed and forces depend on the size of the cells, in three dimensions.
 
     python benchmarks/resolution.py [--device cuda:0] [--cells 0.02 0.01 0.005] [--out FOLDER]
 
-The robot swims with its servos under travelling waves; its speed is that of the last seconds. What
-coarse cells cost is put right by one number, an added form drag (negative: relief), chosen on the
-first wave alone and judged on the others. Writes ``resolution.json`` and ``resolution.png``.
+The three-joint robot swims with its servos under four travelling waves; its speed is that of the
+last seconds. Then its body is held: towed straight, beating without advance, beating while towed.
+What other runs have found for other cells or waves stays in ``resolution.json``, so that cells can
+be swum on several machines; ``resolution.png`` shows all.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +22,18 @@ from fluid_speed import MODEL, ROBOT
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from sim.multibody import HELD
 from sim.swimmer import CONTROL_S, Swimmer
-from sim2real.body import listed
 
 Array = NDArray[np.float64]
 
 VISCOSITY_M2_S = 5e-5
-"""The same at all sizes, so that only the cells differ: the least that is safe at 2 cm."""
-SECONDS, COUNTED = 12.0, 4.0
-RELIEF = -np.array([0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0])
-"""Added form drag that is tried on coarse cells."""
+"""The same at all sizes, so that only the cells differ."""
+SECONDS, COUNTED = 8.0, 4.0
+HELD_S, HELD_COUNTED = 3.0, 2.0
+ADVANCE = (0.2, 0.0, 0.18)
+CASES = ("towed at 0.2 m/s", "beat", "beat, towed at 0.18 m/s")
+_SIZE, _LAG = np.array([0.30, 0.45, 0.60]), 1.2 * np.arange(3)
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,7 @@ class Wave:
 
     def command(self, t: float) -> Array:
         """Set-points in rad, growing over the first second, shape (3,)."""
-        bend = np.array([0.30, 0.45, 0.60]) * np.sin(
-            2 * np.pi * self.hertz * t - 1.2 * np.arange(3)
-        )
+        bend = _SIZE * np.sin(2 * np.pi * self.hertz * t - _LAG)
         return np.asarray(min(1.0, t) * self.scale * bend)
 
     @property
@@ -62,103 +63,121 @@ WAVES = (Wave(1.0, 1.0), Wave(1.5, 0.8), Wave(0.75, 1.2), Wave(1.0, 0.7))
 
 
 def main() -> None:
-    """Swim at each size, correct the coarse ones, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Swim and hold at each size, print, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cells", type=float, nargs="+", default=[0.04, 0.02])
+    parser.add_argument("--cells", type=float, nargs="*", default=[0.04, 0.02])
+    parser.add_argument("--waves", type=int, nargs="*", default=[0, 1, 2, 3], help="which swim")
+    parser.add_argument("--no-held", action="store_true", help="do not measure held forces")
     parser.add_argument("--out", type=Path, default=Path("reports/resolution"))
     options = parser.parse_args()
-    finest = min(options.cells)
-    rows = []
-    for cell in sorted(options.cells, reverse=True):
-        relief = RELIEF if cell > finest else RELIEF[:1]
-        speed, more = swim(cell, options.device, relief)
-        rows.append({"cell_m": cell, "speed_m_s": speed.tolist(), "relief": relief.tolist()} | more)
-        shown = "  ".join(f"{w.name} {v:.4f}" for w, v in zip(WAVES, speed[:, 0], strict=True))
-        print(f"{cell:g} m: {shown} m/s ({more['wall_s']:.0f} s)", flush=True)
-    fine = np.array(rows[-1]["speed_m_s"])[:, 0]
-    for row in rows[:-1]:
-        row["corrected"] = corrected(np.array(row["speed_m_s"]), fine)
-        print(f"{row['cell_m']:g} m: {row['corrected']}")
-    result: dict[str, Any] = {"waves": [wave.name for wave in WAVES], "rows": rows}
-    if len(rows) >= 3:
-        result["order"] = order([np.array(row["speed_m_s"])[:, 0] for row in rows[-3:]])
-        print(f"order seen: {result['order']}")
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "resolution.json").write_text(json.dumps(result, indent=1) + "\n")
-    draw(result, options.out / "resolution.png")
+    target = options.out / "resolution.json"
+    rows: dict[float, dict[str, Any]] = {}
+    if target.exists():
+        rows = {row["cell_m"]: row for row in json.loads(target.read_text())["rows"]}
+    for cell in sorted(options.cells, reverse=True):
+        row = rows.setdefault(cell, {"cell_m": cell, "speed_m_s": [[None, None] for _ in WAVES]})
+        start = time.perf_counter()
+        speed = swim(cell, options.device, options.waves) if options.waves else []
+        for k, found in zip(options.waves, speed, strict=True):
+            row["speed_m_s"][k] = [float(x) for x in found]
+        if not options.no_held:
+            row["force_N"] = [float(x) for x in held(cell, options.device)]
+        row["wall_s"] = time.perf_counter() - start
+        shown = "  ".join(
+            f"{WAVES[k].name} {v:.4f}" for k, (v, _) in zip(options.waves, speed, strict=True)
+        )
+        print(
+            f"{cell:g} m: {shown} m/s, held {row.get('force_N')} N ({row['wall_s']:.0f} s)",
+            flush=True,
+        )
+        result = {
+            "waves": [wave.name for wave in WAVES], "cases": list(CASES),
+            "viscosity_m2_s": VISCOSITY_M2_S,
+            "rows": [rows[c] for c in sorted(rows, reverse=True)],
+        }  # fmt: skip
+        target.write_text(json.dumps(result, indent=1) + "\n")
+    draw(json.loads(target.read_text()), options.out / "resolution.png")
+
+
+def swim(cell: float, device: str, which: list[int]) -> Array:
+    """Speed of each wave, and how much its halves differ, shape (waves, 2); NaN where it broke."""
+    waves = [WAVES[k] for k in which]
+    swimmer = Swimmer(
+        ROBOT, MODEL, n_envs=len(waves), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
+        device=device, threads=2,
+    )  # fmt: skip
+    path = []
+    for k in tqdm(range(round(SECONDS / CONTROL_S)), desc=f"{cell:g} m", disable=None):
+        swimmer.step(np.array([wave.command(k * CONTROL_S) for wave in waves]))
+        path.append(swimmer.state().pose[:, :2])
+    places, stopped = np.array(path), swimmer.state().stopped
+    out = np.full((len(waves), 2), np.nan)
+    for k, wave in enumerate(waves):
+        back = round(round(COUNTED * wave.hertz) / wave.hertz / CONTROL_S)
+        if stopped[k] < 0:
+            end, begin = places[-1, k], places[-1 - back, k]
+            middle = places[-1 - back // 2, k]
+            halves = [np.linalg.norm(part) for part in (end - middle, middle - begin)]
+            seconds = back * CONTROL_S
+            out[k] = np.linalg.norm(end - begin) / seconds, 2 * (halves[0] - halves[1]) / seconds
+    return out
+
+
+def held(cell: float, device: str) -> Array:
+    """Mean force along the body of each of ``CASES`` in N, its motion prescribed."""
+    swimmer = Swimmer(
+        ROBOT, MODEL, n_envs=len(CASES), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
+        device=device, threads=2,
+    )  # fmt: skip
+    bodies, h = swimmer.bodies, swimmer.units.step_s
+    beats = np.array([0.0, 1.0, 1.0])[:, None]
+
+    def joints(t: float) -> Array:
+        return np.asarray(beats * min(1.0, 2 * t) * _SIZE * np.sin(2 * np.pi * t - _LAG))
+
+    every, force = max(1, swimmer.substeps // 16), []
+    for k in tqdm(range(round(HELD_S / CONTROL_S)), desc=f"{cell:g} m, held", disable=None):
+        seen = []
+        for j in range(swimmer.substeps):
+            t = k * CONTROL_S + j * h
+            v = np.zeros((len(CASES), 3 + len(_SIZE)))
+            v[:, 0] = np.array(ADVANCE) * min(1.0, t / 0.3)
+            v[:, 3:] = (joints(t + h) - joints(t)) / h
+            bodies.prescribe(v)
+            bodies.step(HELD)
+            if j % every == 0:
+                seen.append(bodies.motion.force.numpy()[:, :, 0].sum(axis=1))
+        swimmer._sponge()
+        force.append(np.mean(seen, axis=0))
+    return np.asarray(np.mean(force[-round(HELD_COUNTED / CONTROL_S) :], axis=0))
 
 
 def draw(result: dict[str, Any], target: Path) -> None:
-    """Speed against the cell, and with the correction that the first wave chose."""
+    """Speed and force against the cell, over those in the finest cells."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7, 4.4), layout="constrained")
-    rows = result["rows"]
+    rows = sorted(result["rows"], key=lambda row: -row["cell_m"])
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained", sharex=True)
     for k, wave in enumerate(result["waves"]):
-        speed = [row["speed_m_s"][k][0] for row in rows]
-        (line,) = axes.plot([100 * row["cell_m"] for row in rows], speed, "o-", label=wave)
-        for row in rows[:-1]:
-            after = speed[-1] * (1 + row["corrected"]["after"][k])
-            axes.plot(100 * row["cell_m"], after, "s", mfc="none", color=line.get_color())
-    axes.invert_xaxis()
-    axes.set(xlabel="side of a cell (cm)", ylabel="speed (m/s)")
-    axes.legend(frameon=False, title="wave; squares: corrected by one form drag")
+        swum = [(row["cell_m"], row["speed_m_s"][k][0]) for row in rows if row["speed_m_s"][k][0]]
+        axes[0].plot([100 * c for c, _ in swum], [v for _, v in swum], "o-", label=wave)
+    for k, case in enumerate(result["cases"]):
+        pushed = [(row["cell_m"], row["force_N"][k]) for row in rows if "force_N" in row]
+        axes[1].plot([100 * c for c, _ in pushed], [f for _, f in pushed], "o-", label=case)
+    axes[0].set(ylabel="speed (m/s)", ylim=(0, None), title="swimming freely")
+    axes[1].set(ylabel="mean force along the body (N)", title="body held, motion prescribed")
+    for axis in axes:
+        axis.set(xlabel="side of a cell (cm)", xscale="log")
+        axis.set_xticks([2, 1, 0.5, 0.25], ["2", "1", "0.5", "0.25"])
+        axis.minorticks_off()
+        axis.invert_xaxis() if axis is axes[0] else None
+        axis.legend(frameon=False, fontsize=8)
     figure.savefig(target, dpi=120)
-
-
-def corrected(speed: Array, fine: Array) -> dict[str, Any]:
-    """The relief that gives the first wave its fine speed, and what it does to the others."""
-    first = np.where(np.isfinite(speed[0]), speed[0], -np.inf)
-    best = int(np.argmax(first))
-    rising = first[: best + 1]
-    relief = float(np.interp(fine[0], rising, RELIEF[: best + 1]))
-    others = [float(np.interp(-relief, -RELIEF[: best + 1], row[: best + 1])) for row in speed]
-    return {
-        "form_drag": relief,
-        "reached": bool(first[best] >= fine[0]),
-        "before": (speed[:, 0] / fine - 1).round(3).tolist(),
-        "after": (np.array(others) / fine - 1).round(3).tolist(),
-    }
-
-
-def order(speeds: list[Array]) -> list[float | None]:
-    """Order of convergence of each wave's speed; None where the differences don't shrink."""
-    coarse, middle, fine = speeds
-    ratio = (middle - coarse) / (fine - middle)
-    return [round(float(np.log2(r)), 2) if r > 1 else None for r in ratio]
-
-
-def swim(cell: float, device: str, relief: Array) -> tuple[Array, dict[str, Any]]:
-    """Speed of each wave under each relief, shape (waves, reliefs); NaN where it broke down."""
-    models = [
-        replace(MODEL, body={"effects": listed({"form_drag.coefficient": float(c)})})
-        for _ in WAVES
-        for c in relief
-    ]
-    swimmer = Swimmer(
-        ROBOT, models, n_envs=len(models), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
-        device=device, threads=2,
-    )  # fmt: skip
-    start, path = time.perf_counter(), []
-    for k in tqdm(range(round(SECONDS / CONTROL_S)), desc=f"{cell:g} m", disable=None):
-        sent = np.repeat([wave.command(k * CONTROL_S) for wave in WAVES], len(relief), axis=0)
-        swimmer.step(sent)
-        path.append(swimmer.state().pose[:, :2])
-    places, stopped = np.array(path), swimmer.state().stopped
-    speed = np.full(len(models), np.nan)
-    for k in range(len(models)):
-        wave = WAVES[k // len(relief)]
-        beats = round(COUNTED * wave.hertz)
-        back = round(beats / wave.hertz / CONTROL_S)
-        if stopped[k] < 0:
-            moved = places[-1, k] - places[-1 - back, k]
-            speed[k] = np.linalg.norm(moved) / (back * CONTROL_S)
-    more = {"cells": swimmer.fluid.cells, "wall_s": time.perf_counter() - start}
-    return speed.reshape(len(WAVES), len(relief)), more
 
 
 if __name__ == "__main__":

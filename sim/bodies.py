@@ -8,14 +8,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.cell import Covered
 from sim.chain import RING, Chain, Motion, OnGrid
 from sim.coupling import FIXED_POINT, SUMS, cover_kernel
-from sim.effects import OFF, Outside
+from sim.effects import OFF, Outside, surface_drag
 from sim.fluid import Fluid
 from sim.multibody import FREE, HELD, KINEMATIC, advance, move, start
 from sim.rows import Masses, chain_rows, change_rows, make_rows
 from sim.shape import Hull, displaced
 from sim.units import Units
+from sim.wall import MEMORY, NO_SLIP, Wall
 from sim2real.servo.parameters import CELLS, COLUMNS
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ almost whole: ``inset_at`` for the viscosities at which robots swim."""
 THINNEST = INSET + 0.15
 """Smallest half-width and half-height in cells: a thinner fin, set in, would slip between them."""
 _MARGIN = 3
-_NO_LIMIT = 1e6
+_NO_LIMIT, _FINE = 1e6, 60
 
 
 def inset_at(viscosity: float) -> float:
@@ -51,6 +53,7 @@ class Bodies:
         fluid: The boxes.
         hull: The links' shape.
         units: Size of a cell and of a step.
+        wall: How the robots touch the water.
         displaced: Mass, centre and inertia of the water that each link displaces, shape (L, 3).
         middle: Height of the robots' middle in cells.
     """
@@ -66,6 +69,7 @@ class Bodies:
         limits: Array | None = None,
         origin_m: tuple[float, float] = (0.0, 0.0),
         middle: float | None = None,
+        wall: Wall = NO_SLIP,
         inset: float = INSET,
         virtual_mass: float = VIRTUAL_MASS,
         outside: Outside = OFF,
@@ -83,25 +87,29 @@ class Bodies:
             origin_m: World coordinates of the cell (0, 0).
             middle: Height of the robot's middle in cells; that of the box where None. What rises
                 above the box's top is out of the water.
-            inset: How far the surface is set in, in cells.
-            virtual_mass: Share of the displaced water on both sides of the equations.
+            wall: How the robots touch the water.
+            inset: How far the surface is set in, in cells, where the water does not slip.
+            virtual_mass: Share of the displaced water on both sides of the equations, likewise.
             outside: What acts on the robots beside the water.
         """
         self.fluid, self.hull, self.units = fluid, hull, units
         E, L = fluid.boxes, hull.length.size
         J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
         device = fluid.device
-        least = THINNEST * units.cell_m
+        least = 0.0 if wall.slip else THINNEST * units.cell_m
         seen = Hull(
             hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
         )
         nz = fluid.size[2]
         self.middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
         surface = (nz - 0.5 - self.middle) * units.cell_m
-        water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
+        if wall.slip:
+            water = displaced(hull, hull.body_length / _FINE, 0.0, flat, surface)
+        else:
+            water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
-        self._virtual = virtual_mass
+        self.wall, self._virtual = wall, virtual_mass
 
         def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
@@ -122,7 +130,8 @@ class Bodies:
         chain.widest = wp.float64(hull.half_width.max())
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
-        s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
+        s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
+        s.fresh = room((E,), wp.int32)
         s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
         s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
         s.clock = room((E,), wp.float64)
@@ -134,16 +143,19 @@ class Bodies:
         grid.mass = wp.float64(units.mass_kg)
         grid.origin = wp.vec2d(*origin_m)
         grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
-        grid.corner = room((E,), wp.vec4i)
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
-        fluid.solid = room((E * fluid.cells,), wp.float32)
+        grid.kept = room((E, L), wp.float32)
+        grid.memory = wp.float32(MEMORY)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
-        half_width = seen.half_width / units.cell_m - inset
-        half_height = seen.half_height / units.cell_m - inset
+        set_in = 0.0 if wall.slip else inset
+        half_width = seen.half_width / units.cell_m - set_in
+        half_height = seen.half_height / units.cell_m - set_in
+        if flat:
+            half_height = np.full_like(half_height, _NO_LIMIT)
         self._shape = (
             put((hull.length / units.cell_m).astype(np.float32), wp.float32),
             put(half_width.astype(np.float32), wp.vec3),
@@ -152,8 +164,15 @@ class Bodies:
         reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
         self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
         tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
-        self._low = 0 if flat else max(0, int(self.middle) - tall)
-        self._high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
+        low = 0 if flat else max(0, int(self.middle) - tall)
+        high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
+        covered = fluid.covered = Covered()
+        covered.side, covered.low, covered.tall = self._side, low, high - low
+        cells = E * self._side**2 * covered.tall
+        covered.corner = grid.corner = room((E,), wp.vec4i)
+        covered.share = room((cells,), wp.float32)
+        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
+        self._touch = wall.touch(hull.body_length, units)
         self._cover = cover_kernel(fluid.lattice, fluid.storage, fluid.wide)
         self.place(np.zeros((E, N)))
 
@@ -164,12 +183,15 @@ class Bodies:
         water = self.displaced
         mass, inertia = (np.broadcast_to(x, (E, L)) for x in (masses.mass, masses.inertia))
         inside = water[:, 2] + water[:, 0] * (rows["com"] - water[:, 1]) ** 2
-        rows["mass"] = np.stack([mass - water[:, 0], inertia - inside], axis=-1)
+        kept = 0.0 if self.wall.slip else 1.0  # where it slips, the inner water is accounted for
+        rows["mass"] = np.stack([mass - kept * water[:, 0], inertia - kept * inside], axis=-1)
         carried = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
-        rows["water"] = self._virtual * carried
+        rows["water"] = kept * self._virtual * carried
         resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
         resist[:, :, 2] *= water[:, 0]
         resist[:, :, 3] *= inside
+        if not self.wall.slip:
+            resist[:, :, 1] += surface_drag(outside, self.hull)
         rows["resist"] = resist
         return rows
 
@@ -205,9 +227,9 @@ class Bodies:
             self._cover,
             (fluid.boxes, self._side**2),
             [
-                fluid.f, fluid.flags, fluid.box, fluid.t, self._side, self._low, self._high,
-                self.middle, self.grid.corner, self.grid.pose, self.grid.centre, *self._shape,
-                fluid.solid, self.grid.sums, fluid.stopped,
+                fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered, self.middle, self._touch,
+                self.chain.rough, self.grid.kept, self.grid.pose, self.grid.twist, self.grid.centre,
+                *self._shape, self.grid.sums, fluid.stopped,
             ],
         )  # fmt: skip
         self._launch(
@@ -238,8 +260,8 @@ class Bodies:
     def momentum(self) -> Array:
         """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
 
-        Less that of the water inside them, which the fluid has; with the virtual mass's share, what
-        the scheme conserves.
+        Less that of the water inside them, which the fluid has; without slip with the virtual
+        mass's share, what the scheme conserves.
         """
         m, w = self.chain.mass.numpy(), self.chain.water.numpy()
         V, before, at = (
@@ -248,7 +270,8 @@ class Bodies:
         P = m[..., :1] * V[..., :2] + w[..., :1] * (V - before)[..., :2]
         spin = m[..., 1] * V[..., 2] + w[..., 1] * (V - before)[..., 2]
         L = spin + at[..., 0] * P[..., 1] - at[..., 1] * P[..., 0]
-        return np.concatenate([P.sum(axis=1), L.sum(axis=1)[:, None]], axis=1)
+        whole = np.concatenate([P.sum(axis=1), L.sum(axis=1)[:, None]], axis=1)
+        return np.asarray(whole - self.motion.inner.numpy().sum(axis=1))
 
 
 __all__ = ["FREE", "HELD", "KINEMATIC", "Bodies", "Masses", "inset_at"]

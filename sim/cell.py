@@ -19,6 +19,29 @@ class Box:
     total: int
 
 
+@wp.struct
+class Covered:
+    """The cells that bodies cover: those of a square about each body, layer by layer.
+
+    Attributes:
+        side: Cells along a side of the squares.
+        low, tall: Lowest layer, and how many.
+        corner: Where each body's cells begin in the plane and how far they go, (E,).
+        share: Number of the link that a cell belongs to plus its solid share, (E side side tall,).
+        face: Normal of the surface there, and the share of the velocity along it that the body
+            takes away in a step, (E side side tall,).
+        more: Velocity that the cell gets besides, (E side side tall,).
+    """
+
+    side: int
+    low: int
+    tall: int
+    corner: wp.array(dtype=wp.vec4i)
+    share: wp.array(dtype=wp.float32)
+    face: wp.array(dtype=wp.vec4)
+    more: wp.array(dtype=wp.vec3)
+
+
 @wp.func
 def place(n: int, box: Box) -> wp.vec3i:
     """Coordinates of a cell in its box."""
@@ -26,6 +49,15 @@ def place(n: int, box: Box) -> wp.vec3i:
     x = rest % box.nx
     rest = rest // box.nx
     return wp.vec3i(x, rest % box.ny, rest // box.ny)
+
+
+@wp.func
+def within(x: int, size: int) -> int:
+    """A coordinate anywhere outside, back inside."""
+    rest = x % size
+    if rest < 0:
+        rest += size
+    return rest
 
 
 @wp.func

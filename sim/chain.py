@@ -21,6 +21,7 @@ class Chain:
         active: Effects that are on, (E, J).
         memory: Memory of the effects, (E, J, cells).
         push: Outside forces along the coordinates, (E, N).
+        rough: Added friction coefficient of each link's surface, (E, L).
         resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, mass across it in
             kg, inertia in kg m2, (E, L).
         skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (E, J).
@@ -41,6 +42,7 @@ class Chain:
     active: wp.array2d(dtype=wp.int32)
     memory: wp.array3d(dtype=wp.float64)
     push: wp.array2d(dtype=wp.float64)
+    rough: wp.array2d(dtype=wp.float64)
     resist: wp.array2d(dtype=wp.vec4d)
     skin: wp.array2d(dtype=wp.vec4d)
     coupling: wp.array(dtype=wp.float64)
@@ -61,6 +63,8 @@ class Motion:
         twist: Its velocity, (E, L).
         before: Its velocity a step earlier, (E, L).
         force: Force and torque of the fluid on each link in the last step, (E, L).
+        inner: Momentum of the water inside it, the moment about the origin, (E, L).
+        fresh: 1 before the first step, when that momentum is not known, (E,).
         torque: Torque of each servo, (E, J).
         impulse, stop: Impulses of dry friction and of the limit at each joint, (E, J).
         strain: Angle to which the skin over each joint has relaxed, (E, J).
@@ -77,6 +81,8 @@ class Motion:
     twist: wp.array2d(dtype=wp.vec3d)
     before: wp.array2d(dtype=wp.vec3d)
     force: wp.array2d(dtype=wp.vec3d)
+    inner: wp.array2d(dtype=wp.vec3d)
+    fresh: wp.array(dtype=wp.int32)
     torque: wp.array2d(dtype=wp.float64)
     impulse: wp.array2d(dtype=wp.float64)
     stop: wp.array2d(dtype=wp.float64)
@@ -93,7 +99,11 @@ class Motion:
 
 @wp.struct
 class OnGrid:
-    """The robots as the fluid sees them, in lattice units, and its sums over them."""
+    """The robots as the fluid sees them, in lattice units, and its sums over them.
+
+    ``kept`` is the velocity along each link's axis that the cells beside it get back in a step
+    (``coupling``), a mean over ``memory`` steps, (E, L).
+    """
 
     cell: wp.float64
     step: wp.float64
@@ -106,4 +116,6 @@ class OnGrid:
     twist: wp.array2d(dtype=wp.vec4)
     position: wp.array(dtype=wp.vec2)
     sums: wp.array3d(dtype=wp.int64)
+    kept: wp.array2d(dtype=wp.float32)
+    memory: wp.float32
     scale: wp.float64

@@ -24,6 +24,7 @@ class Outside:
     Attributes:
         com: Distance in m by which the centres of mass lie further back, (E, 1).
         side: Distance in m of the centres of mass to the left of the axis, (E, 1).
+        rough: Added friction coefficient of each link's surface, (E, L).
         resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, share of the displaced
             water that goes along across it and as it turns, (E, L, 4).
         skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (E, J, 4).
@@ -36,6 +37,7 @@ class Outside:
 
     com: Array
     side: Array
+    rough: Array
     resist: Array
     skin: Array
     coupling: Array
@@ -62,16 +64,13 @@ def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
         return np.array([one.get(name, 0.0) for one in given])
 
     frontal = np.pi * float((hull.half_width * hull.half_height).max())
-    around = np.pi * (hull.half_width + hull.half_height).mean(axis=1)
-    wetted = around * hull.length
-    resist = np.zeros((E, L, 4))
+    resist, rough = np.zeros((E, L, 4)), np.zeros((E, L))
     share = hull.length / hull.length.sum()
     resist[:, :, 0] = column("linear_drag.coefficient")[:, None] * share
     resist[:, 0, 1] = 0.5 * WATER_KG_M3 * frontal * column("form_drag.coefficient")
     for k, link in enumerate(robot.links):
-        rough = column(f"surface_friction.{link.material or ''}.coefficient")
-        rough = rough + (column("surface_friction..coefficient") if link.material else 0.0)
-        resist[:, k, 1] += 0.5 * WATER_KG_M3 * wetted[k] * rough
+        rough[:, k] = column(f"surface_friction.{link.material or ''}.coefficient")
+        rough[:, k] += column("surface_friction..coefficient") if link.material else 0.0
     resist[:, :, 2:] = column("added_mass.ratio")[:, None, None]
     skin = np.stack(
         [
@@ -85,6 +84,7 @@ def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
     return Outside(
         com=-column("com_offset.x_m")[:, None],
         side=column("com_offset.y_m")[:, None],
+        rough=rough,
         resist=resist,
         skin=np.broadcast_to(skin[:, None], (E, L - 1, 4)),
         coupling=column("skin_coupling.stiffness_Nm_per_rad"),
@@ -95,6 +95,17 @@ def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
     )
 
 
+def surface_drag(outside: Outside, hull: Hull) -> Array:
+    """Drag of the added friction along each link in N s2/m2, shape (E, L).
+
+    For water that shows no velocity along the skin: rho / 2 times the skin's area.
+    """
+    around = np.pi * (hull.half_width + hull.half_height).mean(axis=1)
+    return np.asarray(0.5 * WATER_KG_M3 * around * hull.length * outside.rough)
+
+
 _ZERO = np.zeros(1)
-OFF = Outside(_ZERO, _ZERO, np.zeros(4), np.zeros(4), _ZERO, np.zeros(3), _ZERO, np.zeros(2), _ZERO)
+OFF = Outside(
+    _ZERO, _ZERO, _ZERO, np.zeros(4), np.zeros(4), _ZERO, np.zeros(3), _ZERO, np.zeros(2), _ZERO
+)
 """Nothing beside the water."""

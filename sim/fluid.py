@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box
+from sim.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box, Covered
 from sim.kernels import kernels
 from sim.lattice import Lattice
 from sim.populations import allocate, is_wide, most_cells
@@ -107,7 +107,11 @@ class Fluid:
         self._driven = False
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
         self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
-        self.solid: Any = wp.zeros(1, dtype=wp.float32, device=self.device)
+        self.covered = Covered()
+        self.covered.corner = wp.zeros(1, dtype=wp.vec4i, device=self.device)
+        self.covered.share = wp.zeros(1, dtype=wp.float32, device=self.device)
+        self.covered.face = wp.zeros(1, dtype=wp.vec4, device=self.device)
+        self.covered.more = wp.zeros(1, dtype=wp.vec3, device=self.device)
         self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
         self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
@@ -201,7 +205,7 @@ class Fluid:
             int(count),
             [
                 self.f, self.flags, self.box, int(first), self.t, self.tau, self._rates, self.magic,
-                self.smagorinsky**2, int(self._driven), self.drive, self.solid, self.twist,
+                self.smagorinsky**2, int(self._driven), self.drive, self.covered, self.twist,
                 self.centre, self.stopped,
             ],
             block_dim=BLOCK,

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.cell import BODY, FLUID, KIND, Box, place
+from sim.cell import BODY, FLUID, KIND, Box, Covered, place, within
 from sim.collision import collision
 from sim.lattice import Lattice
 from sim.populations import populations
@@ -47,24 +47,26 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         e: int,
         box: Box,
         u: wp.vec3,
-        solid: wp.array(dtype=wp.float32),
+        covered: Covered,
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
     ) -> wp.vec3:
-        """Change of velocity that the body's share of a cell asks for.
-
-        ``solid`` holds the number of the link and its share of the cell in one number.
-        """
-        held = solid[n]
+        """Change of velocity that the body's share of a cell asks for."""
+        at = place(n, box)
+        corner = covered.corner[e]
+        dx = within(at[0] - corner[0], box.nx)
+        dy = within(at[1] - corner[1], box.ny)
+        slot = ((e * covered.side + dy) * covered.side + dx) * covered.tall + at[2] - covered.low
+        held = covered.share[slot]
+        face = covered.face[slot]
         link = int(held)
         share = held - float(link)
-        at = place(n, box)
-        x = float(at[0]) - centre[e, link][0]
-        y = float(at[1]) - centre[e, link][1]
-        x -= float(box.nx) * wp.floor(x / float(box.nx) + 0.5)
-        y -= float(box.ny) * wp.floor(y / float(box.ny) + 0.5)
+        x = float(corner[0] + dx) - centre[e, link][0]
+        y = float(corner[1] + dy) - centre[e, link][1]
         v = twist[e, link]
-        return share * wp.vec3(v[0] - v[2] * y - u[0], v[1] + v[2] * x - u[1], -u[2])
+        lack = wp.vec3(v[0] - v[2] * y - u[0], v[1] + v[2] * x - u[1], -u[2])
+        o = wp.vec3(face[0], face[1], face[2])
+        return face[3] * lack + (share - face[3]) * wp.dot(o, lack) * o + covered.more[slot]
 
     @wp.kernel(
         enable_backward=False,
@@ -84,7 +86,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         square: float,
         driven: int,
         drive: wp.array(dtype=wp.vec3),
-        solid: wp.array(dtype=wp.float32),
+        covered: Covered,
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
         stopped: wp.array(dtype=wp.int32),
@@ -112,7 +114,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(BODY)) + driven != 0:
             push = drive[e]
             if (flag & wp.static(BODY)) != 0:
-                push += body_push(n, e, box, inv * m, solid, twist, centre)
+                push += body_push(n, e, box, inv * m, covered, twist, centre)
             out = pushed(out, 1.0 + rest, inv * m, push)
         if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells

@@ -2,14 +2,15 @@
 
 Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. What is carried
 from step to step are the links' momenta in the world frame; they are projected on the Jacobian of
-the new pose, so no term for centrifugal forces is needed. With M the links' mass less that of the
-water inside them, C and p the fluid's sums (``coupling``), V the links' velocities, the new
-coordinates' velocities v solve
+the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, D, a and p the
+fluid's sums (``coupling``), P the momentum of the water inside the links, V the links' velocities,
+the new coordinates' velocities v solve
 
-    sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p) + h T,
+    sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-where B is a virtual mass on both sides that cancels at constant acceleration; T are the servos'
-torques, their gains taken implicitly, and h the step. Dry friction and joint limits are impulses
+Where the water does not slip, M is the mass less that of the water inside, p and P are 0, and B is
+a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, their
+gains taken implicitly, and h the step. Dry friction and joint limits are impulses
 that can stop a joint but not turn it round, found by projected Gauss-Seidel sweeps (Acary and
 Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). The virtual mass:
 Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float64, SI.
@@ -18,6 +19,7 @@ Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float
 import warp as wp
 
 from sim.chain import Chain, Motion, OnGrid
+from sim.coupling import SUMS
 from sim.joints import drive, stop_joints
 from sim.linear import factorise, solve
 from sim.outside import carried, pull, resist, skin
@@ -125,6 +127,36 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
     return 0
 
 
+@wp.func
+def matrix(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.mat33d:
+    """A symmetric matrix of the fluid's sums over link k, in kg, kg m and kg m2."""
+    c = grid.cell
+    xx = wp.float64(grid.sums[e, k, at]) * unit
+    xy = wp.float64(grid.sums[e, k, at + 1]) * unit
+    yy = wp.float64(grid.sums[e, k, at + 2]) * unit
+    xw = wp.float64(grid.sums[e, k, at + 3]) * unit * c
+    yw = wp.float64(grid.sums[e, k, at + 4]) * unit * c
+    ww = wp.float64(grid.sums[e, k, at + 5]) * unit * c * c
+    return wp.mat33d(xx, xy, xw, xy, yy, yw, xw, yw, ww)
+
+
+@wp.func
+def vector(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.vec3d:
+    """A vector of the fluid's sums over link k, in N s and N m s."""
+    c = grid.cell / grid.step
+    return wp.vec3d(
+        wp.float64(grid.sums[e, k, at]) * unit * c,
+        wp.float64(grid.sums[e, k, at + 1]) * unit * c,
+        wp.float64(grid.sums[e, k, at + 2]) * unit * c * grid.cell,
+    )
+
+
+@wp.func
+def about(p: wp.vec3d, x: wp.vec3d, sign: wp.float64) -> wp.vec3d:
+    """A momentum with its moment taken from a point to the origin (1), or back (-1)."""
+    return wp.vec3d(p[0], p[1], p[2] + sign * (x[0] * p[1] - x[1] * p[0]))
+
+
 @wp.kernel(enable_backward=False)
 def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32)):
     """Pose robots as their coordinates say; only where ``mask`` is set."""
@@ -133,9 +165,12 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
         return
     pose_links(e, chain, s)
     move_links(e, chain, s)
+    s.fresh[e] = 1
     for k in range(chain.length.shape[0]):
+        grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
-        for i in range(7):
+        s.inner[e, k] = wp.vec3d()
+        for i in range(wp.static(SUMS)):
             grid.sums[e, k, i] = wp.int64(0)
     show(e, chain, s, grid)
 
@@ -166,15 +201,12 @@ def advance(
     unit = grid.mass / grid.scale
     c = grid.cell
     for k in range(L):
-        k0 = wp.float64(grid.sums[e, k, 0]) * unit
-        kx = wp.float64(grid.sums[e, k, 1]) * unit * c
-        ky = wp.float64(grid.sums[e, k, 2]) * unit * c
-        kr = wp.float64(grid.sums[e, k, 3]) * unit * c * c
-        p = wp.vec3d(
-            wp.float64(grid.sums[e, k, 4]) * unit * c / h,
-            wp.float64(grid.sums[e, k, 5]) * unit * c / h,
-            wp.float64(grid.sums[e, k, 6]) * unit * c * c / h,
-        )
+        K = matrix(e, k, 0, unit, grid)
+        p = vector(e, k, 15, unit, grid) - vector(e, k, 12, unit, grid)
+        if s.fresh[e] == 0:
+            p -= about(s.inner[e, k], s.link[e, k], wp.float64(-1.0))
+        else:
+            p -= vector(e, k, 15, unit, grid)
         s.force[e, k] = p
         m = chain.mass[e, k]
         w = chain.water[e, k]
@@ -193,11 +225,7 @@ def advance(
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
-            Ka = wp.vec3d(
-                (M + k0 + tied) * a[0] - ky * a[2],
-                (M + k0 + tied) * a[1] + kx * a[2],
-                (inertia + kr) * a[2] - ky * a[0] + kx * a[1],
-            )
+            Ka = K * a + wp.vec3d((M + tied) * a[0], (M + tied) * a[1], inertia * a[2])
             Ka += resist(e, k, h, a, chain, s)
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
@@ -234,18 +262,18 @@ def advance(
     move_links(e, chain, s)
     for k in range(L):
         V = s.twist[e, k]
-        k0 = wp.float64(grid.sums[e, k, 0]) * unit
-        kx = wp.float64(grid.sums[e, k, 1]) * unit * c
-        ky = wp.float64(grid.sums[e, k, 2]) * unit * c
-        kr = wp.float64(grid.sums[e, k, 3]) * unit * c * c
-        taken = wp.vec3d(
-            k0 * V[0] - ky * V[2], k0 * V[1] + kx * V[2], kr * V[2] - ky * V[0] + kx * V[1]
-        )
-        s.force[e, k] = (s.force[e, k] - taken) / h
+        s.force[e, k] = (s.force[e, k] - matrix(e, k, 0, unit, grid) * V) / h
+        inner = vector(e, k, 15, unit, grid) + matrix(e, k, 6, unit, grid) * V
+        s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
+        share = float(0.0)
+        if grid.sums[e, k, 19] > wp.int64(0) and s.fresh[e] == 0:  # then they moved with the body
+            share = float(wp.float64(grid.sums[e, k, 18]) / wp.float64(grid.sums[e, k, 19]))
+        grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
-        for i in range(7):
+        for i in range(wp.static(SUMS)):
             grid.sums[e, k, i] = wp.int64(0)
+    s.fresh[e] = 0
     s.clock[e] = s.clock[e] + h
 
 
@@ -256,8 +284,11 @@ def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
     total = wp.float64(0.0)
     for k in range(chain.length.shape[0]):
         x = s.link[e, k] + ahead * s.twist[e, k]
-        at += chain.water[e, k][0] * wp.vec2d(x[0], x[1])
-        total += chain.water[e, k][0]
+        weight = chain.water[e, k][0]
+        if weight == wp.float64(0.0):
+            weight = chain.mass[e, k][0]
+        at += weight * wp.vec2d(x[0], x[1])
+        total += weight
     return at / total
 
 
@@ -272,7 +303,7 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
     e = wp.tid()
     if stopped[e] >= 0:
         return
-    free = mode != wp.static(HELD) and chain.water[e, 0][0] > wp.float64(0.0)
+    free = mode != wp.static(HELD)
     wanted = wp.vec2d()
     if free:
         wanted = middle(e, grid.step, chain, s)

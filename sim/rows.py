@@ -64,6 +64,7 @@ def chain_rows(masses: Masses, servos: Array, outside: Outside, E: int) -> dict[
     return {
         "com": np.broadcast_to(masses.com + outside.com, (E, L)),
         "side": np.broadcast_to(outside.side, (E, L)),
+        "rough": np.broadcast_to(outside.rough, (E, L)),
         "skin": np.broadcast_to(outside.skin, (E, J, 4)),
         "coupling": np.broadcast_to(outside.coupling, (E,)),
         "tether": np.broadcast_to(outside.tether, (E, 3)),

@@ -20,6 +20,7 @@ from sim.rows import changed, masses, servo_rows
 from sim.shape import Hull, afloat, draught, hull_of
 from sim.tank import WINDOW_M, Tank, pool, window
 from sim.units import WATER_M2_S, Units
+from sim.wall import SLIP, Wall
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -31,8 +32,10 @@ CONTROL_S = 0.02
 TOP_SPEED_M_S = 1.2
 """Speed of the tail that the step is made for: it then moves 0.15 cells a step."""
 LEAST_VISCOSITY = 3e-4
-"""Smallest viscosity in lattice units; water's is below what cells of a centimetre can show."""
-SMAGORINSKY = 0.1
+"""Viscosity in lattice units that eddies in the cells survive as published cases say; water's own
+can be stated where the wall slips, and hardly moves a swim (``reports/resolution``)."""
+SMAGORINSKY = 0.17
+"""Lilly's constant of the sub-grid viscosity."""
 _FASTEST = 0.15
 _SPONGE = 0.5
 
@@ -43,7 +46,7 @@ def steps_of(cell_m: float) -> int:
 
 
 def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
-    """Smallest viscosity in m2/s that is safe in cells of this size; water's where that is more."""
+    """Viscosity in m2/s that is taken in cells of this size where none is stated."""
     step_s = CONTROL_S / (substeps or steps_of(cell_m))
     return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
 
@@ -99,6 +102,7 @@ class Swimmer:
         dimensions: int = 3,
         box_m: tuple[float, float, float] = WINDOW_M,
         walls: bool = False,
+        wall: Wall = SLIP,
         depth_m: float | None = None,
         viscosity_m2_s: float | Array | None = None,
         smagorinsky: float = SMAGORINSKY,
@@ -119,11 +123,14 @@ class Swimmer:
             dimensions: 2 (plan view) or 3.
             box_m: Length, width and depth of a box.
             walls: Close the box with walls; else it goes with the robot.
+            wall: How the robot touches the water: slipping along it, its friction a stress, which
+                suits robots of decimetres; ``NO_SLIP`` where cells resolve the boundary layer.
             depth_m: Depth of the robot's middle below the surface, its heights scaled so that it
                 neither rises nor sinks. Where None it floats as deep as its mass takes it; one
                 that would sink swims half-way down.
-            viscosity_m2_s: Effective viscosity, one or one for each box. Water's is below what such
-                cells can show, so this is a parameter to calibrate; as low as is safe where None.
+            viscosity_m2_s: Viscosity of the water away from the wall, one or one for each box:
+                water's own, 1e-6, or more, for what small eddies take beyond the sub-grid model;
+                the model's (``body.water``), or that of ``least_viscosity``, where None.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
             hull: The links' shape; from the robot's file where None.
@@ -151,7 +158,7 @@ class Swimmer:
         if viscosity_m2_s is None:
             least = least_viscosity(cell_m, substeps)
             own = [one.body.get("water", {}).get("viscosity_m2_s", least) for one in models]
-            viscosity_m2_s = np.maximum(own, least)
+            viscosity_m2_s = np.maximum(own, WATER_M2_S if wall.slip else least)
         self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
         self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
         self.fluid = Fluid(
@@ -181,6 +188,7 @@ class Swimmer:
             limits=np.array([joint.limits_rad for joint in robot.joints]),
             origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
             middle=middle,
+            wall=wall,
             outside=self.outside,
         )
         self.step_count = 0

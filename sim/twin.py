@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim.chain import RING, Chain, Motion
 from sim.control import remember
-from sim.effects import Outside, outside
+from sim.effects import Outside, outside, surface_drag
 from sim.live import Live
 from sim.rows import chain_rows, change_rows, changed, make_rows, masses, servo_rows
 from sim.shape import Hull, hull_of
@@ -109,6 +109,7 @@ class Twin:
         resist = np.array(np.broadcast_to(more.resist, (E, L, 4)))
         water = law_rows(self._sections, self.hull, chain["com"], laws, resist[:, 0, 2])
         resist[:, :, 2:] = 0.0  # added mass belongs to the law here
+        resist[:, :, 1] += surface_drag(more, self.hull)
         chain["resist"] = resist
         return chain, {**water, "wall": np.array(np.broadcast_to(more.wall, (E,)))}
 

@@ -77,8 +77,8 @@ class Coefficients:
 FIRST = frozenset(("across", "along", "added_mass", "thrust", "linear"))
 """Names of the law as it first was."""
 FITTED = Coefficients(
-    across=4.7, along=0.001, added_mass=1.236, thrust=0.273, linear=5.512, slender=1.66,
-    head=0.5077, axial=0.5565, wake=0.7691, wake_s=0.3404, tail=1.377, lag=0.8648,
+    across=4.006, along=0.4228, added_mass=0.5036, thrust=1.146, linear=0.00343, slender=19.99,
+    head=1.501, axial=0.001003, wake=0.1006, wake_s=1.509, tail=0.7669, lag=0.02,
 )  # fmt: skip
 """Fitted to the fluid in cells of 1 cm: ``reports/twin``."""
 

@@ -1,9 +1,10 @@
 """Robots in a pool that the library does not know: one box of water each, all boxes at once.
 
 The water is the lattice-Boltzmann fluid of ``sim`` in cells of its own size, with another
-viscosity, another sub-grid constant and other relaxation times than what is calibrated and trained
-in. The joints that it is given are slack: what moves them, and all else that acts on a robot, is
-written in this folder in NumPy, for all robots at once, and shares no code with the library's laws.
+viscosity, another sub-grid constant, another friction line and other relaxation times than what is
+calibrated and trained in. The joints that it is given are slack: what moves them, and all else that
+acts on a robot, is written in this folder in NumPy, for all robots at once, and shares no code with
+the library's laws.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from truth import Truth, values
 
 from sim.fluid import Fluid
 from sim.swimmer import CONTROL_S, Swimmer
+from sim.wall import Wall
 from sim2real.model import JointModel, Model
 from sim2real.robot import Robot, read_robot
 
@@ -28,7 +30,9 @@ Array = NDArray[np.float64]
 ROBOT = Path(__file__).parent / "robot.toml"
 VISCOSITY_M2_S = 4e-5
 SMAGORINSKY, MAGIC = 0.14, 1e-2
-"""Of the sub-grid viscosity, and of the two relaxation times; the library has 0.1 and 3/16."""
+"""Of the sub-grid viscosity, and of the two relaxation times; the library has 0.17 and 3/16."""
+WALL = Wall(slip=True, line="laminar")
+"""Its friction follows Blasius's line; the library's robots have the turbulent one."""
 
 
 class World:
@@ -64,7 +68,7 @@ class World:
         with _other_collision():
             self.swimmer = Swimmer(
                 self.robot, model, n_envs=len(self.truths), cell_m=cell_m, device=device,
-                viscosity_m2_s=VISCOSITY_M2_S, smagorinsky=SMAGORINSKY,
+                viscosity_m2_s=VISCOSITY_M2_S, smagorinsky=SMAGORINSKY, wall=WALL,
                 substeps=max(32, 2 * int(np.ceil(CONTROL_S * 1.4 / 0.15 / cell_m / 2))), threads=2,
             )  # fmt: skip
         self.h = CONTROL_S / self.swimmer.substeps

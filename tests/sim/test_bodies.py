@@ -84,8 +84,7 @@ def test_the_sums_over_a_body_are_those_of_what_it_displaces():
     bodies.place(bodies.motion.q.numpy() + [0.3, 0.2, 0.4, 0, 0, 0])  # nowhere special on the grid
     bodies.prescribe(np.zeros(6))
     bodies.step(HELD)
-    flags = fluid.flags.numpy() & 64
-    share = (fluid.solid.numpy() % 1)[flags > 0]
+    share = fluid.covered.share.numpy() % 1
     assert share.sum() == pytest.approx(bodies.displaced[:, 0].sum(), rel=0.03)
 
 

@@ -121,6 +121,6 @@ def test_a_mass_to_the_left_is_pushed_to_the_right():
     head = swimmer.state().pose[0]
     assert head[1] == pytest.approx(0.0, abs=1e-12)  # coordinates are those of the mass
     swimmer.bodies.push(np.array([[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]]))
-    for _ in range(20):
+    for _ in range(40):  # a slipping robot turns slowly
         swimmer.step(np.zeros(3))
     assert swimmer.state().pose[0, 2] < -1e-3
