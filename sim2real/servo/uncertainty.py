@@ -69,13 +69,15 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         effective += error.size / time
     samples = sum(error.size for error in fit.residuals)
     level, directions = np.linalg.eigh(curvature)
-    level = np.maximum(level, 1e-12 * max(level[-1], 1e-300))
+    least = 1e-12 * max(level[-1], 1e-300)
+    level = np.maximum(level, least)
     independent = (squares / samples) * plain
     along = np.maximum(
         np.einsum("ik,ij,jk->k", directions, spread, directions),
         np.einsum("ik,ij,jk->k", directions, independent, directions),
     )
-    along_sd = np.sqrt(along) / level
+    # what the data do not see at all is round-off, of either sign
+    along_sd = np.where(level > least, np.sqrt(np.maximum(along, 0.0)) / level, np.inf)
     seen = along_sd < _OPEN_SD
     inverse = directions[:, seen] / level[seen] @ directions[:, seen].T
     at_least = inverse @ independent @ inverse

@@ -16,8 +16,16 @@ FISH = Robot(
 )
 
 
+LAW = {
+    "across": 4.7, "along": 0.001, "added_mass": 1.236, "thrust": 0.273, "linear": 5.512,
+    "slender": 1.66, "head": 0.5077, "axial": 0.5565, "wake": 0.7691, "wake_s": 0.3404,
+    "tail": 1.377, "lag": 0.8648,
+}  # fmt: skip
+"""A twin's law of its own: the fitted one's may change."""
+
+
 def servos(kp=2.2, kd=0.06, latency=0.068, effects=()):
     """Three servos of one kind, with (effect, parameters) in each."""
     fitted = tuple(FittedEffect(name, values) for name, values in effects)
     joint = JointModel(kp, kd, latency, 0.002, effects=fitted)
-    return Model(joints={one.name: joint for one in FISH.joints})
+    return Model(joints={one.name: joint for one in FISH.joints}, body={"twin": LAW})

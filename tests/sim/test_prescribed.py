@@ -85,7 +85,8 @@ def test_what_another_simulation_hides_is_named_and_helps_films_left_out(benchma
         assert all(one["gain"] < best["gain"] - 5 for one in others)
         assert best["probability"] > 0.9
     error = {name: rows.mean(axis=0) for name, rows in found["errors"].items()}
-    assert error["calibrated"][2] < error["uncalibrated"][2]
+    assert error["calibrated"][2] < 0.5 * error["textbook"][2]
+    assert error["diagnosed"][2] < error["calibrated"][2]
     assert error["diagnosed"][1] < 0.5 * error["calibrated"][1]
     assert np.array_equal(error["diagnosed"], error["with pool_current"])
 
