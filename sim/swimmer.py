@@ -32,8 +32,7 @@ CONTROL_S = 0.02
 TOP_SPEED_M_S = 1.2
 """Speed of the tail that the step is made for: it then moves 0.15 cells a step."""
 LEAST_VISCOSITY = 3e-4
-"""Viscosity in lattice units that eddies in the cells survive as published cases say; water's own
-can be stated where the wall slips, and hardly moves a swim (``reports/resolution``)."""
+"""Viscosity in lattice units where none is stated; it hardly matters: ``reports/resolution``."""
 SMAGORINSKY = 0.17
 """Lilly's constant of the sub-grid viscosity."""
 _FASTEST = 0.15
@@ -128,9 +127,8 @@ class Swimmer:
             depth_m: Depth of the robot's middle below the surface, its heights scaled so that it
                 neither rises nor sinks. Where None it floats as deep as its mass takes it; one
                 that would sink swims half-way down.
-            viscosity_m2_s: Viscosity of the water away from the wall, one or one for each box:
-                water's own, 1e-6, or more, for what small eddies take beyond the sub-grid model;
-                the model's (``body.water``), or that of ``least_viscosity``, where None.
+            viscosity_m2_s: Viscosity of the water away from the wall, one or one for each box: its
+                own, 1e-6, or more; the model's or that of ``least_viscosity`` where None.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
             hull: The links' shape; from the robot's file where None.
