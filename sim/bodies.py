@@ -187,6 +187,7 @@ class Bodies:
         rows["mass"] = np.stack([mass - kept * water[:, 0], inertia - kept * inside], axis=-1)
         carried = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
         rows["water"] = kept * self._virtual * carried
+        rows["weight"] = np.array((rows["mass"] if self.wall.slip else rows["water"])[..., 0])
         resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
         resist[:, :, 2] *= water[:, 0]
         resist[:, :, 3] *= inside

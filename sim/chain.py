@@ -13,6 +13,7 @@ class Chain:
     Attributes:
         mass: Mass and inertia of each link less those of the water inside it, (E, L).
         water: Mass and inertia of that water times the share that is virtual, (E, L).
+        weight: Of each link in the centre that goes straight on in a step (``move``), (E, L).
         com: Distance of the centre of mass from the front end, (E, L).
         side: Its distance to the left of the axis, (E, L).
         length: (L,).
@@ -34,6 +35,7 @@ class Chain:
 
     mass: wp.array2d(dtype=wp.vec2d)
     water: wp.array2d(dtype=wp.vec2d)
+    weight: wp.array2d(dtype=wp.float64)
     com: wp.array2d(dtype=wp.float64)
     side: wp.array2d(dtype=wp.float64)
     length: wp.array(dtype=wp.float64)

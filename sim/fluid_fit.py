@@ -1,7 +1,7 @@
 """Fit parameters to swims in a simulator that is known to be wrong by a share of what moves.
 
-In cells of a centimetre a swimmer is slow by a third, and corrected for one wave still wrong by 3
-to 33 % for others (``reports/resolution``). A fit that takes what is left for noise believes every
+In cells of a centimetre a swimmer is up to an eighth too fast or slow, another way under each wave
+(``reports/resolution``). A fit that takes what is left for noise believes every
 parameter that hides it. Here the error of a signal at a moment is normal, with the recording's
 noise and ``SHARE`` of the signal's size about that moment, and it lasts: a signal counts as one
 sample an autocorrelation time of what is left of it. Intervals and evidence are Laplace's (MacKay,

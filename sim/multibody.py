@@ -2,7 +2,7 @@
 
 Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. What is carried
 from step to step are the links' momenta in the world frame; they are projected on the Jacobian of
-the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, D, a and p the
+the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, a and p the
 fluid's sums (``coupling``), P the momentum of the water inside the links, V the links' velocities,
 the new coordinates' velocities v solve
 
@@ -279,16 +279,13 @@ def advance(
 
 @wp.func
 def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
-    """Centre of the links' water, ``ahead`` seconds on at the links' velocities."""
+    """Centre of the links' weights, ``ahead`` seconds on at the links' velocities."""
     at = wp.vec2d()
     total = wp.float64(0.0)
     for k in range(chain.length.shape[0]):
         x = s.link[e, k] + ahead * s.twist[e, k]
-        weight = chain.water[e, k][0]
-        if weight == wp.float64(0.0):
-            weight = chain.mass[e, k][0]
-        at += weight * wp.vec2d(x[0], x[1])
-        total += weight
+        at += chain.weight[e, k] * wp.vec2d(x[0], x[1])
+        total += chain.weight[e, k]
     return at / total
 
 
@@ -303,7 +300,7 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
     e = wp.tid()
     if stopped[e] >= 0:
         return
-    free = mode != wp.static(HELD)
+    free = mode != wp.static(HELD) and chain.weight[e, 0] > wp.float64(0.0)
     wanted = wp.vec2d()
     if free:
         wanted = middle(e, grid.step, chain, s)
