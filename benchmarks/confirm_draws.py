@@ -19,7 +19,7 @@ import numpy as np
 
 import sim2real as s2r
 from rl.randomize import draw_models
-from sim.swims import SIGNALS, by_fluid, simulated, swim_of
+from sim.inference.swims import SIGNALS, by_fluid, simulated, swim_of
 from sim2real.model import read_model
 from sim2real.ranges.entry import read_ranges
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from real_fish import read_clip
 
 import sim2real as s2r
-from sim.prescribed import RUN_UP_S
-from sim.swimmer import CONTROL_S
-from sim.swims import Swim, swim_of
+from sim.inference.swims import Swim, swim_of
+from sim.robot.swimmer import CONTROL_S
+from sim.twin.prescribed import RUN_UP_S
 from sim2real.recording import Recording
 
 Array = NDArray[np.float64]

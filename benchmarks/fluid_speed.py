@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from sim.fluid import Fluid, find_device
-from sim.lattice import D2Q9, D3Q19, Lattice
-from sim.swimmer import Swimmer
+from sim.fluid.fluid import Fluid, find_device
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice
+from sim.robot.swimmer import Swimmer
 from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 

@@ -12,11 +12,11 @@ from filmed import Film, by_beat, by_regression, errors
 from numpy.typing import NDArray
 
 import sim2real as s2r
-from sim.calibrate import Calibrated, Free, calibrate, law_parameters
-from sim.diagnose_swims import candidates
-from sim.prescribed import by_film, follower
-from sim.swims import Simulator, Swim, simulated
-from sim.twin import Coefficients
+from sim.inference.calibrate import Calibrated, Free, calibrate, law_parameters
+from sim.inference.diagnose_swims import candidates
+from sim.inference.swims import Simulator, Swim, simulated
+from sim.twin.prescribed import by_film, follower
+from sim.twin.twin import Coefficients
 from sim2real.model import Model
 
 Array = NDArray[np.float64]

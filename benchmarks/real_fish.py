@@ -24,8 +24,8 @@ from scipy.optimize import brentq
 from tqdm import tqdm
 
 import sim2real as s2r
-from sim.shape import draught, hull_of
-from sim.swimmer import CONTROL_S, Swimmer
+from sim.robot.shape import draught, hull_of
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.body import listed
 from sim2real.model import JointModel, Model
 

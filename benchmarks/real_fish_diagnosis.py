@@ -24,7 +24,7 @@ from real_fish import CLIPS, FRAMES, RIVAL_M_S, floating
 from tqdm import tqdm
 
 import sim2real as s2r
-from sim.diagnose_swims import diagnose_swims
+from sim.inference.diagnose_swims import diagnose_swims
 from sim2real.output import write_json
 
 Array = NDArray[np.float64]

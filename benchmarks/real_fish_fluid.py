@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import sim2real as s2r
-from sim.swimmer import CONTROL_S, Swimmer
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import JointModel, Model
 from sim2real.output import write_json
 from sim2real.velocity import body_velocity

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from rl.reality import read_reality
+from rl.experiments.reality import read_reality
 from rl.task import TASKS
-from sim.fluid import find_device
+from sim.fluid.fluid import find_device
 from sim2real.robot import read_robot
 
 ROBOT = Path(__file__).parents[1] / "datasets" / "pool" / "robot.toml"

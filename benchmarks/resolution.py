@@ -22,8 +22,8 @@ from fluid_speed import MODEL, ROBOT
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.multibody import HELD
-from sim.swimmer import CONTROL_S, Swimmer
+from sim.robot.multibody import HELD
+from sim.robot.swimmer import CONTROL_S, Swimmer
 
 Array = NDArray[np.float64]
 

@@ -136,8 +136,8 @@ def amplitude(u: Any) -> float:  # noqa: ANN401
 
 def ours(_: str, size: int, threads: int) -> Box:
     """Our fluid."""
-    from sim.fluid import Fluid
-    from sim.lattice import D3Q19
+    from sim.fluid.fluid import Fluid
+    from sim.lattice.velocities import D3Q19
 
     fluid = Fluid(D3Q19, (size,) * 3, viscosity=VISCOSITY, threads=threads)
     fluid.set(velocity=np.stack([wave(size), 0 * wave(size), 0 * wave(size)], axis=-1))

@@ -18,10 +18,10 @@ import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
-from rl.agents import Agents, Settings
 from rl.env import action_space, observation_space
 from rl.pool import make_world
-from rl.sac import make_sac
+from rl.sac.agents import Agents, Settings
+from rl.sac.sac import make_sac
 from rl.task import TASKS
 from rl.world import Draws, World
 from sim2real.model import read_model

@@ -37,8 +37,8 @@ from rl.metrics import Metrics, measure
 from rl.pool import make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
-from sim.swims import with_values
-from sim.twin import Coefficients
+from sim.inference.swims import with_values
+from sim.twin.twin import Coefficients
 from sim2real.model import Model
 from sim2real.output import write_whole
 

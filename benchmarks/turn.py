@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import sim2real as s2r
-from sim.legend import colours
-from sim.plane import Plane, depth, plane_of
-from sim.render import picture
-from sim.shape import Hull
-from sim.swimmer import CONTROL_S, Swimmer
-from sim.video import FRAMES_PER_S, Video
+from sim.robot.shape import Hull
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.view.legend import colours
+from sim.view.plane import Plane, depth, plane_of
+from sim.view.render import picture
+from sim.view.video import FRAMES_PER_S, Video
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from twin_report import report
 from twin_signals import HELD_OUT, SIGNALS, UNSTEADY, set_points
 
 import sim2real as s2r
-from sim.swimmer import CONTROL_S, Swimmer
-from sim.twin import Coefficients, Twin
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.twin import Coefficients, Twin
 from sim2real.model import JointModel, Model
 from sim2real.velocity import body_velocity
 

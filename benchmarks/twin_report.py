@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.swimmer import CONTROL_S
+from sim.robot.swimmer import CONTROL_S
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def _head(result: dict[str, Any]) -> list[str]:
         "# How well the twin stands in for the fluid\n",
         f"`python benchmarks/twin_fit.py`: the fluid in cells of {100 * result['cell_m']:g} cm,"
         f" {len(rows)} swims of ten seconds,",
-        f"the last {held} not seen by the fit. The coefficients' meaning: `sim/twin_law.py`.\n",
+        f"the last {held} not seen by the fit. The coefficients' meaning: `sim/twin/law.py`.\n",
         "| coefficient | fitted | standard deviation |",
         "|---|---:|---:|",
     ]

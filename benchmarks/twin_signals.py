@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.swimmer import CONTROL_S
+from sim.robot.swimmer import CONTROL_S
 
 Array = NDArray[np.float64]
 Signal = Callable[[float], Array]

@@ -11,8 +11,8 @@ import time
 import numpy as np
 from fluid_speed import MODEL, ROBOT
 
-from sim.swimmer import CONTROL_S
-from sim.twin import SUBSTEPS, Twin
+from sim.robot.swimmer import CONTROL_S
+from sim.twin.twin import SUBSTEPS, Twin
 
 SECONDS = 12.0
 

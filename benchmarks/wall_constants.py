@@ -4,7 +4,7 @@
 
 A disc and a plate, nowhere special on the grid, are set in motion across their axis; the water that
 goes along tells how large they seem. Printed: by how many cells a disc's radius and a plate's half
-width seem too large, for each value that ``sim.wall`` could have.
+width seem too large, for each value that ``sim.fluid.wall`` could have.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import argparse
 import numpy as np
 from numpy.typing import NDArray
 
-import sim.wall
-from sim.bodies import HELD, Bodies, Masses
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull
-from sim.units import Units
-from sim.wall import Wall
+import sim.fluid.wall
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import Wall
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import HELD, Bodies, Masses
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 
@@ -36,10 +36,10 @@ def main() -> None:
     options = parser.parse_args()
     rng = np.random.default_rng(1)
     for inset in options.inset:
-        sim.wall.INSET = inset
+        sim.fluid.wall.INSET = inset
         print(f"inset {inset:g}: disc", *(f"{r:g} cells {disc(r, rng):+.2f}," for r in RADII))
     for edge in options.edge:
-        sim.wall.EDGE = edge
+        sim.fluid.wall.EDGE = edge
         print(f"edge {edge:g}: plate", *(f"{h:g} cells {plate(h, rng):+.2f}," for h in HALVES))
 
 

@@ -12,7 +12,7 @@ import torch
 from rl.randomize import draw_models, noise_of
 from rl.task import Task
 from rl.world import Draws, World
-from sim.live import Simulator, use_stream
+from sim.robot.live import Simulator, use_stream
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
@@ -79,11 +79,11 @@ def make_world(
     models = [blocks[e * len(blocks) // n_envs].models[0] for e in range(n_envs)]
     simulator: Simulator
     if fidelity == "twin":
-        from sim.twin import Twin
+        from sim.twin.twin import Twin
 
         simulator = Twin(robot, models, n_envs=n_envs, device=device, threads=threads, **options)
     else:
-        from sim.swimmer import Swimmer
+        from sim.robot.swimmer import Swimmer
 
         simulator = Swimmer(
             robot, models, n_envs=n_envs, device=device, cell_m=cell_m, threads=threads, **options

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.swims import with_values
+from sim.inference.swims import with_values
 from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError

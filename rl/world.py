@@ -17,7 +17,7 @@ from torch.utils.dlpack import from_dlpack
 
 from rl.randomize import Noise
 from rl.task import Task, observation, observation_bounds, reward
-from sim.live import Simulator
+from sim.robot.live import Simulator
 from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
 

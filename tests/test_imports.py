@@ -127,13 +127,21 @@ def test_light_modules_import_nothing_heavy() -> None:
         ("sim2real/fit.py", "def f():\n    import rl", "sim2real/fit.py:2 imports rl from"),
         ("sim2real/a/b.py", "if True:\n    import rl", "sim2real/a/b.py:2 imports rl from"),
         ("sim2real/a/b.py", "from ...rl import env", "imports rl from the floor above"),
-        ("sim/fluid.py", "from rl import task", "imports rl from the floor above"),
-        ("sim/fluid.py", "import importlib\nimportlib.import_module('rl.env')", "imports rl.env"),
-        ("sim2real/cli.py", "import sim.fluid", "imports sim.fluid from the floor above"),
+        ("sim/water.py", "from rl import task", "imports rl from the floor above"),
+        (
+            "sim/water.py",
+            "import importlib\nimportlib.import_module('rl.env')",
+            "imports rl.env",
+        ),
+        (
+            "sim2real/cli.py",
+            "import sim.fluid",
+            "imports sim.fluid from the floor above",
+        ),
         ("sim2real/cli.py", "class A:\n    import rl", "imports rl from the floor above"),
         ("sim2real/cli.py", "try:\n    import numpy as np\nfinally:\n    pass", "before it is"),
         ("sim2real/__init__.py", "from scipy.stats import chi2", "imports scipy before it is"),
-        ("sim/fluid.py", "import casadi", "imports casadi, allowed in sim2real/ only"),
+        ("sim/water.py", "import casadi", "imports casadi, allowed in sim2real/ only"),
         (
             "rl/env.py",
             "def f():\n    import warp as wp",
@@ -157,7 +165,10 @@ def test_an_offence_is_found(tmp_path: Path, file: str, source: str, why: str) -
     ("file", "source"),
     [
         ("rl/env.py", "import sim.fluid, sim2real\nimport torch, gymnasium, numpy"),
-        ("sim/fluid.py", "import warp\nfrom sim2real.robot import Robot\nfrom . import units"),
+        (
+            "sim/water.py",
+            "import warp\nfrom sim2real.robot import Robot\nfrom . import units",
+        ),
         ("sim2real/servo/fit.py", "import casadi, warp, numpy, scipy, pandas, simulate_me"),
         ("sim2real/cli.py", "def train():\n    from rl import train\n    import numpy.linalg"),
         ("sim2real/hardware/bus.py", "import serial, cv2"),

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from truth import Truth
 from world import VISCOSITY_M2_S, World
 
-from sim.swimmer import CONTROL_S
+from sim.robot.swimmer import CONTROL_S
 from sim2real.recording import Recording, write_recording
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 The world of ``p1`` and more: its skin, and besides friction and play in the servos, latencies that
 drift, and two rough materials. Camera and servos show what they show in the recordings. Nothing
-here may be read by a fit or a training. What the interface is: ``rl.reality``.
+here may be read by a fit or a training. What the interface is: ``rl.experiments.reality``.
 """
 
 from __future__ import annotations

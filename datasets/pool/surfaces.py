@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from truth import Truth, values
 
-from sim.shape import Hull
+from sim.robot.shape import Hull
 from sim2real.robot import Robot
 
 Array = NDArray[np.float64]

@@ -19,9 +19,9 @@ from servos import Servos
 from surfaces import Surfaces
 from truth import Truth, values
 
-from sim.fluid import Fluid
-from sim.swimmer import CONTROL_S, Swimmer
-from sim.wall import Wall
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import Wall
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import JointModel, Model
 from sim2real.robot import Robot, read_robot
 

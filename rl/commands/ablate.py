@@ -10,17 +10,17 @@ from typing import Any
 
 import torch
 
-from rl.ablation import ablate
-from rl.ablation_report import markdown, write_report
-from rl.agents import Settings
-from rl.arms import ARMS, arm_of
 from rl.executor import Job, run_jobs
-from rl.jobs import QUICK
-from rl.places import Place, Real, Simulated
+from rl.experiments.ablation import ablate
+from rl.experiments.ablation_report import markdown, write_report
+from rl.experiments.arms import ARMS, arm_of
+from rl.experiments.places import Place, Real, Simulated
+from rl.experiments.reality import RealityFile, read_reality
 from rl.randomize import noise_of
-from rl.reality import RealityFile, read_reality
+from rl.sac.agents import Settings
+from rl.sac.jobs import QUICK
+from rl.sac.train import Arm, Plan
 from rl.task import TASKS
-from rl.train import Arm, Plan
 from rl.world import Draws
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
@@ -185,7 +185,7 @@ def train_one(
     plan: dict[str, Any],
 ) -> None:
     """One arm and seed, as a job; see ``rl.executor``."""
-    from rl.train import train
+    from rl.sac.train import train
 
     torch.set_num_threads(1)
     fish = read_robot(robot)

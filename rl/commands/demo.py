@@ -11,16 +11,23 @@ from pathlib import Path
 
 import torch
 
-from rl.ablation import ablate
-from rl.ablation_report import keeps, markdown, reward_figure, rows, way_figure, write_report
-from rl.agents import Settings
-from rl.arms import ARMS, arm_of
 from rl.commands.ablate import tried_in
+from rl.experiments.ablation import ablate
+from rl.experiments.ablation_report import (
+    keeps,
+    markdown,
+    reward_figure,
+    rows,
+    way_figure,
+    write_report,
+)
+from rl.experiments.arms import ARMS, arm_of
+from rl.sac.agents import Settings
+from rl.sac.train import Plan
 from rl.task import TASKS
-from rl.train import Plan
-from sim.calibrate import Calibrated, calibrate, law_parameters, servo_parameters
-from sim.calibration_plot import comparison
-from sim.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
+from sim.inference.calibrate import Calibrated, calibrate, law_parameters, servo_parameters
+from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
+from sim.view.calibration_plot import comparison
 from sim2real.check import check
 from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling

@@ -12,15 +12,15 @@ import numpy as np
 import torch
 
 from rl.controllers import Controller
-from rl.evaluate import Episodes, PolicyController, run_episodes, summary
-from rl.export import read_zip
-from rl.film import Film
-from rl.forward import read_npz
+from rl.deploy.export import read_zip
+from rl.deploy.forward import read_npz
+from rl.experiments.evaluate import Episodes, PolicyController, run_episodes, summary
+from rl.experiments.film import Film
 from rl.pool import draws_of, make_world, own_stream
-from rl.sampled import SampledController
+from rl.sac.sampled import SampledController
 from rl.task import TASKS
 from rl.world import World
-from sim.video import Video, check_video
+from sim.view.video import Video, check_video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
@@ -127,8 +127,8 @@ def said(name: str, row: dict[str, Any]) -> str:
 
 def draw(swims: dict[str, Episodes], picture: Path) -> None:
     """Trajectories over the pool, a panel for each policy."""
-    from rl.trajectories import Path as Way
-    from rl.trajectories import draw as draw_ways
+    from rl.experiments.trajectories import Path as Way
+    from rl.experiments.trajectories import draw as draw_ways
 
     ways: dict[str, Way | list[Way]] = {}
     for name, one in swims.items():

@@ -15,7 +15,7 @@ def run(options: argparse.Namespace) -> int:
     """Write a policy in each format asked for."""
     out: Path = check_writable(options.out)
     formats = tuple(dict.fromkeys(options.format or [_by_ending(out)]))
-    from rl.export import read_zip, write_policy
+    from rl.deploy.export import read_zip, write_policy
 
     policy = read_zip(options.policy, seed=options.seed)
     for file in write_policy(policy, out, formats):

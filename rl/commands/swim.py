@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from rl.forward import Policy, read_npz
-from rl.link import Link
-from rl.pilot import Pilot, Track
-from rl.swim import ANSWER_S, swim
+from rl.deploy.forward import Policy, read_npz
+from rl.deploy.link import Link
+from rl.deploy.pilot import Pilot, Track
+from rl.deploy.swim import ANSWER_S, swim
 from sim2real.errors import InputError
 from sim2real.hardware.interruption import interruption
 from sim2real.output import check_writable, provenance
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
         if track is None:
             heard = f", only {link.strange} strange datagrams" if link.strange else ""
             found = f"no word from {url} in {ANSWER_S:g} s{heard}"
-            raise InputError("--port", "", found, "a robot that speaks as rl/link.py says")
+            raise InputError("--port", "", found, "a robot that speaks as rl/deploy/link.py says")
     kept = "nothing written"
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
         write_recording(_recording(options, policy, track), options.out)
@@ -75,7 +75,7 @@ def _policy(path: Path) -> Policy:
     """A policy for NumPy, or one just trained, for which PyTorch is needed."""
     if path.suffix != ".zip":
         return read_npz(path)
-    from rl.export import read_zip
+    from rl.deploy.export import read_zip
 
     return read_zip(path)
 
@@ -91,8 +91,8 @@ def _robot(options: argparse.Namespace, policy: Policy) -> Iterator[str]:
     for name in ("robot", "model"):
         if getattr(options, name) is None:
             raise InputError(f"--{name}", "", "nothing", "it, for --virtual")
-    from rl.virtual_robot import virtual_robot
-    from sim.twin import Twin
+    from rl.deploy.virtual_robot import virtual_robot
+    from sim.twin.twin import Twin
     from sim2real.model import read_model
     from sim2real.robot import read_robot
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from rl import jobs as sac
 from rl.controllers import discrete_train
-from rl.curve import draw_curves, read_progress
 from rl.executor import Job, run_jobs
+from rl.sac import jobs as sac
+from rl.sac.curve import draw_curves, read_progress
 from sim2real.errors import InputError
 
 TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}

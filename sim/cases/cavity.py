@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
-from sim.cell import MOVING, SOLID
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import MOVING, SOLID
+from sim.lattice.velocities import D2Q9
 
 Array = NDArray[np.float64]
 

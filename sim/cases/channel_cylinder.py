@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import HELD, Bodies, Masses, inset_at
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.ramp import Ramp
-from sim.cell import INLET, OUTLET, SOLID
-from sim.fluid import CS2, Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull
-from sim.units import Units
+from sim.fluid.fluid import CS2, Fluid
+from sim.lattice.cell import INLET, OUTLET, SOLID
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import HELD, Bodies, Masses, inset_at
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 

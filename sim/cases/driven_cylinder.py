@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import kv
 
-from sim.bodies import Bodies, Masses, inset_at
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import Bodies, Masses, inset_at
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import CS2, Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull, displaced
-from sim.swimmer import CONTROL_S, LEAST_VISCOSITY, SMAGORINSKY
-from sim.units import WATER_KG_M3, Units
+from sim.fluid.fluid import CS2, Fluid
+from sim.lattice.units import WATER_KG_M3, Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import Bodies, Masses
+from sim.robot.shape import Hull, displaced
+from sim.robot.swimmer import CONTROL_S, LEAST_VISCOSITY, SMAGORINSKY
 from sim2real.servo.parameters import COLUMNS
 
 Array = NDArray[np.float64]

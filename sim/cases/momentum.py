@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import Fluid
-from sim.lattice import D2Q9, D3Q19, Lattice
-from sim.shape import Hull, displaced
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice
+from sim.robot.bodies import Bodies, Masses
+from sim.robot.shape import Hull, displaced
 from sim2real.servo.parameters import COLUMNS
 
 Array = NDArray[np.float64]

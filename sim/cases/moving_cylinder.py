@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import HELD, Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
-from sim.cell import INLET, OUTLET, SLIP
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import INLET, OUTLET, SLIP
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import HELD, Bodies, Masses
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 

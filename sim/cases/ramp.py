@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.fluid import Fluid
+from sim.fluid.fluid import Fluid
 
 
 class Ramp:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import VIRTUAL_MASS, Bodies, Masses, inset_at
 from sim.cases.case import Case, Curve, Figure
-from sim.cell import SLIP, SOLID
-from sim.fluid import Fluid
-from sim.lattice import D3Q19
-from sim.shape import Hull
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import SLIP, SOLID
+from sim.lattice.units import Units
+from sim.lattice.velocities import D3Q19
+from sim.robot.bodies import VIRTUAL_MASS, Bodies, Masses, inset_at
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import HELD, Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.ramp import Ramp
-from sim.cell import INLET, OUTLET, SLIP, SOLID
-from sim.fluid import Fluid
-from sim.lattice import D3Q19
-from sim.shape import Hull
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import INLET, OUTLET, SLIP, SOLID
+from sim.lattice.units import Units
+from sim.lattice.velocities import D3Q19
+from sim.robot.bodies import HELD, Bodies, Masses
+from sim.robot.shape import Hull
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import HELD, KINEMATIC, Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import Fluid
-from sim.lattice import D3Q19
-from sim.shape import Hull, displaced
-from sim.units import WATER_KG_M3, WATER_M2_S, Units
-from sim.wall import Wall
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import Wall
+from sim.lattice.units import WATER_KG_M3, WATER_M2_S, Units
+from sim.lattice.velocities import D3Q19
+from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
+from sim.robot.shape import Hull, displaced
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies import INSET, KINEMATIC, Bodies, Masses
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
-from sim.shape import Hull, displaced
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import INSET, KINEMATIC, Bodies, Masses
+from sim.robot.shape import Hull, displaced
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
-from sim.fluid import CS2, Fluid
-from sim.lattice import D2Q9, D3Q19, Lattice
+from sim.fluid.fluid import CS2, Fluid
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 
 Array = NDArray[np.float64]
 

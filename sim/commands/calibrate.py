@@ -8,10 +8,19 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from sim.calibrate import Calibrated, Free, calibrate, law_parameters, servo_parameters
-from sim.calibration_plot import comparison
-from sim.fluid_calibration import InFluid, calibrate_in_fluid
-from sim.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, swim_of, with_values
+from sim.inference.calibrate import Calibrated, Free, calibrate, law_parameters, servo_parameters
+from sim.inference.fluid_calibration import InFluid, calibrate_in_fluid
+from sim.inference.swims import (
+    SIGNALS,
+    UNITS,
+    Simulator,
+    Swim,
+    by_fluid,
+    by_twin,
+    swim_of,
+    with_values,
+)
+from sim.view.calibration_plot import comparison
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance

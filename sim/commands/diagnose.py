@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from tqdm import tqdm
 
-from sim.diagnose_swims import diagnose_swims
-from sim.fluid_diagnosis import (
+from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.fluid_diagnosis import (
     Effect,
     diagnose_in_fluid,
     effects_of,
@@ -17,7 +17,7 @@ from sim.fluid_diagnosis import (
     read_water,
     swim_batches,
 )
-from sim.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
+from sim.inference.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
 from sim2real.commands import diagnose as servos
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import InputError

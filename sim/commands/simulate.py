@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.render import check_picture, picture, save_picture
-from sim.swimmer import CONTROL_S, State, Swimmer
-from sim.video import FRAMES_PER_S, Video, check_video
+from sim.robot.swimmer import CONTROL_S, State, Swimmer
+from sim.view.render import check_picture, picture, save_picture
+from sim.view.video import FRAMES_PER_S, Video, check_video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_json

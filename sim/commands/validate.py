@@ -11,8 +11,8 @@ from dataclasses import asdict
 
 import sim.cases
 from sim.cases.case import Case, Figure
-from sim.fluid import find_device
-from sim.report import cases_section
+from sim.fluid.fluid import find_device
+from sim.view.report import cases_section
 from sim2real.errors import InputError
 from sim2real.output import check_writable, provenance, write_json
 from sim2real.report.page import write_page

@@ -86,7 +86,7 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         "--reality",
         type=Path,
         required=True,
-        help="what training never sees: MODEL.json, or a Python file that offers make (rl.reality)",
+        help="what training never sees: MODEL.json, or a Python file that offers make",
     )
     command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rl.reality import read_reality
-from sim.fluid import Fluid
-from sim.shape import hull_of
+from rl.experiments.reality import read_reality
+from sim.fluid.fluid import Fluid
+from sim.robot.shape import hull_of
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[2] / "datasets" / "pool"

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import rl.places
-from rl.ablation import ablate, bootstrap
-from rl.ablation_report import markdown, worth, write_report
-from rl.agents import Settings
-from rl.arms import ARMS, STIFF, arm_of, model_of, one_density
+import rl.experiments.places
 from rl.commands.ablate import tried_in
-from rl.reality import read_reality
+from rl.experiments.ablation import ablate, bootstrap
+from rl.experiments.ablation_report import markdown, worth, write_report
+from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
+from rl.experiments.reality import read_reality
+from rl.sac.agents import Settings
+from rl.sac.train import Plan
 from rl.task import TASKS, shortened
-from rl.train import Plan
 from sim2real.density import normalised_density
 from sim2real.ranges.entry import Ranges, normal, uniform
 
@@ -98,7 +98,7 @@ def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
     (tmp_path / "run" / "reality.json").unlink()
     assert run() == found
     with monkeypatch.context() as patch:
-        patch.setattr(rl.places, "run_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.experiments.places, "run_episodes", None)  # nothing is left to swim
         assert run() == found
         joints = {k: replace(v, latency_s=0.2) for k, v in model.joints.items()}
         with pytest.raises(TypeError):
@@ -130,7 +130,7 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
     assert not any(agent["success"])
     assert agent["faced_s"][0] is not None, "it turns"
     with monkeypatch.context() as patch:
-        patch.setattr(rl.places, "run_real_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.experiments.places, "run_real_episodes", None)  # nothing is left to swim
         assert run(read_reality(path)) == found
         path.write_text(GLIDER.format(turns=0.02))
         with pytest.raises(TypeError):

@@ -8,8 +8,8 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from rl.agents import Agents, Batch, Settings, mirrored
-from rl.sac import make_sac
+from rl.sac.agents import Agents, Batch, Settings, mirrored
+from rl.sac.sac import make_sac
 from rl.task import Task
 from rl.vec_env import FishVecEnv
 

@@ -15,9 +15,9 @@ from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
 from rl.commands.export import run
-from rl.export import policy_of, read_zip, write_policy
-from rl.forward import Policy, forward, npz, read_npz
-from rl.header import c_header
+from rl.deploy.export import policy_of, read_zip, write_policy
+from rl.deploy.forward import Policy, forward, npz, read_npz
+from rl.deploy.header import c_header
 from rl.task import observation_bounds
 from sim2real.errors import InputError
 
@@ -110,7 +110,7 @@ def test_onnx_says_what_it_says(both, observations, tmp_path):
 
 
 def test_actions_of_one_become_the_joints_angles(observations, tmp_path):
-    """Agents made by ``rl.sac`` act between -1 and 1 and say what that means."""
+    """Agents made by ``rl.sac.sac`` act between -1 and 1 and say what that means."""
     agent = agent_of(env=Spaces(-np.ones(3, np.float32), np.ones(3, np.float32)))
     agent.joints, agent.joint_low, agent.joint_high = ["front", "middle", "tail"], LOW, HIGH
     agent.save(tmp_path / "policy.zip")

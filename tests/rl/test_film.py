@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from rl.controllers.pnl import ProportionalNavigation
-from rl.evaluate import run_episodes
-from rl.film import TARGET, Film
+from rl.experiments.evaluate import run_episodes
+from rl.experiments.film import TARGET, Film
 from rl.task import TASKS, shortened
-from sim.video import FRAMES_PER_S, Video
+from sim.view.video import FRAMES_PER_S, Video
 
 
 def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rl.evaluate import PolicyController, run_episodes
-from rl.forward import Policy
-from rl.places import Crew, Real
+from rl.deploy.forward import Policy
+from rl.experiments.evaluate import PolicyController, run_episodes
+from rl.experiments.places import Crew, Real
+from rl.experiments.real_episodes import Starts, run_real_episodes
+from rl.experiments.reality import read_reality
 from rl.pool import make_world
-from rl.real_episodes import Starts, run_real_episodes
-from rl.reality import read_reality
 from rl.task import TASKS, observation_bounds, observation_names, shortened
 from rl.world import Draws
-from sim.twin import Twin
+from sim.twin.twin import Twin
 from sim2real.errors import InputError
 
 GLIDER = """

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from rl.agents import Settings
-from rl.evaluate import PolicyController
-from rl.export import read_zip
-from rl.sac import make_sac
-from rl.sampled import SampledController
+from rl.deploy.export import read_zip
+from rl.experiments.evaluate import PolicyController
+from rl.sac.agents import Settings
+from rl.sac.sac import make_sac
+from rl.sac.sampled import SampledController
 from sim2real.errors import InputError
 
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from rl.commands.swim import run
-from rl.forward import Policy, forward, npz
-from rl.link import (
+from rl.deploy.forward import Policy, forward, npz
+from rl.deploy.link import (
     Link,
     SetPoints,
     Telemetry,
@@ -26,13 +26,13 @@ from rl.link import (
     set_point_bytes,
     telemetry_bytes,
 )
-from rl.observer import CONTROL_S, Observer
-from rl.pilot import REST_S, Pilot
-from rl.swim import swim
+from rl.deploy.observer import CONTROL_S, Observer
+from rl.deploy.pilot import REST_S, Pilot
+from rl.deploy.swim import swim
+from rl.deploy.virtual_robot import VirtualRobot, serve, virtual_robot
 from rl.task import observation_bounds, observation_names
-from rl.virtual_robot import VirtualRobot, serve, virtual_robot
-from sim.swims import swim_of
-from sim.twin import Twin
+from sim.inference.swims import swim_of
+from sim.twin.twin import Twin
 from sim2real.errors import InputError
 from sim2real.recording import read_recording
 
@@ -246,7 +246,7 @@ class TestCommand:
         assert read_recording(out).metadata["swim"]["stopped"] == "interrupted"
 
     def test_without_a_robot_nothing_is_written(self, policy_file, tmp_path, radio, monkeypatch):
-        monkeypatch.setattr("rl.swim.ANSWER_S", 0.2)
+        monkeypatch.setattr("rl.deploy.swim.ANSWER_S", 0.2)
         (tmp_path / "out").mkdir()
         for url in (radio[1], "udp://127.0.0.1:9"):
             with pytest.raises(InputError, match="no word from"):
@@ -280,7 +280,9 @@ class TestCommand:
             run(options_of(tmp_path / "policy.npz"))
 
     def test_it_needs_no_torch(self) -> None:
-        program = "import sys, rl.commands.swim, rl.virtual_robot; print('torch' in sys.modules)"
+        program = (
+            "import sys, rl.commands.swim, rl.deploy.virtual_robot; print('torch' in sys.modules)"
+        )
         done = subprocess.run(
             [sys.executable, "-c", program],
             capture_output=True, text=True, check=True, cwd=POOL.parents[1],

@@ -10,13 +10,13 @@ import pytest
 import torch
 from stable_baselines3 import SAC
 
-import rl.train
-from rl.agents import Settings
-from rl.checkpoint import COLUMNS
-from rl.curve import draw_curves, read_progress
+import rl.sac.train
 from rl.randomize import Noise, draw_models, noise_of
+from rl.sac.agents import Settings
+from rl.sac.checkpoint import COLUMNS
+from rl.sac.curve import draw_curves, read_progress
+from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS, shortened
-from rl.train import Arm, Plan, train
 from rl.world import Draws
 from sim2real.body import values
 from sim2real.errors import InputError
@@ -44,7 +44,7 @@ def parameters(folders):
 
 def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path, monkeypatch):
     whole = train(tmp_path / "whole", robot, arms(model), PLAN)
-    saved = rl.train.save
+    saved = rl.sac.train.save
     calls = []
 
     def killed(*given):
@@ -54,7 +54,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
         saved(*given)
 
     with monkeypatch.context() as patch:
-        patch.setattr(rl.train, "save", killed)
+        patch.setattr(rl.sac.train, "save", killed)
         with pytest.raises(KeyboardInterrupt):
             train(tmp_path / "cut", robot, arms(model), PLAN)
     cut = train(tmp_path / "cut", robot, arms(model), PLAN)

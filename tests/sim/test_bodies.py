@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.bodies import HELD, KINEMATIC, Bodies, Masses
 from sim.cases import driven_cylinder, hard_commands, momentum
 from sim.cases.swimming import SYMMETRIC, Gait, swim
-from sim.fluid import Fluid
-from sim.lattice import D2Q9, D3Q19
-from sim.shape import Hull, displaced
-from sim.units import Units
+from sim.fluid.fluid import Fluid
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9, D3Q19
+from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
+from sim.robot.shape import Hull, displaced
 from sim2real.servo.parameters import COLUMNS
 
 LENGTH = 26.0

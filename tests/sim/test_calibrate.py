@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.calibrate import calibrate, effect_parameters, servo_parameters
-from sim.swimmer import CONTROL_S
-from sim.swims import Swim, by_twin, simulated, swim_of, with_values
+from sim.inference.calibrate import calibrate, effect_parameters, servo_parameters
+from sim.inference.swims import Swim, by_twin, simulated, swim_of, with_values
+from sim.robot.swimmer import CONTROL_S
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.recording import Recording

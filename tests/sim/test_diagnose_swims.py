@@ -7,9 +7,9 @@ import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import swum
 
-import sim.diagnose_swims as rooms
-from sim.calibrate import effect_parameters, seen
-from sim.swims import by_twin
+import sim.inference.diagnose_swims as rooms
+from sim.inference.calibrate import effect_parameters, seen
+from sim.inference.swims import by_twin
 from sim2real.cli import main
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sim.cases import cavity, taylor_green
-from sim.cell import INLET, MOVING, OUTLET, SLIP, SOLID
-from sim.fluid import Fluid
-from sim.lattice import D2Q9, D3Q19
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import INLET, MOVING, OUTLET, SLIP, SOLID
+from sim.lattice.velocities import D2Q9, D3Q19
 from sim2real.errors import InputError
 
 SIZES = {D2Q9: (18, 14), D3Q19: (9, 8, 7)}

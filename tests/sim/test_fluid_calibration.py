@@ -10,12 +10,12 @@ import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES, swum
 
-from sim.calibrate import Free, effect_parameters, servo_parameters
-from sim.emulator import Batch, Emulator, places_of, rollouts
-from sim.fluid_calibration import calibrate_in_fluid, water_parameters
-from sim.fluid_fit import Prior, fit
-from sim.swimmer import Swimmer, least_viscosity
-from sim.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
+from sim.inference.calibrate import Free, effect_parameters, servo_parameters
+from sim.inference.emulator import Batch, Emulator, places_of, rollouts
+from sim.inference.fluid_calibration import calibrate_in_fluid, water_parameters
+from sim.inference.fluid_fit import Prior, fit
+from sim.inference.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
+from sim.robot.swimmer import Swimmer, least_viscosity
 from sim2real.errors import InputError
 from sim2real.recording import read_recording
 

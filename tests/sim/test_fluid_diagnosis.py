@@ -9,11 +9,11 @@ from swimming_robots import FISH, servos
 from test_calibrate import swum
 from test_fluid_calibration import NOISE
 
-import sim.fluid_diagnosis as rooms
-from sim.calibrate import effect_parameters
-from sim.fluid_calibration import water_parameters
-from sim.fluid_fit import Prior
-from sim.swims import by_twin, with_values
+import sim.inference.fluid_diagnosis as rooms
+from sim.inference.calibrate import effect_parameters
+from sim.inference.fluid_calibration import water_parameters
+from sim.inference.fluid_fit import Prior
+from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.errors import InputError
 

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sim.lattice import D2Q9, D3Q19, Lattice
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 
 BOTH = pytest.mark.parametrize("lattice", [D2Q9, D3Q19], ids=lambda one: one.name)
 

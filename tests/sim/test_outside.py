@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.swimmer import CONTROL_S, Swimmer
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.body import listed, values
 from sim2real.errors import InputError
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from drag_fish import PERIOD_S, ROBOT, angles, swum
 
-from sim.calibrate import effect_parameters
-from sim.prescribed import by_film, follower
-from sim.swims import Swim, simulated, with_values
-from sim.twin import Coefficients
+from sim.inference.calibrate import effect_parameters
+from sim.inference.swims import Swim, simulated, with_values
+from sim.twin.prescribed import by_film, follower
+from sim.twin.twin import Coefficients
 from sim2real.model import Model
 from sim2real.velocity import body_velocity
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.plane import depth, plane_of
-from sim.render import check_picture, picture, save_picture
-from sim.swimmer import Swimmer
-from sim.video import Video
+from sim.robot.swimmer import Swimmer
+from sim.view.plane import depth, plane_of
+from sim.view.render import check_picture, picture, save_picture
+from sim.view.video import Video
 from sim2real.errors import InputError
 
 BOX = (0.9, 0.7, 0.4)

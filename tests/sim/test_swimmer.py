@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.shape import displaced
-from sim.swimmer import CONTROL_S, Swimmer
-from sim.units import WATER_KG_M3
+from sim.lattice.units import WATER_KG_M3
+from sim.robot.shape import displaced
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.errors import InputError
 from sim2real.robot import Link, Robot
 

@@ -7,9 +7,9 @@ import pytest
 import warp as wp
 from swimming_robots import FISH, servos
 
-from sim.swimmer import CONTROL_S
-from sim.twin import FITTED, Coefficients, Twin
-from sim.twin_kernel import start_twin
+from sim.robot.swimmer import CONTROL_S
+from sim.twin.kernel import start_twin
+from sim.twin.twin import FITTED, Coefficients, Twin
 from sim2real.body import listed
 from sim2real.errors import InputError
 

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from sim.bodies import FREE, HELD, Bodies
-from sim.fluid import Fluid
-from sim.lattice import D2Q9
-from sim.rows import Masses
-from sim.shape import Hull
-from sim.units import Units
-from sim.wall import SLIP, Wall
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import SLIP, Wall
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import FREE, HELD, Bodies
+from sim.robot.rows import Masses
+from sim.robot.shape import Hull
 from sim2real.errors import InputError
 
 SMOOTH = Wall(slip=True)

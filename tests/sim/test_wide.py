@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-import sim.populations
-from sim.cell import INLET, MOVING, OUTLET, SLIP, SOLID
-from sim.fluid import Fluid
-from sim.lattice import D2Q9, D3Q19
-from sim.plane import plane_of
-from sim.populations import is_wide, most_cells
-from sim.swimmer import CONTROL_S, Swimmer
+import sim.lattice.populations
+from sim.fluid.fluid import Fluid
+from sim.lattice.cell import INLET, MOVING, OUTLET, SLIP, SOLID
+from sim.lattice.populations import is_wide, most_cells
+from sim.lattice.velocities import D2Q9, D3Q19
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.view.plane import plane_of
 from sim2real.errors import InputError
 
 STORAGES = pytest.mark.parametrize("storage", ["float32", "float16"])
@@ -22,7 +22,7 @@ def narrow_and_wide(monkeypatch):
 
     def twice(work):
         narrow = work()
-        monkeypatch.setattr(sim.populations, "WIDE_FROM", 0)
+        monkeypatch.setattr(sim.lattice.populations, "WIDE_FROM", 0)
         return narrow, work()
 
     return twice

@@ -1,0 +1,1 @@
+"""A policy outside the simulator: exports, radio, pilot."""

@@ -1,0 +1,133 @@
+"""Trained policies, taken out of Stable-Baselines3 and written for NumPy, C and ONNX."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import SAC
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from torch import nn
+
+from rl.deploy.forward import Policy, npz
+from rl.deploy.header import c_header
+from rl.deploy.onnx_graph import onnx_model
+from rl.task import observation_names
+from sim2real.errors import InputError
+from sim2real.output import check_writable, provenance, write_whole
+
+_EXPECTED = "a policy saved by Stable-Baselines3's SAC"
+
+
+def read_zip(path: str | os.PathLike[str], *, seed: int | None = None) -> Policy:
+    """Read the policy of an SAC agent, without its memory and critics.
+
+    Where the agent says what angles its actions of -1 and 1 mean (as ``rl.sac.sac`` makes them), so
+    does the policy; otherwise its action space is in rad.
+
+    Such a zip holds pickled Python: read only those from people you trust.
+
+    Args:
+        path: Saved by ``SAC.save``.
+        seed: For the provenance.
+
+    Raises:
+        InputError: If it is none, or a policy that is not a plain network with ReLU.
+    """
+    file = Path(path)
+    return policy_of(read_agent(file), where=str(file), made={**provenance([file], seed)})
+
+
+def read_agent(path: str | os.PathLike[str]) -> SAC:
+    """Read an SAC agent without room for a memory; see ``read_zip``.
+
+    Raises:
+        InputError: If there is none.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(file, "", "no file", _EXPECTED)
+    try:
+        return SAC.load(file, device="cpu", custom_objects={"buffer_size": 1})
+    except Exception as error:  # whatever unpickling a file that is none may raise
+        found = f"none that can be loaded ({type(error).__name__}: {error})"
+        raise InputError(file, "", found, _EXPECTED) from None
+
+
+def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | None = None) -> Policy:
+    """The deterministic policy of an SAC agent.
+
+    Raises:
+        InputError: As ``read_zip``.
+    """
+    layers = _layers(agent, where)
+    low, high, joints = _actions(agent)
+    O, J = layers[0].in_features, len(low)  # noqa: E741
+    if O != 5 + 2 * J:
+        found = f"{O} columns for {J} joints"
+        raise InputError(where, "observation", found, f"{5 + 2 * J}, as rl.task has them")
+    seen: Any = agent.observation_space
+    return Policy(
+        weights=tuple(_array(layer.weight) for layer in layers),
+        biases=tuple(_array(layer.bias) for layer in layers),
+        low=low,
+        high=high,
+        joints=joints,
+        observation=tuple(observation_names(joints)),
+        observation_limit=np.minimum(seen.high, np.finfo(np.float32).max).astype(np.float32),
+        provenance=dict(made or {}),
+    )
+
+
+def _layers(agent: SAC, where: str) -> list[nn.Linear]:
+    actor: Any = agent.actor
+    if not isinstance(actor.features_extractor, FlattenExtractor):
+        found = type(actor.features_extractor).__name__
+        raise InputError(where, "policy", f"a {found}", "an MlpPolicy")
+    if not isinstance(actor.mu, nn.Linear):
+        raise InputError(where, "policy", "state-dependent exploration", "a policy without")
+    modules: list[Any] = list(actor.latent_pi) if isinstance(actor.latent_pi, nn.Sequential) else []
+    for k, module in enumerate(modules):
+        if not isinstance(module, (nn.Linear, nn.ReLU)[k % 2]):
+            expected = "fully connected layers with ReLU between them"
+            raise InputError(where, "policy", f"a layer {type(module).__name__}", expected)
+    return [*modules[::2], actor.mu]
+
+
+def _actions(agent: SAC) -> tuple[Any, Any, tuple[str, ...]]:
+    """Angles in rad at the ends of tanh's range, and the joints' names."""
+    box: Any = agent.action_space
+    low, high = box.low.astype(np.float32), box.high.astype(np.float32)
+    joints = getattr(agent, "joints", None)
+    if joints is None:
+        return low, high, tuple(f"j{k + 1}" for k in range(len(low)))
+    told: Any = agent
+    first, span = told.joint_low, told.joint_high - told.joint_low
+    ends = (np.asarray(first + (end + 1) / 2 * span, dtype=np.float32) for end in (low, high))
+    return next(ends), next(ends), tuple(map(str, joints))
+
+
+def _array(parameter: Any) -> Any:  # noqa: ANN401 - a tensor, an array
+    return np.array(parameter.detach().cpu().numpy(), dtype=np.float32)
+
+
+FORMATS: Mapping[str, tuple[str, Callable[[Policy], str | bytes]]] = {
+    "npz": (".npz", npz),
+    "c": (".h", c_header),
+    "onnx": (".onnx", onnx_model),
+}
+"""Each format's file name ending and writer."""
+
+
+def write_policy(policy: Policy, path: Path, formats: tuple[str, ...]) -> list[Path]:
+    """Write a policy, ``path`` with the ending of each format; all are made before one is written.
+
+    Raises:
+        InputError: If a format's package is missing or a file can't be written.
+    """
+    files = [check_writable(path.with_suffix(FORMATS[one][0])) for one in formats]
+    contents = [FORMATS[one][1](policy) for one in formats]
+    return [write_whole(file, content) for file, content in zip(files, contents, strict=True)]

@@ -1,0 +1,110 @@
+"""A robot that isn't there: the twin, behind the radio of ``rl.deploy.link``."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from rl.deploy.link import LARGEST, SILENCE_S, Telemetry, read_set_points, telemetry_bytes
+from sim.robot.swimmer import CONTROL_S
+from sim.twin.twin import Twin
+
+
+class VirtualRobot:
+    """One swimming robot that takes and gives datagrams.
+
+    Attributes:
+        twin: Its body and its water.
+        begun: Whether a swim was ever begun.
+    """
+
+    def __init__(self, twin: Twin) -> None:
+        """Lie in the water, straight, at rest.
+
+        Args:
+            twin: Of one robot.
+        """
+        self.twin, self.begun = twin, False
+        limits = np.array([joint.limits_rad for joint in twin.robot.joints])
+        self._rest = np.clip(0.0, *limits.T)
+        self._desired, self._number, self._silent = self._rest, 0, 0
+
+    def receive(self, datagram: bytes) -> bool:
+        """Take set-points; False if it is none, or an old one."""
+        sent = read_set_points(datagram, len(self._rest))
+        if sent is None or 0 < sent.number <= self._number:
+            return False
+        self._number, self._silent = sent.number, 0
+        if sent.number:
+            self._desired = sent.joint
+        self.begun = True
+        return True
+
+    def advance(self) -> None:
+        """Swim on by one control period."""
+        self._silent += 1
+        if self._silent * CONTROL_S > SILENCE_S:
+            self._desired = self._rest
+        self.twin.step(self._desired)
+
+    def telemetry(self) -> bytes:
+        """The datagram that says where it is."""
+        state = self.twin.state()
+        return telemetry_bytes(Telemetry(float(state.time[0]), state.pose[0], state.measured[0]))
+
+
+def serve(radio: socket.socket, robot: VirtualRobot, stop: Callable[[], bool]) -> None:
+    """Swim in real time until ``stop``, from the first datagram on.
+
+    Telemetry goes out at the beginning of each period. Set-points count for the period whose
+    beginning is nearest to when they come, so that an answer acts at once, as it does in training.
+    """
+    sender: tuple[str, int] | None = None
+    begin = time.monotonic()
+    while not stop():
+        if sender is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                radio.sendto(robot.telemetry(), sender)
+        sender = _listen(radio, robot, begin + CONTROL_S / 2) or sender
+        if robot.begun:
+            robot.advance()
+        begin += CONTROL_S
+        sender = _listen(radio, robot, begin) or sender
+
+
+def _listen(radio: socket.socket, robot: VirtualRobot, until: float) -> tuple[str, int] | None:
+    """Take what comes until then; where the last of it came from."""
+    sender = None
+    while select.select([radio], [], [], max(until - time.monotonic(), 0.0))[0]:
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            datagram, origin = radio.recvfrom(LARGEST)
+            sender = origin if robot.receive(datagram) else sender
+    return sender
+
+
+@contextmanager
+def virtual_robot(twin: Twin) -> Iterator[str]:
+    """Within this block, a robot on loopback; gives its ``udp://HOST:PORT``."""
+    twin.step(np.zeros(len(twin.robot.joints)))  # compiles the kernels, so that no period is late
+    twin.reset()
+    over = threading.Event()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
+        radio.setblocking(False)
+        radio.bind(("127.0.0.1", 0))
+        host, port = radio.getsockname()
+        thread = threading.Thread(
+            target=serve, args=(radio, VirtualRobot(twin), over.is_set), daemon=True
+        )
+        thread.start()
+        try:
+            yield f"udp://{host}:{port}"
+        finally:
+            over.set()
+            thread.join()

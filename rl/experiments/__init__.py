@@ -1,0 +1,1 @@
+"""Evaluation, ablation, and the realities that policies are tried in."""

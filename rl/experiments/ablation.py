@@ -1,0 +1,167 @@
+"""The ablation: train every arm, swim the 180 degree turn in simulation and in reality, compare.
+
+Every stage leaves a file in the run's folder and is not done again where that is there; training
+goes on from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rl.deploy.export import read_zip
+from rl.experiments.evaluate import Episodes, PolicyController
+from rl.experiments.places import Crew, Place
+from rl.experiments.real_episodes import Starts
+from rl.metrics import energy
+from rl.sac.sampled import SampledController
+from rl.sac.train import Arm, Plan, train
+from rl.task import TASKS, Task
+from sim2real.output import write_json
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def ablate(
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    places: Sequence[Place],
+    *,
+    repeats: int = 5,
+    seed: int = 0,
+    sampled: bool = False,
+    note: dict[str, Any] | None = None,
+    trainer: Callable[..., list[Path]] | None = None,
+) -> dict[str, Any]:
+    """Train and try all arms.
+
+    Args:
+        folder: The run's.
+        robot: Links, joints and data sheets.
+        arms: What each group of agents trains in.
+        plan: How to train.
+        places: Where to try the policies.
+        repeats: Episodes of each agent and place.
+        seed: Of starts and noise.
+        sampled: Whether policies act as in training, with their own noise.
+        note: Provenance.
+        trainer: What trains, called as ``rl.sac.train.train``, which it is where None.
+
+    Returns:
+        ``agents``: for each, its arm, seed and, by place, reward, success, time and energy of each
+        repeat.
+    """
+    trainer = trainer or train
+    agents = trainer(folder / "train", robot, arms, plan, note)
+    task = replace(TASKS["turn"], energy=plan.task.energy)
+    found: dict[str, Any] = {}
+    for place in places:
+        path = folder / f"{place.name}.json"
+        asked = key(agents, robot, place, task, (repeats, seed, sampled))
+        known = json.loads(path.read_text()) if path.exists() else {}
+        if known.get("key") != asked:
+            policies = [
+                SampledController(agent / "policy.zip", seed=k)
+                if sampled
+                else PolicyController(read_zip(agent / "policy.zip"))
+                for k, agent in enumerate(agents)
+            ]
+            starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
+            episodes = place.swim(Crew(policies, repeats), robot, task, starts, seed)
+            known = {"key": asked, **told(episodes, len(agents))}
+            write_json(path, known)
+        found[place.name] = known
+    names = [(arm.name, s) for arm in arms for s in plan.seeds]
+    return {
+        "repeats": repeats,
+        "places": [place.name for place in places],
+        "said": {place.name: place.said for place in places},
+        "agents": [
+            {"arm": arm, "seed": s, "folder": agents[a].name}
+            | {place: found[place]["agents"][a] for place in found}
+            for a, (arm, s) in enumerate(names)
+        ],
+        "targets": {place: found[place]["targets"] for place in found},
+    }
+
+
+def key(
+    agents: Sequence[Path], robot: Robot, place: Place, task: Task, how: tuple[int, int, bool]
+) -> str:
+    """SHA-256 of what decides how agents do in a place: policies, robot, place, reward, starts.
+
+    Args:
+        agents: Folders.
+        robot: The robot.
+        place: The place.
+        task: The task.
+        how: Repeats, seed, and whether policies act with noise.
+    """
+    whole = hashlib.sha256()
+    for agent in agents:
+        whole.update(
+            repr([layer.tobytes() for layer in read_zip(agent / "policy.zip").weights]).encode()
+        )
+    whole.update(repr((robot, place.key(), task.energy, how)).encode())
+    return whole.hexdigest()
+
+
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
+    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
+    return Starts(*tiled)
+
+
+def told(episodes: Episodes, A: int) -> dict[str, Any]:
+    """Episodes of A agents as JSON keeps them."""
+    spent = energy(episodes.rate)
+    own = np.arange(len(spent)).reshape(A, -1)
+
+    def numbers(values: Array) -> list[float | None]:
+        return [round(float(x), 6) if np.isfinite(x) else None for x in values]
+
+    agents = [
+        {
+            "reward": numbers(episodes.reward[rows]),
+            "success": [bool(x) for x in episodes.success[rows]],
+            "time_s": numbers(episodes.time_s[rows]),
+            "energy": numbers(spent[rows]),
+            "faced_s": numbers(episodes.faced_s()[rows]),
+            "path": [
+                [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]
+                for e in rows[:2]
+            ],
+        }
+        for rows in own
+    ]
+    return {"agents": agents, "targets": episodes.targets[own[0], 0].tolist()}
+
+
+def bootstrap(
+    values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
+) -> tuple[float, float, float]:
+    """Mean and its 90 % interval over agents and their repeats, resampled in this order.
+
+    Args:
+        values: One list of repeats for each agent.
+        rng: Random numbers.
+        draws: Resamples.
+    """
+    table = np.array(values, dtype=np.float64)
+    A, R = table.shape
+    agents = rng.integers(A, size=(draws, A))
+    repeats = rng.integers(R, size=(draws, A, R))
+    means = table[agents[:, :, None], repeats].mean(axis=(1, 2))
+    low, high = np.quantile(means, [0.05, 0.95])
+    return float(table.mean()), float(low), float(high)

@@ -1,0 +1,133 @@
+"""A film of an evaluation: the first robot of each policy, from above, one policy after the other.
+
+It shows the pool, the targets, the way so far, the robot's outline and the time; in the fluid also
+the vorticity, as far as the box reaches that goes with the robot.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rl.world import World
+from sim.robot.swimmer import Swimmer
+from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
+from sim.view.legend import INK, RULE, Image, Lettering, colours
+from sim.view.plane import Plane, front_ends, plane_of
+from sim.view.render import VORTICITY
+from sim.view.video import FRAMES_PER_S, Video
+
+Array = NDArray[np.float64]
+
+TARGET = (20, 120, 84)
+_MARGIN_M = 0.1
+_SHARE = 0.75
+"""Of the width that suits the video's format: the pool is about as high as it is wide."""
+_DRAWN_FOR = 960
+_HELD_S = 1.0
+"""For which the last picture of a policy stays."""
+
+
+class Film:
+    """The part of a video that shows one policy; call it after every step of the world.
+
+    Inside a ``with`` block, whose end keeps the last picture for a second.
+    """
+
+    def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
+        """Set up the camera.
+
+        Args:
+            video: What the pictures go to, open.
+            world: The robots; the first is filmed, from its next start on.
+            name: The policy's, to be shown.
+            width: Of a picture in pixels, even; what suits the video's format where None.
+        """
+        self._video, self._world, self._name = video, world, name
+        wide = width or 2 * round(_SHARE * video.width / 2)
+        length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
+        self._pixels = wide / length
+        high = 2 * round(breadth * self._pixels / 2)
+        self._x, self._y = places((0.0, 0.0), self._pixels, wide, high)
+        self._rules = self._pool()
+        self._way = np.zeros_like(self._rules)
+        self._last: Array | None = None
+        self._taken = 0
+        self._image: Image | None = None
+
+    def __call__(self) -> None:
+        """Follow the robot, and take a picture where one is due."""
+        live: Any = self._world.simulator.live()
+        at = self._world.pose[0, :2].cpu().double().numpy()
+        if self._last is not None:
+            ends = np.stack([self._last, at])
+            add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
+        self._last = at
+        clock = float(live.clock.numpy()[0])
+        if clock + 1e-6 >= self._taken / FRAMES_PER_S:
+            self._image = self._picture(clock)
+            self._video.add(self._image)
+            self._taken += 1
+
+    def __enter__(self) -> Self:
+        """Return the film."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Keep the last picture."""
+        if kind is None and self._image is not None:
+            for _ in range(round(_HELD_S * FRAMES_PER_S)):
+                self._video.add(self._image)
+
+    def _picture(self, clock: float) -> Image:
+        world, x, y = self._world, self._x, self._y
+        simulator: Any = world.simulator
+        seen: Plane | None = None
+        if isinstance(simulator, Swimmer):
+            seen = plane_of(simulator)
+            links = seen.links
+            canvas = colours(zoomed(seen, x, y) / VORTICITY)
+        else:
+            drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[0] * clock
+            links = front_ends(simulator.chain, simulator.motion, drift, 0)
+            canvas = np.full((y.size, x.size, 3), 255.0)
+        blend(canvas, self._rules, RULE)
+        now = int(world.waypoint[0])
+        for k, target in enumerate(world.targets[0].cpu().double().numpy()):
+            draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == now else 0.0)
+        blend(canvas, 0.8 * self._way, INK)
+        draw_robot(canvas, simulator.hull, links, x, y)
+        return self._lettered(np.rint(canvas).astype(np.uint8), seen, clock)
+
+    def _lettered(self, image: Image, seen: Plane | None, clock: float) -> Image:
+        on = Lettering(image, _DRAWN_FOR)
+        on.write(on.left, on.top, self._name, "lt", large=True)
+        count = self._world.task.waypoints
+        told = f"{clock:.2f} s"
+        if count > 1:
+            told += f"   to target {int(self._world.waypoint[0]) + 1} of {count}"
+        on.write(on.left, on.low, told, "ls", large=True)
+        on.scale(self._pixels)
+        if seen is not None:
+            on.key(VORTICITY)
+        return on.image()
+
+    def _pool(self) -> Array:
+        """How dark the grid and the pool's walls are, shape (height, width)."""
+        x, y = self._x, self._y
+        length, breadth = (side / 2 for side in self._world.task.domain_m)
+        inside = (np.abs(x) < length) & (np.abs(y)[:, None] < breadth)
+        share = np.where(inside, 0.16 * grid_lines(x, y), 0.16)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * [length, breadth]
+        walls = np.zeros_like(share)
+        for ends in zip(corners[:-1], corners[1:], strict=True):
+            add_line(walls, np.stack(ends), 1.5, x, y)
+        return np.asarray(np.maximum(share, walls))

@@ -1,0 +1,163 @@
+"""Episodes in a reality that is only seen: observed, rewarded and ended by what is seen of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from rl.controllers import Controller
+from rl.deploy.link import SILENCE_S, Telemetry
+from rl.deploy.observer import Observer
+from rl.experiments.evaluate import Episodes
+from rl.experiments.reality import Reality
+from rl.task import CONTROL_S, Task, observation_bounds, reward
+from sim2real.errors import InputError
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
+
+    pose: Array
+    joint: Array
+    targets: Array
+
+    def of(self, rows: NDArray[np.intp]) -> Starts:
+        """Some of them."""
+        return Starts(self.pose[rows], self.joint[rows], self.targets[rows])
+
+
+def run_real_episodes(
+    reality: Reality,
+    controller: Controller,
+    robot: Robot,
+    task: Task,
+    starts: Starts,
+    *,
+    swims: Flags | None = None,
+    name: str = "reality",
+) -> Episodes:
+    """One episode of each robot of a reality, as ``evaluate.run_episodes`` in a world.
+
+    Pose and joint rates of what it returns are as seen and estimated. An episode ends also where a
+    robot, or a joint, is not seen for ``SILENCE_S``.
+
+    Args:
+        reality: The robots.
+        controller: What steers them.
+        robot: Its joints' limits.
+        task: The task.
+        starts: One for each robot.
+        swims: Robots that take part, shape (n,); the others lie still. All where None.
+        name: Of the reality, for errors.
+
+    Raises:
+        InputError: If the reality shows arrays of other shapes, or does not show all robots at
+            their starts.
+    """
+    n, J = starts.joint.shape
+    limits = np.array([joint.limits_rad for joint in robot.joints])
+    rest = np.clip(0.0, *limits.T)
+    going = np.ones(n, dtype=bool) if swims is None else swims.copy()
+    eyes = Eyes(n, J, starts.targets, name)
+    shown = eyes.look(reality.reset(starts.pose, starts.joint), going)
+    controller.reset(np.ones(n, dtype=bool))
+    pose, rate = [shown.copy()], [eyes.rate.copy()]
+    total, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
+    for _ in tqdm(range(task.steps), desc="reality", unit="step", disable=None, leave=False):
+        before = eyes.distance.copy()
+        desired = np.clip(controller.act(eyes.observation), *limits.T)
+        desired[~going] = rest
+        shown = eyes.look(reality.step(desired), going)
+        reached = eyes.distance < task.arrive_m
+        outside = (np.abs(shown[:, :2]) > np.array(task.domain_m) / 2).any(axis=1)
+        told = (before, eyes.distance, eyes.rate, reached, outside)
+        value = reward(task, *(torch.as_tensor(x) for x in told)).numpy()
+        total += np.where(going, value, 0.0)
+        steps += going
+        for kept, now in ((pose, shown), (rate, eyes.rate)):
+            kept.append(np.where(going[:, None], now, np.nan))
+        eyes.go_on(reached & going)
+        going &= ~(eyes.arrived | outside | eyes.blind())
+        if not going.any():
+            break
+    return Episodes(np.array(pose), np.array(rate), total, eyes.reached, steps, starts.targets)
+
+
+class Eyes:
+    """What is known of n robots from what was seen of them.
+
+    Attributes:
+        observation: What the policy sees, shape (n, O).
+        reached: Waypoints reached, shape (n,).
+    """
+
+    def __init__(self, n: int, J: int, targets: Array, name: str) -> None:
+        limit = np.array(observation_bounds(J), dtype=np.float32)
+        self._observers = [Observer(limit) for _ in range(n)]
+        self._targets, self._name, self._count = targets, name, 0
+        self.observation = np.zeros((n, 5 + 2 * J), dtype=np.float32)
+        self.reached = np.zeros(n, dtype=np.int64)
+
+    @property
+    def rate(self) -> Array:
+        """Joint rates in rad/s, shape (n, J)."""
+        J = (self.observation.shape[1] - 5) // 2
+        return self.observation[:, 3 + J : -2].astype(np.float64)
+
+    @property
+    def distance(self) -> Array:
+        """From each head to its target in m, shape (n,)."""
+        return np.asarray(np.hypot(*self.observation[:, -2:].T.astype(np.float64)))
+
+    @property
+    def arrived(self) -> Flags:
+        """Whether the last waypoint was reached, shape (n,)."""
+        return np.asarray(self.reached >= self._targets.shape[1])
+
+    def blind(self) -> Flags:
+        """Robots unseen for too long, shape (n,)."""
+        return np.array([one.blind_s > SILENCE_S for one in self._observers])
+
+    def look(self, seen: tuple[Array, Array], going: Flags) -> Array:
+        """Take what is seen of those that swim on; the poses as they were seen, shape (n, 3)."""
+        pose, joint = self._checked(seen)
+        t = CONTROL_S * self._count
+        self._count += 1
+        for e in np.flatnonzero(going).tolist():
+            self._observers[e].take(Telemetry(t, pose[e], joint[e]))
+            if not np.isfinite(self._observers[e].blind_s):
+                found = f"robot {e} not seen at its start"
+                raise InputError(self._name, "reset", found, "a pose and all angles")
+            self._observe(e)
+        return pose
+
+    def go_on(self, reached: Flags) -> None:
+        """Count waypoints; those that reached one look at the next."""
+        self.reached += reached
+        for e in np.flatnonzero(reached & ~self.arrived).tolist():
+            self._observe(e)
+
+    def _observe(self, e: int) -> None:
+        target = self._targets[e, min(self.reached[e], self._targets.shape[1] - 1)]
+        self.observation[e] = self._observers[e].observation(target)
+
+    def _checked(self, seen: tuple[Array, Array]) -> tuple[Array, Array]:
+        n, columns = self.observation.shape
+        try:
+            pose, joint = (np.array(x, dtype=np.float64) for x in seen)
+        except (TypeError, ValueError) as error:
+            raise InputError(self._name, "seen", str(error), "poses and joint angles") from None
+        expected = ((n, 3), (n, (columns - 5) // 2))
+        if (pose.shape, joint.shape) != expected:
+            found = f"arrays of shapes {pose.shape} and {joint.shape}"
+            raise InputError(self._name, "seen", found, f"{expected[0]} and {expected[1]}")
+        return pose, joint

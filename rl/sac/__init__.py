@@ -1,0 +1,1 @@
+"""Soft actor-critic: several agents side by side, resumable."""

@@ -1,0 +1,311 @@
+"""Soft actor-critic for several agents in one go; on CUDA an update is one captured graph.
+
+Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905), as
+Stable-Baselines3 does it, to rounding. The parameters are those of ordinary Stable-Baselines3
+models, which act, save and load as ever. Letters: A agents, B batch, N memory, O observation,
+J action.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from stable_baselines3 import SAC
+from torch import Tensor
+
+from rl.sac.batched import Layers, adam
+
+_SMALL = 1e-6
+_LOG_STD = (-20.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters; the defaults are the paper's (Lin, Liu, Wang, Table I).
+
+    Attributes:
+        gamma: Discount factor.
+        memory: Transitions remembered by each agent.
+        batch: Transitions of an update.
+        rate: Learning rate.
+        tau: How fast target networks follow.
+        hidden: Widths of the hidden layers.
+        warm_up: Steps of random actions before learning begins.
+        updates_per_step: Updates for each step of an environment.
+        entropy_start: Entropy coefficient at the start, learned from there on: about the size of
+            a step's reward.
+        noise_s: Correlation time of the noise that agents act with; 0 for white noise. A joint
+            that gets another set-point every 20 ms shakes and goes nowhere; correlated noise of
+            the same size explores (Eberhard et al., "Pink noise is all you need", ICLR 2023).
+        mirror: Learn from each transition or, as often, from its mirror image: what a robot with
+            like sides would have done.
+    """
+
+    gamma: float = 0.99
+    memory: int = 1_000_000
+    batch: int = 256
+    rate: float = 3e-4
+    tau: float = 0.005
+    hidden: tuple[int, ...] = (256, 256)
+    warm_up: int = 5_000
+    updates_per_step: float = 1.0
+    entropy_start: float = 0.1
+    noise_s: float = 0.25
+    mirror: bool = True
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions, each (A, B, ...); ``done`` where the episode ended by itself."""
+
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    following: Tensor
+    done: Tensor
+
+
+def mirrored(J: int, device: torch.device) -> Tensor:
+    """Columns of a transition that change sign in its mirror image: 1 where they do.
+
+    Sway, yaw rate, joints, their rates and the target to the left; all actions.
+    """
+    seen = [0.0, 1.0, 1.0, *[1.0] * (2 * J), 0.0, 1.0]
+    return torch.tensor([*seen, *[1.0] * J, 0.0, *seen, 0.0], device=device)
+
+
+class Agents:
+    """Agents that learn side by side, each from its own memory.
+
+    Attributes:
+        models: Their Stable-Baselines3 models, whose parameters are views of the shared ones.
+        settings: Hyper-parameters.
+        memory: Transitions, shape (A, N, 2 O + J + 2).
+        filled: How many of them there are, the same for every agent.
+    """
+
+    def __init__(self, models: Sequence[SAC], settings: Settings, device: torch.device) -> None:
+        """Take over the parameters of models that share one shape.
+
+        Args:
+            models: The agents.
+            settings: Hyper-parameters.
+            device: Where to learn.
+        """
+        self.models, self.settings, self.device = list(models), settings, device
+        A = len(self.models)
+        space: Any = self.models[0].action_space
+        self.O = int(self.models[0].observation_space.shape[0])  # type: ignore[index]
+        self.J = int(space.shape[0])
+        hidden = settings.hidden
+        self.actor = Layers.of(A, (self.O, *hidden, 2 * self.J), device)
+        self.critic = Layers.of(2 * A, (self.O + self.J, *hidden, 1), device)
+        self.target = Layers.of(2 * A, (self.O + self.J, *hidden, 1), device)
+        self.log_alpha = torch.zeros(A, device=device)
+        self._alpha_gradient = torch.zeros(A, device=device)
+        self._alpha_moments = torch.zeros(2, A, device=device)
+        self._alpha_count = torch.zeros(1, device=device)
+        for a, model in enumerate(self.models):
+            self._share(a, model)
+        width = 2 * self.O + self.J + 2
+        self.memory = torch.zeros(A, settings.memory, width, device=device)
+        self.position, self.filled = 0, 0
+        self._filled = torch.zeros(1, device=device)
+        self._odd = mirrored(self.J, device)
+        self._agent = torch.arange(A, device=device)[:, None]
+        self._graph: torch.cuda.CUDAGraph | None = None
+
+    def _share(self, a: int, model: SAC) -> None:
+        """Make a model's parameters views of the shared ones, its values kept."""
+
+        def tie(linear: Any, layers: Layers, k: int, c: int, rows: slice) -> None:  # noqa: ANN401
+            weight, bias = layers.weights[k][c, rows], layers.biases[k][c, 0, rows]
+            weight.copy_(linear.weight.data)
+            bias.copy_(linear.bias.data)
+            linear.weight.data, linear.bias.data = weight, bias
+
+        every, J = slice(None), self.J
+        actor: Any = model.actor
+        for k in range(len(self.settings.hidden)):
+            tie(actor.latent_pi[2 * k], self.actor, k, a, every)
+        tie(actor.mu, self.actor, len(self.settings.hidden), a, slice(0, J))
+        tie(actor.log_std, self.actor, len(self.settings.hidden), a, slice(J, 2 * J))
+        for own, layers in ((model.critic, self.critic), (model.critic_target, self.target)):
+            networks: Any = own.q_networks
+            for i, network in enumerate(networks):
+                for k in range(len(self.settings.hidden) + 1):
+                    tie(network[2 * k], layers, k, 2 * a + i, every)
+        log_alpha: Any = model.log_ent_coef
+        self.log_alpha[a : a + 1].copy_(log_alpha.data)
+        log_alpha.data = self.log_alpha[a : a + 1]
+
+    @torch.no_grad()
+    def act(self, observation: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Actions between -1 and 1, shape (A, n, J), for observations (A, n, O).
+
+        Args:
+            observation: What the agents see.
+            noise: Standard normal numbers, shape (A, n, J); none for the mean action.
+        """
+        out = self.actor.forward(observation)[-1]
+        mean, log_std = out[..., : self.J], out[..., self.J :]
+        if noise is None:
+            return torch.tanh(mean)
+        return torch.tanh(mean + log_std.clamp(*_LOG_STD).exp() * noise)
+
+    def remember(
+        self, observation: Tensor, action: Tensor, reward: Tensor, following: Tensor, done: Tensor
+    ) -> None:
+        """Put transitions into the memories, n for each agent: (A, n, ...) each."""
+        n, N = observation.shape[1], self.settings.memory
+        parts = [observation, action, reward[..., None], following, done[..., None].float()]
+        where = (self.position + torch.arange(n, device=self.device)) % N
+        self.memory[:, where] = torch.cat(parts, dim=2)
+        self.position = (self.position + n) % N
+        self.set_filled(min(self.filled + n, N))
+
+    def set_filled(self, filled: int) -> None:
+        """Say how many transitions the memories hold."""
+        self.filled = filled
+        self._filled.fill_(filled)
+
+    def learn(self, updates: int) -> None:
+        """Update every agent so many times, each from its own memory."""
+        if self.device.type != "cuda":
+            for _ in range(updates):
+                self.update(self._sample())
+            return
+        if self._graph is None:
+            self._capture()
+        for _ in range(updates):
+            self._graph.replay()  # type: ignore[union-attr]
+
+    def _sample(self) -> Batch:
+        shape, n = (len(self.models), self.settings.batch), self.O
+        chosen = (torch.rand(shape, device=self.device) * self._filled).long()
+        rows = self.memory[self._agent, chosen]
+        if self.settings.mirror:
+            side = 1 - 2 * (torch.rand(*shape, 1, device=self.device) < 0.5).float()
+            rows = rows * (self._odd * side + (1 - self._odd))
+        a, b = n + self.J, n + self.J + 1
+        return Batch(rows[..., :n], rows[..., n:a], rows[..., a], rows[..., b:-1], rows[..., -1])
+
+    @torch.no_grad()
+    def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
+        """One update of all agents: entropy coefficient, critics, actor, target networks.
+
+        Args:
+            batch: Transitions.
+            noise: Standard normal numbers of the actions and of the following ones, (A, B, J).
+        """
+        s, A, B = self.settings, len(self.models), batch.reward.shape[1]
+        if noise is None:
+            both_noises = torch.randn(A, 2 * B, self.J, device=self.device)
+        else:
+            both_noises = torch.cat(noise, dim=1)
+        pair = torch.cat([batch.observation, batch.following], dim=1)
+        seen, actions, log_ps, std = self._policy(pair, both_noises)
+        seen = [layer[:, :B] for layer in seen]
+        action, ahead = actions[:, :B], actions[:, B:]
+        log_p = log_ps[:, :B]
+        alpha = self.log_alpha.exp()[:, None]
+        torch.sub(self.J, log_p.mean(dim=1), out=self._alpha_gradient)
+
+        q_ahead = self.target.forward(self._twice(batch.following, ahead))[-1].view(A, 2, B)
+        value = q_ahead.amin(dim=1) - alpha * log_ps[:, B:]
+        goal = torch.addcmul(batch.reward, 1 - batch.done, value, value=s.gamma)
+        q = self.critic.forward(self._twice(batch.observation, batch.action))
+        error = q[-1].view(A, 2, B) - goal[:, None]
+        self.critic.backward(q, error.view(2 * A, B, 1) / B)
+        self.critic.descend(s.rate)
+
+        q = self.critic.forward(self._twice(batch.observation, action))
+        index = q[-1].view(A, 2, B).argmin(dim=1, keepdim=True)
+        pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
+        d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
+        by_action = d.view(A, 2, B, -1)[..., self.O :].sum(dim=1)
+        spread = both_noises[:, :B] * std[:, :B]
+        self._descend_policy(seen, action, spread, alpha[..., None] / B, by_action)
+        adam(self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, s.rate)
+        self.target.flat.lerp_(self.critic.flat, s.tau)
+
+    @torch.no_grad()
+    def losses(self) -> Tensor:
+        """How it goes, on a fresh batch: actor, critic, entropy coefficient, shape (3, A)."""
+        A, B = len(self.models), self.settings.batch
+        batch = self._sample()
+        _, action, log_p, _ = self._policy(
+            batch.observation, torch.randn(A, B, self.J, device=self.device)
+        )
+        _, ahead, log_p_ahead, _ = self._policy(
+            batch.following, torch.randn(A, B, self.J, device=self.device)
+        )
+        alpha = self.log_alpha.exp()[:, None]
+
+        def least(layers: Layers, observation: Tensor, action: Tensor) -> Tensor:
+            return layers.forward(self._twice(observation, action))[-1].view(A, 2, B)
+
+        value = least(self.target, batch.following, ahead).amin(dim=1) - alpha * log_p_ahead
+        goal = batch.reward + (1 - batch.done) * self.settings.gamma * value
+        error = least(self.critic, batch.observation, batch.action) - goal[:, None]
+        actor = (alpha * log_p - least(self.critic, batch.observation, action).amin(dim=1)).mean(1)
+        return torch.stack([actor, 0.5 * (error**2).mean(dim=2).sum(dim=1), alpha[:, 0]])
+
+    def _policy(
+        self, observation: Tensor, noise: Tensor
+    ) -> tuple[list[Tensor], Tensor, Tensor, Tensor]:
+        """Layers, actions (A, B, J), their log-probabilities (A, B), standard deviations."""
+        seen = self.actor.forward(observation)
+        mean, raw = seen[-1][..., : self.J], seen[-1][..., self.J :]
+        log_std = raw.clamp(*_LOG_STD)
+        std = log_std.exp()
+        action = torch.tanh(mean + std * noise)
+        density = -0.5 * noise**2 - log_std - torch.log(1 - action**2 + _SMALL)
+        return seen, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
+
+    def _descend_policy(
+        self, seen: list[Tensor], action: Tensor, spread: Tensor, weight: Tensor, by_action: Tensor
+    ) -> None:
+        """Gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)."""
+        slope = 1 - action**2
+        through = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
+        raw = seen[-1][..., self.J :]
+        inside = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
+        by_log_std = (through * spread - weight) * inside
+        self.actor.backward(seen, torch.cat([through, by_log_std], dim=2))
+        self.actor.descend(self.settings.rate)
+
+    def _twice(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Input of both critics of each agent, shape (2 A, B, O + J)."""
+        x = torch.cat([observation, action], dim=2)
+        return x[:, None].expand(-1, 2, -1, -1).reshape(2 * x.shape[0], *x.shape[1:])
+
+    def _capture(self) -> None:
+        """Record an update as a graph; what warming up changed is put back."""
+        state = self.state()
+        kept = {name: tensor.clone() for name, tensor in state.items()}
+        random = torch.cuda.get_rng_state(self.device)
+        torch.backends.cuda.matmul.allow_tf32 = False
+        for _ in range(3):
+            self.update(self._sample())
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph, stream=torch.cuda.current_stream()):
+            self.update(self._sample())
+        for name, tensor in state.items():
+            tensor.copy_(kept[name])
+        torch.cuda.set_rng_state(random, self.device)
+        self._graph = graph
+
+    def state(self) -> dict[str, Tensor]:
+        """All that an update changes, by name; the tensors themselves."""
+        out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
+        out["alpha_count"] = self._alpha_count
+        for name in ("actor", "critic", "target"):
+            layers: Layers = getattr(self, name)
+            out[f"{name}"] = layers.flat
+            out[f"{name}_moments"], out[f"{name}_count"] = layers.moments, layers.count
+        return out

@@ -1,0 +1,85 @@
+"""What a training run leaves in its folder: a checkpoint, policies, how it went."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rl.sac.agents import Agents
+from sim2real.output import write_whole
+
+COLUMNS = (
+    "steps", "episodes", "mean_return", "success", "mean_length", "actor_loss", "critic_loss",
+    "entropy_coefficient",
+)  # fmt: skip
+CHECKPOINT = "checkpoint.npz"
+
+
+class Progress:
+    """How far a run of A agents has come, and how it went.
+
+    Attributes:
+        steps: Steps of the environment for each agent so far.
+        rows: One list of rows, ``COLUMNS`` each, for every agent.
+    """
+
+    def __init__(self, A: int, steps: int = 0) -> None:
+        self.steps = steps
+        self.rows: list[list[list[float]]] = [[] for _ in range(A)]
+
+    def note(self, tally: Tensor, agents: Agents) -> None:
+        """Add a row for every agent."""
+        losses = agents.losses().cpu()
+        for a, rows in enumerate(self.rows):
+            episodes, *means = tally[:, a].tolist()
+            rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist()])
+
+    def said(self) -> str:
+        """The last rows in a few words."""
+        last = np.array([rows[-1] for rows in self.rows])
+        if not np.isfinite(last[:, 2]).any():
+            return "no episode has ended"
+        return f"return {np.nanmean(last[:, 2]):.1f}, {100 * np.nanmean(last[:, 3]):.0f} % arrive"
+
+
+def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str]) -> None:
+    """Write the checkpoint, and each agent's policy and figures; each whole or not at all."""
+    arrays = {name: tensor.cpu().numpy() for name, tensor in agents.state().items()}
+    arrays["memory"] = agents.memory[:, : agents.filled].cpu().numpy()
+    rows = json.dumps(progress.rows)
+    arrays["progress"] = np.frombuffer(rows.encode(), np.uint8)
+    arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
+    for name, model, own in zip(names, agents.models, progress.rows, strict=True):
+        place = folder / name
+        place.mkdir(parents=True, exist_ok=True)
+        lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in own)]
+        write_whole(place / "progress.csv", "\n".join(lines) + "\n")
+        model.num_timesteps = progress.steps
+        model.save(place / ".policy.zip")
+        os.replace(place / ".policy.zip", place / "policy.zip")
+    temporary = folder / f".{CHECKPOINT}"
+    with temporary.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+    os.replace(temporary, folder / CHECKPOINT)
+
+
+def load(folder: Path, agents: Agents) -> Progress | None:
+    """Put agents back to where the folder's checkpoint left them; None where there is none."""
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return None
+    with np.load(path) as held:
+        for name, tensor in agents.state().items():
+            tensor.copy_(torch.from_numpy(held[name]))
+        steps, agents.position, filled = (int(x) for x in held["counts"])
+        agents.memory[:, :filled] = torch.from_numpy(held["memory"]).to(agents.device)
+        progress = Progress(len(agents.models), steps)
+        progress.rows = json.loads(held["progress"].tobytes().decode())
+    agents.set_filled(filled)
+    return progress

@@ -1,0 +1,1 @@
+"""Boxes of water, and how bodies touch them."""

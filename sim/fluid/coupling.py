@@ -1,0 +1,217 @@
+"""Bodies into the fluid, and the fluid's answer out of it, by the share of each cell that is solid.
+
+Direct forcing of the volume: within a step the fluid in a cell is brought to the body's velocity by
+the solid share of the cell, or, next to a surface along which it slips, to the body's velocity
+across that surface. Before that, each link learns what that would cost: the sums that
+``multibody.advance`` needs to find the velocity at which body and fluid agree, so that the exchange
+is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209
+(2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
+
+Where the water slips, what a body feels is the change of the momentum of the water outside it: that
+of all the forcing less that of the water inside, summed over the cells by their solid share (Kempe
+and Froehlich, J. Comput. Phys. 231 (2012) 3663). However the inner water flows then, it does not
+load the body. It still takes momentum along the surface from the water outside, as no wall may that
+the water slips along. How much is seen in the inner water that moves with the body, by what its
+velocity has lost since the last step; it is given back to the cells beside the surface, evenly over
+each link, as a mean over ``wall.MEMORY`` steps.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from sim.fluid.section import along, distance, position_on, side, solid_share
+from sim.fluid.wall import Touch, friction
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, within
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+SUMS = 20
+"""Sums of one link. In a step a covered cell of density rho, solid share c and velocity u gets the
+velocity N v + a, where v is the body's there and N a symmetric matrix; G leads from the link's
+twist to v. Sums of (1 - c) rho G' N G and of c rho G' N G (xx, xy, yy, xw, yw, ww each), of
+rho G' a and of c rho G' (u + a) (x, y, w each); of the momentum along the axis that the inner water
+is given, and of the mass beside the surface that it is taken from. Without slip c counts as 0."""
+FIXED_POINT = float(2**32)
+"""Sums are kept as integers, so that their order makes no difference."""
+_MOST_SHARE = 0.99999
+_NEAR = 3.0
+"""Cells from a link's outline within which a column is looked at."""
+
+
+@cache
+def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that marks the cells a body covers and sums over them."""
+    made = populations(lattice, storage, wide)
+    Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
+
+    @wp.func
+    def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> int:
+        wp.atomic_add(sums, e, link, k, wp.int64(x * wp.float64(wp.static(FIXED_POINT))))
+        return 0
+
+    @wp.func
+    def add_matrix(
+        sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, k: wp.vec3
+    ) -> int:
+        ax = wp.float64(r[0])
+        ay = wp.float64(r[1])
+        xx = wp.float64(k[0])
+        xy = wp.float64(k[1])
+        yy = wp.float64(k[2])
+        add(sums, e, link, at, xx)
+        add(sums, e, link, at + 1, xy)
+        add(sums, e, link, at + 2, yy)
+        add(sums, e, link, at + 3, ax * xy - ay * xx)
+        add(sums, e, link, at + 4, ax * yy - ay * xy)
+        add(sums, e, link, at + 5, ay * ay * xx - wp.float64(2.0) * ax * ay * xy + ax * ax * yy)
+        return 0
+
+    @wp.func
+    def add_vector(
+        sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, p: wp.vec2
+    ) -> int:
+        x = wp.float64(p[0])
+        y = wp.float64(p[1])
+        add(sums, e, link, at, x)
+        add(sums, e, link, at + 1, y)
+        add(sums, e, link, at + 2, wp.float64(r[0]) * y - wp.float64(r[1]) * x)
+        return 0
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def cover(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        covered: Covered,
+        middle: float,
+        touch: Touch,
+        rough: wp.array2d(dtype=wp.float64),
+        kept: wp.array2d(dtype=wp.float32),
+        pose: wp.array2d(dtype=wp.vec4),
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+        length: wp.array(dtype=wp.float32),
+        half_width: wp.array(dtype=wp.vec3),
+        half_height: wp.array(dtype=wp.vec3),
+        sums: wp.array3d(dtype=wp.int64),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """One column of cells; ``kept`` is what the cells beside each link get back, a speed."""
+        e, column = wp.tid()
+        count = covered.side
+        corner = covered.corner[e]
+        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+            return
+        X = corner[0] + column % count
+        Y = corner[1] + column // count
+        nearest = float(1.0e9)
+        link = int(0)
+        off_axis = float(0.0)
+        width = float(0.0)
+        height = float(1.0)
+        for k in range(length.shape[0]):
+            at = position_on(float(X), float(Y), pose[e, k], length[k])
+            wide = along(half_width[k], at[0])
+            if at[1] - wide < nearest:
+                nearest = at[1] - wide
+                link = k
+                off_axis = at[1]
+                width = wide
+                height = along(half_height[k], at[0])
+        r = wp.vec2(float(X), float(Y)) - centre[e, link]
+        v = twist[e, link]
+        body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+        axis = wp.vec3(pose[e, link][2], pose[e, link][3], 0.0)
+        any = bool(False)
+        outer = wp.vec3()
+        inner = wp.vec3()
+        given = wp.vec2()
+        held_in = wp.vec2()
+        taken = float(0.0)
+        beside = float(0.0)
+        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
+        for layer in range(covered.tall):
+            z = covered.low + layer
+            n = floor + box.nx * box.ny * z
+            flag = int(flags[n])
+            if (flag & wp.static(KIND)) == wp.static(FLUID):
+                share = float(0.0)
+                slips = float(0.0)
+                whole = bool(True)
+                o = wp.vec3()
+                if nearest < wp.static(_NEAR):
+                    up = float(z) - middle
+                    if touch.slip != 0:
+                        gap, outline, area, facing = side(
+                            float(X),
+                            float(Y),
+                            up,
+                            pose[e, link],
+                            length[link],
+                            half_width[link],
+                            half_height[link],
+                            touch,
+                        )
+                        o = facing
+                        share = outline * wp.clamp(0.5 - gap, 0.0, 1.0)
+                        whole = gap <= -touch.deep
+                        if gap > 0.0 and gap <= 1.0:
+                            slips = outline * area
+                    else:
+                        share = solid_share(distance(off_axis, up, width, height))
+                if share > 0.0 or slips > 0.0:
+                    held = float(link) + wp.min(share, wp.static(_MOST_SHARE))
+                    share = held - float(link)
+                    flags[n] = wp.uint8(flag | wp.static(BODY))
+                    m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                    rho = 1.0 + m[0]
+                    u = wp.vec3(m[1], m[2], m[3]) / rho
+                    lack = body - u
+                    even = share
+                    inside = float(0.0)
+                    more = wp.vec3()
+                    if touch.slip != 0:
+                        inside = share
+                        if whole:
+                            taken += rho * share * wp.dot(lack, axis)
+                        else:
+                            even = 0.0
+                        if slips > 0.0:
+                            past = lack - wp.dot(lack, o) * o
+                            even = slips * friction(wp.length(past), float(rough[e, link]), touch)
+                            ahead = axis - wp.dot(axis, o) * o
+                            beside += rho * slips * wp.dot(ahead, axis)
+                            more = -slips * kept[e, link] * ahead
+                    slot = (e * count * count + column) * covered.tall + layer
+                    covered.share[slot] = held
+                    covered.face[slot] = wp.vec4(o[0], o[1], o[2], even)
+                    covered.more[slot] = more
+                    across = rho * (share - even)
+                    even *= rho
+                    pull = wp.vec3(
+                        even + across * o[0] * o[0],
+                        across * o[0] * o[1],
+                        even + across * o[1] * o[1],
+                    )
+                    outer += (1.0 - inside) * pull
+                    inner += inside * pull
+                    gain = rho * more - even * u - across * wp.dot(o, u) * o
+                    given += wp.vec2(gain[0], gain[1])
+                    gain += rho * u
+                    held_in += inside * wp.vec2(gain[0], gain[1])
+                    any = bool(True)
+                elif (flag & wp.static(BODY)) != 0:
+                    flags[n] = wp.uint8(flag - wp.static(BODY))
+        if any:
+            add_matrix(sums, e, link, 0, r, outer)
+            add_vector(sums, e, link, 12, r, given)
+            if touch.slip != 0:
+                add_matrix(sums, e, link, 6, r, inner)
+                add_vector(sums, e, link, 15, r, held_in)
+                add(sums, e, link, 18, wp.float64(taken))
+                add(sums, e, link, 19, wp.float64(beside))
+
+    return cover

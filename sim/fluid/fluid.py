@@ -1,0 +1,285 @@
+"""The fluid: boxes of water side by side, all stepped at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.lattice.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box, Covered
+from sim.lattice.kernels import kernels
+from sim.lattice.populations import allocate, is_wide, most_cells
+from sim.lattice.velocities import Lattice
+from sim.lattice.walls import let_out, wall_kernels
+from sim2real.errors import InputError
+from sim2real.warp_start import start_warp
+
+Array = NDArray[np.float32]
+CS2 = 1 / 3
+"""Square of the lattice's speed of sound."""
+BLOCK = 128
+"""CUDA threads of a block: measured fastest of 64, 128, 256 and 512 on an H200."""
+_LEAST_SLAB = 4096
+
+
+class Fluid:
+    """Boxes of fluid of one shape, in lattice units; each may have its own viscosity.
+
+    All arrays of fields have the shape (E, nx, ny, nz), velocities one axis of 3 more; nz is 1 in
+    two dimensions. Boxes are periodic where no walls close them.
+
+    Attributes:
+        lattice: The velocity set.
+        size: Cells (nx, ny, nz) of one box, walls included.
+        boxes: Number of boxes E.
+        device: Warp device.
+        wide: Whether there are too many populations to number them in 32 bits.
+        t: Parity of the next step.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        size: Sequence[int],
+        *,
+        viscosity: float | NDArray[np.floating[Any]],
+        boxes: int = 1,
+        walls: NDArray[np.uint8] | None = None,
+        normals: NDArray[np.int32] | None = None,
+        wall_velocity: Array | None = None,
+        magic: float = 3 / 16,
+        smagorinsky: float = 0.0,
+        storage: str = "float32",
+        device: str = "cpu",
+        threads: int = 1,
+    ) -> None:
+        """Fill the boxes with water at rest.
+
+        Args:
+            lattice: ``D2Q9`` or ``D3Q19``.
+            size: Cells of one box (nx, ny) or (nx, ny, nz), walls included.
+            viscosity: Kinematic viscosity, one or one for each box.
+            boxes: How many.
+            walls: What each cell is (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``INLET``,
+                ``OUTLET``), shape ``size``; all fluid where None.
+            normals: For free-slip cells, inlets and outlets the direction out of the fluid: 0 to 5
+                for +x, -x, +y, -y, +z, -z; shape ``size``.
+            wall_velocity: Velocity of moving cells and inlets, shape (*size, 3).
+            magic: Product of the two relaxation times less a half; 3/16 puts a straight no-slip
+                wall exactly half-way between cells.
+            smagorinsky: Constant of the sub-grid viscosity; 0 for none.
+            storage: ``float32``, or ``float16`` for half the memory and traffic.
+            device: Warp device.
+            threads: CPU threads; slabs of cells share the work.
+
+        Raises:
+            InputError: If there is no such device, a viscosity that is not above 0, or more cells
+                than one batch can have.
+        """
+        self.lattice, self.boxes, self.threads = lattice, boxes, max(1, threads)
+        self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
+        self.device = find_device(device)
+        self.cells = int(np.prod(self.size))
+        self.t = 0
+        viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
+        if not np.all(viscous > 0):
+            raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
+        if boxes * self.cells > most_cells(storage):
+            found = f"{boxes * self.cells} cells in {boxes} boxes"
+            expected = f"at most {most_cells(storage)} in one batch of {storage}"
+            raise InputError("fluid", "size", found, expected)
+        self.wide = is_wide(lattice, boxes * self.cells)
+        self.kernels = kernels(lattice, storage, self.wide, self.device.is_cuda)
+        self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
+        self.box = Box()
+        self.box.nx, self.box.ny, self.box.nz = self.size
+        self.box.cells, self.box.total = self.cells, boxes * self.cells
+        self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
+        self.f: Any = allocate(lattice, storage, self.wide, self.box.total, self.device)
+        above = viscous / CS2
+        self.tau = self._put((above + 0.5).astype(np.float32))
+        rates = np.stack([1 / (above + 0.5), above / (above / 2 + magic)], axis=1)
+        self._rates = self._put(rates.astype(np.float32), wp.vec2)
+        self._driven = False
+        self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
+        self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
+        self.covered = Covered()
+        self.covered.corner = wp.zeros(1, dtype=wp.vec4i, device=self.device)
+        self.covered.share = wp.zeros(1, dtype=wp.float32, device=self.device)
+        self.covered.face = wp.zeros(1, dtype=wp.vec4, device=self.device)
+        self.covered.more = wp.zeros(1, dtype=wp.vec3, device=self.device)
+        self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
+        self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._close(walls, normals, wall_velocity)
+
+    def _put(self, values: NDArray[Any], kind: Any = wp.float32) -> Any:  # noqa: ANN401 - Warp's arrays
+        return wp.array(values, dtype=kind, device=self.device)
+
+    def _close(
+        self,
+        walls: NDArray[np.uint8] | None,
+        normals: NDArray[np.int32] | None,
+        velocity: Array | None,
+    ) -> None:
+        flags = np.zeros(self.size, dtype=np.uint8) if walls is None else walls.reshape(self.size)
+        flags = flags.copy()
+        for axis in range(self.lattice.dimensions):
+            edge = np.moveaxis(flags, axis, 0)
+            edge[[0, -1]] |= EDGE
+        flat = flatten(flags)
+        self.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
+        kind = flat & KIND
+        active = np.flatnonzero(np.isin(kind, (MOVING, SLIP, INLET, OUTLET))).astype(np.int32)
+        self.fluid_cells = int(np.count_nonzero(kind == FLUID))
+        normal = np.zeros(active.size, dtype=np.int32)
+        if normals is not None:
+            normal = flatten(normals.reshape(self.size))[active].astype(np.int32)
+        moving = np.zeros((active.size, 3), dtype=np.float32)
+        if velocity is not None:
+            moving = flatten(velocity.reshape(*self.size, 3))[active]
+        self.listed, self.normal = self._put(active, wp.int32), self._put(normal, wp.int32)
+        self.wall_velocity = self._put(moving, wp.vec3)
+        stride = np.array([1, self.size[0], self.size[0] * self.size[1]])[normal // 2]
+        before = active + np.where(normal % 2 == 0, -stride, stride)
+        openings = np.isin(kind[active], (INLET, OUTLET))
+        self._has_openings = bool(np.any(openings))
+        self._inside = self._put(np.where(openings, before, -1).astype(np.int32), wp.int32)
+        room, device = (self.boxes, active.size), self.device
+        self._through: Any = wp.zeros(room, dtype=wp.vec4, device=device)
+        self._outlets = int(np.count_nonzero(kind == OUTLET))
+        self._excess: Any = wp.zeros(self.boxes, dtype=wp.float32, device=device)
+        self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=device)
+
+    def accelerate(self, acceleration: NDArray[Any]) -> None:
+        """Let a body force act on all fluid from now on: shape (E, 3) or (3,), a step squared."""
+        values = np.broadcast_to(np.asarray(acceleration, dtype=np.float32), (self.boxes, 3))
+        self.drive.assign(np.ascontiguousarray(values))
+        self._driven = bool(np.any(values))
+
+    def step(self, count: int = 1) -> None:
+        """Advance by ``count`` steps."""
+        for _ in range(count):
+            self.collide_and_stream()
+
+    def collide_and_stream(self) -> None:
+        """One step: openings, walls, then all cells."""
+        if self._has_openings:
+            self._flow_through()
+        if self.listed.shape[0]:
+            self._launch(
+                self._walls,
+                (self.boxes, self.listed.shape[0]),
+                [
+                    self.f, self.flags, self.box, self.t, self.listed, self.normal,
+                    self.wall_velocity, self._through, self._excess,
+                ],
+            )  # fmt: skip
+        total = self.boxes * self.cells
+        if self._pool is None or total < _LEAST_SLAB:
+            self._collide(0, total)
+        else:
+            edges = np.linspace(0, total, self.threads + 1).astype(int)
+            list(self._pool.map(self._collide, edges[:-1], np.diff(edges)))
+        self.t = 1 - self.t
+
+    def _flow_through(self) -> None:
+        self._launch(
+            self._openings,
+            (self.boxes, self.listed.shape[0]),
+            [
+                self.f, self.flags, self.box, self.t, self.listed, self.normal, self._inside,
+                self.wall_velocity, self._through, self._net,
+            ],
+        )  # fmt: skip
+        outlets = float(max(self._outlets, 1))
+        self._launch(let_out, self.boxes, [self._net, outlets, self._excess])
+
+    def _collide(self, first: int, count: int) -> None:
+        self._launch(
+            self.kernels.step,
+            int(count),
+            [
+                self.f, self.flags, self.box, int(first), self.t, self.tau, self._rates, self.magic,
+                self.smagorinsky**2, int(self._driven), self.drive, self.covered, self.twist,
+                self.centre, self.stopped,
+            ],
+            block_dim=BLOCK,
+        )  # fmt: skip
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any], **more: Any) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
+
+    def set(
+        self,
+        density: NDArray[Any] | None = None,
+        velocity: NDArray[Any] | None = None,
+        strain_rate: NDArray[Any] | None = None,
+    ) -> None:
+        """Set the state that the next step starts from.
+
+        Args:
+            density: Density, shape (E, nx, ny, nz) or what broadcasts to it; 1 where None.
+            velocity: Velocity, shape (E, nx, ny, nz, 3) or what broadcasts to it; 0 where None.
+            strain_rate: Rates of strain xx, yy, zz, xy, yz, zx of that velocity, one axis of 6;
+                they set the part out of equilibrium, without which the start rings.
+        """
+        shape = (self.boxes, *self.size)
+        rest = np.zeros(shape) if density is None else np.broadcast_to(density, shape) - 1.0
+        u = np.broadcast_to(0.0 if velocity is None else velocity, (*shape, 3))
+        strain = np.zeros((0, 6), dtype=np.float32)
+        if strain_rate is not None:
+            strain = self._flat(np.broadcast_to(strain_rate, (*shape, 6)))
+        self._launch(
+            self.kernels.initialise,
+            self.boxes * self.cells,
+            [
+                self.f, self.flags, self.box, self.t, self.tau, self._put(self._flat(rest)),
+                self._put(self._flat(u), wp.vec3), self._put(strain),
+            ],
+        )  # fmt: skip
+        self.stopped.fill_(-1)
+
+    def _flat(self, field: NDArray[Any]) -> Array:
+        return np.concatenate([flatten(one) for one in field]).astype(np.float32)
+
+    def moments(self) -> tuple[Array, Array]:
+        """Density (E, nx, ny, nz) and velocity (E, nx, ny, nz, 3), copied from the device."""
+        density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
+        velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)
+        self._launch(
+            self.kernels.fields,
+            self.boxes * self.cells,
+            [self.f, self.flags, self.box, self.t, density, velocity],
+        )
+        nx, ny, nz = self.size
+        rho = density.numpy().reshape(self.boxes, nz, ny, nx).transpose(0, 3, 2, 1) + 1.0
+        u = velocity.numpy().reshape(self.boxes, nz, ny, nx, 3).transpose(0, 3, 2, 1, 4)
+        return rho, u
+
+
+def flatten(field: NDArray[Any]) -> NDArray[Any]:
+    """A field of one box, shape (nx, ny, nz, ...), as its cells are counted: x fastest."""
+    return np.ascontiguousarray(
+        field.swapaxes(0, 2).reshape(
+            field.shape[0] * field.shape[1] * field.shape[2], *field.shape[3:]
+        )
+    )
+
+
+def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The Warp device of this name.
+
+    Raises:
+        InputError: If there is none.
+    """
+    start_warp()
+    try:
+        return wp.get_device(name)
+    except Exception:
+        known = ", ".join(str(device) for device in wp.get_devices())
+        raise InputError("device", "name", repr(name), f"one of {known}") from None

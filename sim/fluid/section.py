@@ -1,0 +1,118 @@
+"""A link's cross-sections as the grid sees them: how far a point is from its surface."""
+
+import warp as wp
+
+from sim.fluid.wall import Touch
+
+RAMP = 1.0
+"""Width in cells over which a cell's solid share falls from 1 to 0."""
+
+
+@wp.func
+def along(profile: wp.vec3, s: float) -> float:
+    """The quadratic through values at 0, 1/2 and 1."""
+    return (
+        profile[0] * (1.0 - s) * (1.0 - 2.0 * s)
+        + 4.0 * profile[1] * s * (1.0 - s)
+        + profile[2] * s * (2.0 * s - 1.0)
+    )
+
+
+@wp.func
+def taper(profile: wp.vec3, s: float) -> float:
+    """Derivative of that quadratic."""
+    return (
+        profile[0] * (4.0 * s - 3.0)
+        + 4.0 * profile[1] * (1.0 - 2.0 * s)
+        + profile[2] * (4.0 * s - 1.0)
+    )
+
+
+@wp.func
+def position_on(x: float, y: float, pose: wp.vec4, length: float) -> wp.vec2:
+    """Share of the way along a link's axis, 0 to 1, and distance from the axis.
+
+    ``pose`` is the front end and the cosine and sine of the heading.
+    """
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = wp.clamp(-(dx * pose[2] + dy * pose[3]), 0.0, length)
+    dx += back * pose[2]
+    dy += back * pose[3]
+    share = float(0.0)
+    if length > 0.0:
+        share = back / length
+    return wp.vec2(share, wp.sqrt(dx * dx + dy * dy))
+
+
+@wp.func
+def distance(off_axis: float, z: float, half_width: float, half_height: float) -> float:
+    """Signed distance from a section's ellipse, to first order near it; negative inside."""
+    if z == 0.0:
+        return off_axis - half_width
+    ratio = half_width / half_height
+    stretched = wp.sqrt(off_axis * off_axis + z * z * ratio * ratio)
+    if stretched < 1.0e-6:
+        return -half_width
+    slope = wp.sqrt(off_axis * off_axis + z * z * ratio * ratio * ratio * ratio) / stretched
+    return (stretched - half_width) / slope
+
+
+@wp.func
+def solid_share(signed_distance: float) -> float:
+    """Share of a cell that is solid."""
+    return wp.clamp(0.5 - signed_distance / wp.static(RAMP), 0.0, 1.0)
+
+
+@wp.func
+def side(
+    x: float,
+    y: float,
+    z: float,
+    pose: wp.vec4,
+    length: float,
+    width: wp.vec3,
+    height: wp.vec3,
+    touch: Touch,
+):
+    """Distance from a link's side, share of the cell within its outline, the side's area, normal.
+
+    The area is that over one cell of its height and one of its outline seen from above.
+
+    At each height the link reaches half its thickness there to either side of its axis. What is
+    thinner than the grid can show is a sheet with the normals of its two sides: it has no round
+    edge for the water to push against, and ends where the link ends.
+    """
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = -(dx * pose[2] + dy * pose[3])
+    beside = dy * pose[2] - dx * pose[3]
+    held = wp.clamp(back, 0.0, length)
+    s = float(0.0)
+    if length > 0.0:
+        s = held / length
+    w = along(width, s)
+    h = along(height, s)
+    up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
+    root = wp.sqrt(1.0 - up * up / (h * h))
+    blunt = wp.clamp(w - touch.thin, 0.0, 1.0)
+    over = back - held
+    off = wp.sqrt(beside * beside + blunt * over * over)
+    edge = blunt * touch.inset + (1.0 - blunt) * touch.edge
+    gap = off - wp.max(w * root - touch.inset, touch.thin)
+    within = wp.clamp(0.5 - (wp.abs(z) - h + edge), 0.0, 1.0)
+    within *= wp.clamp(0.5 - (wp.max(back - length, -back) - w + edge), 0.0, 1.0)
+    ahead = float(0.0)
+    aside = float(1.0)
+    if off > 1.0e-4:
+        ahead = -blunt * over / off
+        aside = beside / off
+    if over == 0.0 and length > 0.0:
+        narrows = taper(width, s) * root + w * up * up * taper(height, s) / (h * h * h * root)
+        ahead += narrows / length
+    n = wp.vec3(
+        ahead * pose[2] - aside * pose[3],
+        ahead * pose[3] + aside * pose[2],
+        w * up / (h * h * root),
+    )
+    return gap, within, wp.length(n), wp.normalize(n)

@@ -1,0 +1,103 @@
+"""How a body touches the water: with all of its velocity, or with the component across its surface.
+
+At the Reynolds numbers at which robots swim, 1e4 to 1e6, the boundary layer is millimetres thick,
+thinner than any cell that one can afford. A wall that holds the whole velocity (``NO_SLIP``) smears
+it over a cell: drag is then several times too large. ``SLIP`` holds the velocity across the surface
+only and puts the layer's friction back as a stress along it, by a plate's friction line: a wall
+model in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is
+thicker than the cells, in creeping flow and the published cases at low Reynolds numbers, the water
+does not slip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from sim.lattice.units import WATER_M2_S, Units
+from sim2real.errors import InputError
+
+LINES = ("none", "laminar", "turbulent")
+"""Friction lines: 1.328 / sqrt(Re) is Blasius's, 0.075 / (log10 Re - 2)^2 that of ITTC 1957."""
+DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
+"""In cells: the depth below the surface from where the inner water moves with the body; how far
+thick sides are set in; the least half-thickness of a fin; how far its edges are set in. A cell that
+is solid to a small part stops the water across it almost whole: with these a disc seems 0.1 cells
+too large, and a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
+MEMORY = 40.0
+"""Steps over which the water's momentum that the inner water takes away is averaged."""
+
+
+@wp.struct
+class Touch:
+    """A wall as the kernels take it; lengths in cells.
+
+    Attributes:
+        slip: 1 where only the velocity across the surface is held, 0 where all of it is.
+        line: Number of the friction line in ``LINES``.
+        reynolds: Reynolds number of one cell a step over the body's length, in water.
+        deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
+    """
+
+    slip: int
+    line: int
+    reynolds: float
+    deep: float
+    inset: float
+    thin: float
+    edge: float
+
+
+@dataclass(frozen=True)
+class Wall:
+    """How bodies touch the water.
+
+    Attributes:
+        slip: Whether the water slips along them.
+        line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
+            ``surface_friction`` adds to it, link by link.
+
+    Raises:
+        InputError: If there is no such line.
+    """
+
+    slip: bool
+    line: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.line not in LINES:
+            raise InputError("wall", "line", repr(self.line), f"one of {', '.join(LINES)}")
+
+    def touch(self, length_m: float, units: Units) -> Any:  # noqa: ANN401 - Warp has no stubs
+        """The same for the kernels, for bodies of this length."""
+        touch = Touch()
+        touch.slip, touch.line = int(self.slip), LINES.index(self.line)
+        touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
+        touch.deep, touch.inset, touch.thin, touch.edge = DEEP, INSET, THIN, EDGE
+        return touch
+
+
+NO_SLIP = Wall(slip=False)
+"""Holds the whole velocity: for flows whose boundary layers the cells resolve."""
+SLIP = Wall(slip=True, line="turbulent")
+"""For robots: what ``Swimmer`` takes."""
+
+
+@wp.func
+def friction(slip: float, rough: float, touch: Touch) -> float:
+    """Share of the velocity along a wall that friction takes from a cell beside it in a step.
+
+    The stress is rho / 2 (c + rough) times the square of the slip velocity, c of the friction line
+    at the Reynolds number of the slip velocity and the body's length. Sources: Schlichting and
+    Gersten, Boundary-Layer Theory (Springer, 2017), eq. 2.4 and 18.99 (ITTC 1957).
+    """
+    reynolds = wp.max(slip * touch.reynolds, 1.0e3)
+    c = float(0.0)
+    if touch.line == 1:
+        c = 1.328 / wp.sqrt(reynolds)
+    if touch.line == 2:
+        decades = 0.4342944819 * wp.log(reynolds) - 2.0
+        c = 0.075 / (decades * decades)
+    return 0.5 * wp.max(c + rough, 0.0) * slip

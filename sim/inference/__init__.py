@@ -1,0 +1,1 @@
+"""What swims in a pool say of a model: calibration, emulator, diagnosis."""

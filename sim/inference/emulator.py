@@ -1,0 +1,190 @@
+"""A simulator near a model, from one batch of its rollouts.
+
+The fluid takes a second of a GPU for half a minute of swimming, and its wake is turbulent: two
+rollouts of nearly the same robot differ by as much as a small change of a parameter moves them. A
+slope from two of them would be noise. So a batch swims with all parameters varied at once (a Sobol
+sequence, as in the design of computer experiments: Santner, Williams, Notz, Springer 2003), and
+every moment of the swim is regressed on all of them: each slope rests on the whole batch, and the
+turbulence averages out. What is regressed is how far the head goes forward, to the left and round
+in each control period, and the joints' angles; the path is put together from these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from sim.inference.calibrate import Free
+from sim.inference.swims import Simulator, Swim, values_of, with_values
+from sim2real.errors import InputError
+from sim2real.model import Model
+
+Array = NDArray[np.float64]
+
+ROLLOUTS = 48
+"""Rollouts of a batch: 42 s of an H200 in cells of 1 cm."""
+REACH = 0.75
+"""How far a batch goes to each side of its centre, in the parameters' sizes."""
+_RIDGE, _RIDGE_OF_SQUARES = 1.0, 4.0
+"""How much slopes are drawn to 0, against a weight of one a rollout."""
+_STRONG = ("skin_", "tether", "trim_asymmetry")
+"""Effects that may be large, whose squares are regressed too."""
+_RELAXATIONS_S = (0.12, 0.5)
+"""A skin that gives way acts as a mixture of two with these times."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rollouts of one swim.
+
+    Attributes:
+        swim: Whose commands were sent.
+        names: Parameters that were varied.
+        values: Their values, shape (E, F); the first row is the centre.
+        track: Poses and measured joint angles, shape (E, T, 3 + J).
+    """
+
+    swim: Swim
+    names: tuple[str, ...]
+    values: Array
+    track: Array
+
+
+def rollouts(
+    simulator: Simulator,
+    swim: Swim,
+    model: Model,
+    free: Sequence[Free],
+    *,
+    count: int = ROLLOUTS,
+    seed: int = 0,
+) -> Batch:
+    """Swim a batch about a model; the first is the model itself.
+
+    Raises:
+        InputError: If there are too few to regress on all parameters.
+    """
+    if count < len(free) + 2:
+        expected = f"at least {len(free) + 2}, for {len(free)} parameters"
+        raise InputError("emulator", "rollouts", str(count), expected)
+    names = tuple(p.name for p in free)
+    centre = values_of(model, names)
+    reach = REACH * np.array([p.size for p in free])
+    low = np.maximum(centre - reach, [p.low for p in free])
+    high = np.minimum(low + 2 * reach, [p.high for p in free])
+    shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
+    values = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
+    models = [with_values(model, dict(zip(names, row, strict=True))) for row in values]
+    return Batch(swim, names, values, simulator(models, swim.command, swim.start))
+
+
+class Emulator:
+    """A ``Simulator`` that knows a few swims, near the models that its batches swam with.
+
+    Parameters that no batch varied do not matter to it.
+    """
+
+    def __init__(self, batches: Sequence[Batch]) -> None:
+        """Regress every moment of each swim on the parameters.
+
+        Args:
+            batches: One for each swim. Rollouts that were stopped are left out.
+
+        Raises:
+            InputError: If most of a batch was stopped.
+        """
+        self._known = {one.swim.command.tobytes(): _Regression(one) for one in batches}
+
+    def __call__(self, models: Sequence[Model], command: Array, start: Array) -> Array:
+        """Tracks of models, shape (E, T, 3 + J); ``Simulator``.
+
+        Raises:
+            KeyError: If no batch swam with this command.
+        """
+        return self._known[command.tobytes()].track(models, start)
+
+
+class _Regression:
+    def __init__(self, batch: Batch) -> None:
+        well = np.asarray(np.isfinite(batch.track).all(axis=(1, 2)))
+        if well.mean() < 0.5:
+            found = f"{np.sum(~well)} of {well.size} rollouts stopped"
+            raise InputError(batch.swim.name, "simulator", found, "most of them whole")
+        steps = _steps(batch.track[well])
+        places = [places_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[well]]
+        self.names, self._keys = batch.names, tuple(places[0])
+        x = np.array([list(place.values()) for place in places])
+        self._centre, self._size = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-12)
+        self._strong = np.array([key.startswith(_STRONG) for key in self._keys])
+        terms = self._terms(x)
+        ridge = np.full(terms.shape[1], _RIDGE)
+        ridge[0], ridge[1 + x.shape[1] :] = 0.0, _RIDGE_OF_SQUARES
+        normal = terms.T @ terms + np.diag(ridge)
+        flat = steps.reshape(len(steps), -1)
+        self._weights = np.linalg.solve(normal, terms.T @ flat)
+        self._shape = steps.shape[1:]
+        self._joint = batch.track[well][0, 0, 3:]
+
+    def _terms(self, x: Array) -> Array:
+        z = (x - self._centre) / self._size
+        return np.concatenate([np.ones((len(z), 1)), z, z[:, self._strong] ** 2 - 1], axis=1)
+
+    def track(self, models: Sequence[Model], start: Array) -> Array:
+        rows = [values_of(model, self.names) for model in models]
+        places = [places_of(dict(zip(self.names, row, strict=True))) for row in rows]
+        x = np.array([list(place.values()) for place in places])
+        steps = (self._terms(x) @ self._weights).reshape(len(models), *self._shape)
+        return _path(steps, start, self._joint)
+
+
+def places_of(values: Mapping[str, float]) -> dict[str, float]:
+    """Coordinates in which a rollout is smooth, by name, of parameters by name.
+
+    A tether's force is linear in its stiffness and in stiffness times anchor; that of a skin that
+    gives way in its stiffness, at a time between two known ones nearly linear in the time's
+    logarithm; the fluid feels its viscosity's logarithm.
+    """
+    out = dict(values)
+    tether = out.get("tether.stiffness_N_per_m")
+    for name in ("tether.x_m", "tether.y_m"):
+        if name in out and tether is not None:
+            out[name] = tether * out[name]
+    stiff, time = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
+    if stiff in out and time in out:
+        short, long = np.log(_RELAXATIONS_S)
+        share = (np.log(max(out[time], 1e-3)) - short) / (long - short)
+        share = float(np.clip(share, -0.5, 1.7))
+        out[stiff], out[time] = out[stiff] * (1 - share), out[stiff] * share
+        out["skin_viscoelasticity.long"] = out.pop(time)
+    if "water.viscosity_m2_s" in out:
+        out["water.viscosity_m2_s"] = float(np.log(out["water.viscosity_m2_s"]))
+    return out
+
+
+def _steps(track: Array) -> Array:
+    """Ways forward, to the left and round in each period, and joint angles: (E, T - 1, 3 + J)."""
+    way = np.diff(track[..., :3], axis=1)
+    heading = track[:, :-1, 2]
+    c, s = np.cos(heading), np.sin(heading)
+    ahead, left = c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]
+    return np.concatenate([np.stack([ahead, left, way[..., 2]], axis=2), track[:, 1:, 3:]], axis=2)
+
+
+def _path(steps: Array, start: Array, joint: Array) -> Array:
+    """The inverse of ``_steps``, from a first pose."""
+    still = np.zeros((len(steps), 1))
+    heading = start[2] + np.concatenate([still, np.cumsum(steps[..., 2], axis=1)], axis=1)
+    c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
+    x = np.cumsum(c * steps[..., 0] - s * steps[..., 1], axis=1)
+    y = np.cumsum(s * steps[..., 0] + c * steps[..., 1], axis=1)
+    x, y = (a + np.concatenate([still, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
+    first = np.broadcast_to(joint, (len(steps), 1, joint.size))
+    angles = np.concatenate([first, steps[..., 3:]], axis=1)
+    return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
+
+
+__all__ = ["ROLLOUTS", "Batch", "Emulator", "places_of", "rollouts"]

@@ -1,0 +1,209 @@
+"""A pool recording as a fit sees it, and what a simulator says about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.twin import Coefficients, Twin
+from sim2real.body import listed, values
+from sim2real.camera import observed
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.recording import Recording
+from sim2real.robot import Robot, match_joints
+from sim2real.velocity import body_velocity
+
+Array = NDArray[np.float64]
+
+SIGNALS = ("surge", "sway", "yaw rate")
+UNITS = ("m/s", "m/s", "rad/s")
+_MEDIAN = 0.6745
+"""Median of the size of a normal deviate."""
+_REST = 10
+"""Samples at the start that give the first pose."""
+
+Simulator = Callable[[Sequence[Model], Array, Array], Array]
+"""From models (E), commands (T, J) and a first pose to tracks (E, T, 3 + J)."""
+
+
+@dataclass(frozen=True)
+class Swim:
+    """One pool recording on the grid of control periods.
+
+    Attributes:
+        name: Of the recording.
+        t: Times in s, shape (T,), every 20 ms.
+        command: Set-points in force when each period begins, shape (T, J).
+        start: First pose: x, y, heading.
+        signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
+        noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
+            it is not known.
+    """
+
+    name: str
+    t: Array
+    command: Array
+    start: Array
+    signals: Array
+    noise: Array | float = 0.0
+
+
+def swim_of(recording: Recording, robot: Robot) -> Swim:
+    """A recording, resampled to the control period where its clock wanders.
+
+    Raises:
+        InputError: If it is no pool recording of this robot, has no poses or no commands.
+    """
+    match_joints(recording, robot)
+    names = ("body.x_m", "body.y_m", "body.yaw_rad")
+    for name in names:
+        if name not in recording.columns:
+            where = recording.path or recording.name
+            raise InputError(where, name, "no such column", "poses of the body, in a pool")
+    if np.isnan(recording.command).all():
+        where = recording.path or recording.name
+        raise InputError(where, "header", "no J.command_rad column", "the set-points sent")
+    t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
+    row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
+    order = [recording.joints.index(joint.name) for joint in robot.joints]
+
+    def even(column: Array) -> Array:
+        known = np.isfinite(column)
+        if known.sum() < _REST:
+            return np.full(t.size, np.nan)
+        return np.interp(t, recording.t[known], column[known])
+
+    pose = np.stack([recording.columns[name] for name in names], axis=1)
+    pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
+    grid = np.stack([even(column) for column in pose.T], axis=1)
+    joints = np.stack([even(recording.position[:, k]) for k in order], axis=1)
+    command = np.nan_to_num(recording.command[row][:, order])
+    return Swim(
+        name=recording.name,
+        t=t - t[0],
+        command=command,
+        start=grid[:_REST].mean(axis=0),
+        signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
+        noise=_noise(t, np.concatenate([grid, joints], axis=1)),
+    )
+
+
+def _noise(t: Array, shown: Array) -> Array:
+    """Noise of surge, sway, yaw rate and joints, from poses and angles (T, 3 + J).
+
+    That of a pose is what its third differences show, in which no motion of a robot is left: for
+    white noise their variance is 20 times its own. The velocities' is what the estimator makes of
+    such noise.
+    """
+    third = np.abs(np.diff(shown, 3, axis=0))
+    sd = np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)
+    drawn = np.random.default_rng(0).standard_normal((t.size, 3)) * np.nan_to_num(sd[:3])
+    return np.concatenate([body_velocity(t, drawn).std(axis=0), np.nan_to_num(sd[3:])])
+
+
+def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
+    """The same signals by a simulator, the models' camera included, shape (E, T, 3 + J).
+
+    Those of a robot that was stopped are NaN.
+    """
+    track = simulator(models, swim.command, swim.start)
+    out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
+    for e, model in enumerate(models):
+        if not np.isfinite(track[e]).all():
+            continue
+        pose = observed(swim.t, track[e, :, :3], values(model))
+        out[e, :, :3] = body_velocity(swim.t, pose)
+        out[e, :, 3:] = track[e, :, 3:]
+    return out
+
+
+def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Twin
+    """The reduced-order twin."""
+
+    def run(models: Sequence[Model], command: Array, start: Array) -> Array:
+        twin = Twin(robot, models, n_envs=len(models), **options)
+        twin.reset(pose=np.tile(start, (len(models), 1)))
+        first = _now(twin)
+        return np.concatenate([first[:, None], twin.swim(command[:-1])], axis=1)
+
+    return run
+
+
+def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Swimmer
+    """The fluid."""
+
+    def run(models: Sequence[Model], command: Array, start: Array) -> Array:
+        swimmer = Swimmer(robot, models, n_envs=len(models), **options)
+        swimmer.reset(pose=np.tile(start, (len(models), 1)))
+        track = [_now(swimmer)]
+        for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
+            swimmer.step(sent)
+            track.append(_now(swimmer))
+        return np.moveaxis(np.array(track), 0, 1)
+
+    return run
+
+
+def _now(swimmer: Twin | Swimmer) -> Array:
+    state = swimmer.state()
+    broken = state.stopped >= 0
+    now = np.concatenate([state.pose, state.measured], axis=1)
+    now[broken] = np.nan
+    return now
+
+
+def with_values(model: Model, given: Mapping[str, float]) -> Model:
+    """The model with parameters by name.
+
+    ``j1.kp_Nm_per_rad`` belongs to a joint, ``twin.along`` to the twin's law,
+    ``water.viscosity_m2_s`` to the fluid, anything else to the body's or the camera's effects.
+    """
+    joints, body = dict(model.joints), dict(model.body)
+    law = dict(vars(Coefficients.of(body)))
+    effects = values(model)
+    for name, value in given.items():
+        head, _, tail = name.partition(".")
+        if head in joints:
+            changed: dict[str, Any] = {tail: value}
+            joints[head] = replace(joints[head], **changed)
+        elif head == "twin":
+            law[tail] = value
+        elif head == "water":
+            body["water"] = {**body.get("water", {}), tail: value}
+        else:
+            effects[name] = value
+    if any(name.startswith("twin.") for name in given) or "twin" in body:
+        body["twin"] = law
+    body["effects"] = listed(effects)
+    return replace(model, joints=joints, body=body)
+
+
+def values_of(model: Model, names: Sequence[str]) -> Array:
+    """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect.
+
+    Raises:
+        KeyError: If the model does not say what a parameter of the water is.
+    """
+    effects = values(model)
+    out = []
+    for name in names:
+        head, _, tail = name.partition(".")
+        if head in model.joints:
+            out.append(float(getattr(model.joints[head], tail)))
+        elif head in ("twin", "water"):
+            out.append(float(model.body[head][tail]))
+        else:
+            out.append(effects.get(name, 0.0))
+    return np.array(out)
+
+
+__all__ = [
+    "Coefficients", "Simulator", "Swim", "by_fluid", "by_twin", "simulated", "swim_of", "values_of",
+]  # fmt: skip

@@ -1,0 +1,1 @@
+"""The lattice-Boltzmann method in cells: velocity sets, populations, collision, walls."""

@@ -1,0 +1,211 @@
+"""The fluid's Warp kernels: one source for every lattice, storage type and device."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, place, within
+from sim.lattice.collision import collision
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+SUPERSONIC = 0.16
+"""Square of the speed, in lattice units, beyond which nothing here means anything (0.4)."""
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """Kernels for one lattice, storage type and width of memory.
+
+    Attributes:
+        step: Collide and stream.
+        fields: Density and velocity of all cells.
+        initialise: Set populations from density, velocity and shear.
+        damp: Bring cells far from the robot nearer to rest.
+    """
+
+    step: Any
+    fields: Any
+    initialise: Any
+    damp: Any
+
+
+@cache
+def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
+    """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
+    c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
+    made, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
+    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
+    neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
+    subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
+
+    @wp.func
+    def body_push(
+        n: int,
+        e: int,
+        box: Box,
+        u: wp.vec3,
+        covered: Covered,
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+    ) -> wp.vec3:
+        """Change of velocity that the body's share of a cell asks for."""
+        at = place(n, box)
+        corner = covered.corner[e]
+        dx = within(at[0] - corner[0], box.nx)
+        dy = within(at[1] - corner[1], box.ny)
+        slot = ((e * covered.side + dy) * covered.side + dx) * covered.tall + at[2] - covered.low
+        held = covered.share[slot]
+        face = covered.face[slot]
+        link = int(held)
+        share = held - float(link)
+        x = float(corner[0] + dx) - centre[e, link][0]
+        y = float(corner[1] + dy) - centre[e, link][1]
+        v = twist[e, link]
+        lack = wp.vec3(v[0] - v[2] * y - u[0], v[1] + v[2] * x - u[1], -u[2])
+        o = wp.vec3(face[0], face[1], face[2])
+        return face[3] * lack + (share - face[3]) * wp.dot(o, lack) * o + covered.more[slot]
+
+    @wp.kernel(
+        enable_backward=False,
+        module="unique",
+        grid_stride=False,
+        module_options={"fast_math": cuda},  # on a CPU it would take away the test for NaN
+    )
+    def step(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        first: int,
+        t: int,
+        tau: wp.array(dtype=wp.float32),
+        rates: wp.array(dtype=wp.vec2),
+        magic: float,
+        square: float,
+        driven: int,
+        drive: wp.array(dtype=wp.vec3),
+        covered: Covered,
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant."""
+        n = first + wp.tid()
+        flag = int(flags[n])
+        if (flag & wp.static(KIND)) != wp.static(FLUID):
+            return
+        e = int(0)
+        if box.cells < box.total:
+            e = n // box.cells
+        halted = stopped[e]
+        j = neighbours(n, flag, box)
+        p = load(f, n, j, t, box.total)
+        m4 = moments(p)
+        rest = m4[0]
+        m = wp.vec3(m4[1], m4[2], m4[3])
+        inv = 1.0 / (1.0 + rest)
+        rate = rates[e]
+        if square > 0.0:
+            above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5
+            rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
+        out = relaxed(p, rest, m, inv, rate[0], rate[1])
+        if (flag & wp.static(BODY)) + driven != 0:
+            push = drive[e]
+            if (flag & wp.static(BODY)) != 0:
+                push += body_push(n, e, box, inv * m, covered, twist, centre)
+            out = pushed(out, 1.0 + rest, inv * m, push)
+        if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
+            stopped[e] = n - e * box.cells
+        if halted < 0:
+            store(f, n, j, t, box.total, out)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def fields(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        density: wp.array(dtype=wp.float32),
+        velocity: wp.array(dtype=wp.vec3),
+    ):
+        """Density less 1 and velocity of every fluid cell; 0 in walls."""
+        n = wp.tid()
+        flag = int(flags[n])
+        density[n] = 0.0
+        velocity[n] = wp.vec3()
+        if (flag & wp.static(KIND)) == wp.static(FLUID):
+            m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+            density[n] = m[0]
+            velocity[n] = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def initialise(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        tau: wp.array(dtype=wp.float32),
+        density: wp.array(dtype=wp.float32),
+        velocity: wp.array(dtype=wp.vec3),
+        strain: wp.array2d(dtype=wp.float32),
+    ):
+        """Set what will arrive at each cell: equilibrium plus the part that the shear rate brings.
+
+        ``strain`` holds the rates of strain xx, yy, zz, xy, yz, zx, or nothing. Source: Kruger et
+        al. (2017), eq. 5.41.
+        """
+        n = wp.tid()
+        flag = int(flags[n])
+        u = velocity[n]
+        rho = 1.0 + density[n]
+        p = Vector()
+        uu = wp.dot(u, u)
+        p[0] = wp.static(w[0]) * (density[n] - 1.5 * rho * uu)
+        e = n // box.cells
+        for k in range(wp.static(pairs)):
+            x = wp.static(float(c[2 * k + 1][0]))
+            y = wp.static(float(c[2 * k + 1][1]))
+            z = wp.static(float(c[2 * k + 1][2]))
+            cu = x * u[0] + y * u[1] + z * u[2]
+            even = wp.static(w[2 * k + 1]) * (density[n] + rho * (4.5 * cu * cu - 1.5 * uu))
+            if strain.shape[0] > 0:
+                s = x * x * strain[n, 0] + y * y * strain[n, 1] + z * z * strain[n, 2]
+                s += 2.0 * (x * y * strain[n, 3] + y * z * strain[n, 4] + z * x * strain[n, 5])
+                even -= wp.static(3.0 * w[2 * k + 1]) * tau[e] * rho * s
+            odd = wp.static(3.0 * w[2 * k + 1]) * rho * cu
+            # What arrives along a direction lies where its opposite will be sent from.
+            p[2 * k + 1] = even - odd
+            p[2 * k + 2] = even + odd
+        store(f, n, neighbours(n, flag, box), t, box.total, p)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def damp(
+        f: Stored,
+        box: Box,
+        position: wp.array(dtype=wp.vec2),
+        reach: wp.vec2,
+        width: float,
+        strength: float,
+    ):
+        """Bring cells far from each box's robot nearer to rest: a sponge that goes with it.
+
+        The populations of water at rest are 0 as stored, so a factor on each slot is enough. The
+        factor falls as the square of the depth into the sponge, which reflects little sound.
+        """
+        e, n = wp.tid()
+        at = place(n, box)
+        dx = float(at[0]) - position[e][0]
+        dy = float(at[1]) - position[e][1]
+        dx = wp.abs(dx - float(box.nx) * wp.floor(dx / float(box.nx) + 0.5)) - reach[0]
+        dy = wp.abs(dy - float(box.ny) * wp.floor(dy / float(box.ny) + 0.5)) - reach[1]
+        depth = wp.max(dx, dy) / width
+        if depth <= 0.0:
+            return
+        keep = 1.0 - strength * wp.min(depth * depth, 1.0)
+        cell = e * box.cells + n
+        for d in range(wp.static(lattice.Q)):
+            write(f, d, cell, box.total, keep * read(f, d, cell, box.total))
+
+    return Kernels(step, fields, initialise, damp)

@@ -1,0 +1,175 @@
+"""Populations in memory: where they lie, how they move, and their moments.
+
+They are stored once and in place (the esoteric pull): in each step a cell reads, and writes back
+to, a set of slots that no other cell touches, so cells may run in any order, and a slot that no
+cell owns sends back what arrived in it: a solid cell bounces back by being left alone. Source:
+Lehmann, Computation 10 (2022) 92. Numbers stored are f - w, whose rounding error is that of the
+deviation from rest: Skordos, Phys. Rev. E 48 (1993) 4823.
+
+Memory is an array of one dimension as long as 32 bits can number its slots. From 2^31 slots on it
+is wide: an array of two, (Q, cells), whose offsets Warp computes in 64 bits.
+
+Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t parity of the step;
+c velocity of a direction.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from sim.lattice.cell import EDGE, Box, place
+from sim.lattice.velocities import Lattice
+
+STORAGE = {"float32": (wp.float32, 1.0), "float16": (wp.float16, 512.0)}
+"""Types of stored numbers, and the factor they are stored with.
+
+Half precision then ends at the deviations that a fluid at a tenth of the speed of sound has.
+Source: Lehmann et al., Phys. Rev. E 106 (2022) 015308.
+"""
+WIDE_FROM = 2**31
+"""Slots of the smallest batch whose memory is wide."""
+_LONGEST_ROW = 2**31 - 1
+"""Bytes in a row of wide memory: Warp holds the stride of an axis in 32 bits."""
+
+
+def is_wide(lattice: Lattice, cells: int) -> bool:
+    """Whether a batch of so many cells needs wide memory."""
+    return lattice.Q * cells >= WIDE_FROM
+
+
+def most_cells(storage: str) -> int:
+    """Cells that one batch can have: 2^29 - 1 in single precision, 2^30 - 1 in half."""
+    return _LONGEST_ROW // np.dtype(storage).itemsize
+
+
+def allocate(lattice: Lattice, storage: str, wide: bool, cells: int, device: Any) -> Any:  # noqa: ANN401
+    """Memory for the populations of so many cells, filled with water at rest."""
+    shape = (lattice.Q, cells) if wide else lattice.Q * cells
+    return wp.zeros(shape, dtype=STORAGE[storage][0], device=device)
+
+
+@dataclass(frozen=True)
+class Populations:
+    """Types and Warp functions for one lattice, storage type and width of memory.
+
+    Attributes:
+        Stored: Type of the array in memory: Q rows of all cells, one after the other.
+        Vector: Type of one cell's populations, in single precision.
+        neighbours: Cells that the odd directions point to from a cell.
+        load: Populations that arrive at a cell.
+        store: Send populations on from a cell.
+        moments: Density less 1, and momentum.
+        read, write: Get or set the value of one slot.
+    """
+
+    Stored: Any
+    Vector: Any
+    neighbours: Any
+    load: Any
+    store: Any
+    moments: Any
+    read: Any
+    write: Any
+
+
+@cache
+def populations(lattice: Lattice, storage: str, wide: bool) -> Populations:
+    """The functions for a lattice; populations stored as ``float32`` or ``float16``."""
+    c, pairs = lattice.velocities, lattice.pairs
+    kind, scale = STORAGE[storage]
+    Stored = wp.array2d(dtype=kind) if wide else wp.array(dtype=kind)
+    Vector = wp.types.vector(length=lattice.Q, dtype=wp.float32)
+    Cells = wp.types.vector(length=pairs, dtype=wp.int32)
+
+    @wp.func
+    def read(f: Stored, row: int, n: int, total: int) -> float:
+        if wp.static(wide):
+            return float(f[row, n]) * wp.static(1.0 / scale)
+        else:
+            return float(f[row * total + n]) * wp.static(1.0 / scale)
+
+    @wp.func
+    def write(f: Stored, row: int, n: int, total: int, x: float):
+        if wp.static(wide):
+            f[row, n] = kind(x * wp.static(scale))
+        else:
+            f[row * total + n] = kind(x * wp.static(scale))
+
+    @wp.func
+    def neighbours(n: int, flag: int, box: Box) -> Cells:
+        right = int(1)
+        left = int(-1)
+        front = box.nx
+        back = -box.nx
+        up = box.nx * box.ny
+        down = -up
+        if (flag & wp.static(EDGE)) != 0:
+            at = place(n, box)
+            if at[0] == box.nx - 1:
+                right -= box.nx
+            if at[0] == 0:
+                left += box.nx
+            if at[1] == box.ny - 1:
+                front -= box.nx * box.ny
+            if at[1] == 0:
+                back += box.nx * box.ny
+            if at[2] == box.nz - 1:
+                up -= box.cells
+            if at[2] == 0:
+                down += box.cells
+        j = Cells()
+        for k in range(wp.static(pairs)):
+            i = n
+            if wp.static(c[2 * k + 1][0] > 0):
+                i += right
+            if wp.static(c[2 * k + 1][0] < 0):
+                i += left
+            if wp.static(c[2 * k + 1][1] > 0):
+                i += front
+            if wp.static(c[2 * k + 1][1] < 0):
+                i += back
+            if wp.static(c[2 * k + 1][2] > 0):
+                i += up
+            if wp.static(c[2 * k + 1][2] < 0):
+                i += down
+            j[k] = i
+        return j
+
+    @wp.func
+    def load(f: Stored, n: int, j: Cells, t: int, total: int) -> Vector:
+        p = Vector()
+        p[0] = read(f, 0, n, total)
+        for k in range(wp.static(pairs)):
+            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - t, n, total)
+            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + t, j[k], total)
+        return p
+
+    @wp.func
+    def store(f: Stored, n: int, j: Cells, t: int, total: int, p: Vector) -> int:
+        write(f, 0, n, total, p[0])
+        for k in range(wp.static(pairs)):
+            write(f, wp.static(2 * k + 1) + t, j[k], total, p[2 * k + 1])
+            write(f, wp.static(2 * k + 2) - t, n, total, p[2 * k + 2])
+        return 0
+
+    @wp.func
+    def moments(p: Vector) -> wp.vec4:
+        rho = p[0]
+        mx = float(0.0)
+        my = float(0.0)
+        mz = float(0.0)
+        for k in range(wp.static(pairs)):
+            rho += p[2 * k + 1] + p[2 * k + 2]
+            d = p[2 * k + 1] - p[2 * k + 2]
+            if wp.static(c[2 * k + 1][0] != 0):
+                mx += wp.static(float(c[2 * k + 1][0])) * d
+            if wp.static(c[2 * k + 1][1] != 0):
+                my += wp.static(float(c[2 * k + 1][1])) * d
+            if wp.static(c[2 * k + 1][2] != 0):
+                mz += wp.static(float(c[2 * k + 1][2])) * d
+        return wp.vec4(rho, mx, my, mz)
+
+    return Populations(Stored, Vector, neighbours, load, store, moments, read, write)

@@ -1,0 +1,197 @@
+"""What walls do to the populations that arrive in them, before these turn back.
+
+A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285); a free-slip wall exchanges
+its cells' populations along the wall, so that they leave as from a mirror. A wall at rest needs
+nothing.
+
+Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet that of its
+own velocity and the density of the cell before it, an outlet that of the velocity of the cell
+before it and a density of 1 plus what flows out beyond what flows in, over the speed of sound. That
+is the density of a plane wave on its way out (Poinsot and Lele, J. Comput. Phys. 101 (1992) 104):
+between an inlet and a fixed density sound would stay, and a vortex street plays that organ pipe.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any
+
+import warp as wp
+
+from sim.lattice.cell import INLET, KIND, MOVING, SLIP, Box, neighbour
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+_FIXED_POINT = float(2**32)
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """One exchange at a free-slip wall: directions ``one`` and ``two`` differ along ``across``."""
+
+    normal: int
+    one: tuple[int, int, int]
+    two: tuple[int, int, int]
+    across: tuple[int, int, int]
+
+
+def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:
+    """All exchanges, for normals 0 to 5: +x, -x, +y, -y, +z, -z."""
+    found = []
+    axes = range(lattice.dimensions)
+    for axis, sign, across in product(axes, (1, -1), axes):
+        if across != axis:
+            one, two, along = [0, 0, 0], [0, 0, 0], [0, 0, 0]
+            one[axis] = two[axis] = sign
+            one[across], two[across], along[across] = 1, -1, 1
+            normal = 2 * axis + int(sign < 0)
+            found.append(Mirror(normal, _triple(one), _triple(two), _triple(along)))
+    return tuple(found)
+
+
+def _triple(x: list[int]) -> tuple[int, int, int]:
+    return x[0], x[1], x[2]
+
+
+@cache
+def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
+    """Kernels for walls, and for what flows through inlets and outlets."""
+    c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
+    made = populations(lattice, storage, wide)
+    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
+    neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
+    exchanges = mirrors(lattice)
+
+    @wp.func
+    def row(d: int, t: int) -> int:
+        """The row of what arrives along direction d."""
+        if d % 2 == 0:
+            return d - 1 + t
+        return d + 1 - t
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def walls(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        listed: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=wp.int32),
+        velocity: wp.array(dtype=wp.vec3),
+        through: wp.array2d(dtype=wp.vec4),
+        excess: wp.array(dtype=wp.float32),
+    ):
+        """Wall cell k of box e; ``listed`` are the cells, counted in one box."""
+        e, k = wp.tid()
+        n = e * box.cells + listed[k]
+        flag = int(flags[n])
+        kind = flag & wp.static(KIND)
+        if kind == wp.static(SLIP):
+            for m in range(wp.static(len(exchanges))):
+                if normal[k] == wp.static(exchanges[m].normal):
+                    other = neighbour(
+                        n,
+                        wp.static(exchanges[m].across[0]),
+                        wp.static(exchanges[m].across[1]),
+                        wp.static(exchanges[m].across[2]),
+                        box,
+                    )
+                    if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
+                        # What arrives along an even direction lies in the cell it comes from.
+                        one = wp.static(lattice.index(exchanges[m].one))
+                        two = wp.static(lattice.index(exchanges[m].two))
+                        at_two = n
+                        at_one = other
+                        if two % 2 == 0:
+                            at_two = neighbour(
+                                n,
+                                wp.static(-exchanges[m].two[0]),
+                                wp.static(-exchanges[m].two[1]),
+                                wp.static(-exchanges[m].two[2]),
+                                box,
+                            )
+                        if one % 2 == 0:
+                            at_one = neighbour(
+                                other,
+                                wp.static(-exchanges[m].one[0]),
+                                wp.static(-exchanges[m].one[1]),
+                                wp.static(-exchanges[m].one[2]),
+                                box,
+                            )
+                        row_one = row(one, t)
+                        row_two = row(two, t)
+                        held = read(f, row_two, at_two, box.total)
+                        write(f, row_two, at_two, box.total, read(f, row_one, at_one, box.total))
+                        write(f, row_one, at_one, box.total, held)
+            return
+        u = velocity[k]
+        rest = float(0.0)
+        if kind != wp.static(MOVING):
+            sent = through[e, k]
+            u = wp.vec3(sent[0], sent[1], sent[2])
+            rest = sent[3]
+            if kind != wp.static(INLET):
+                rest = excess[e]
+        j = neighbours(n, flag, box)
+        p = load(f, n, j, t, box.total)
+        out = Vector()
+        out[0] = p[0]
+        for d in range(wp.static(pairs)):
+            cu = (
+                wp.static(float(c[2 * d + 1][0])) * u[0]
+                + wp.static(float(c[2 * d + 1][1])) * u[1]
+                + wp.static(float(c[2 * d + 1][2])) * u[2]
+            )
+            a = p[2 * d + 1]
+            b = p[2 * d + 2]
+            odd = wp.static(3.0 * w[2 * d + 1]) * cu
+            if kind == wp.static(MOVING):
+                out[2 * d + 1] = b + 2.0 * odd
+                out[2 * d + 2] = a - 2.0 * odd
+            else:
+                bend = (1.0 + rest) * (4.5 * cu * cu - 1.5 * wp.dot(u, u))
+                even = wp.static(w[2 * d + 1]) * (rest + bend)
+                out[2 * d + 1] = even + (1.0 + rest) * odd
+                out[2 * d + 2] = even - (1.0 + rest) * odd
+        store(f, n, j, t, box.total, out)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def openings(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        listed: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=wp.int32),
+        inside: wp.array(dtype=wp.int32),
+        velocity: wp.array(dtype=wp.vec3),
+        through: wp.array2d(dtype=wp.vec4),
+        sums: wp.array(dtype=wp.int64),
+    ):
+        """Velocity at opening k of box e, and the density less 1 where that is an inlet.
+
+        ``inside`` are the fluid cells before the openings, negative where wall cell k is none;
+        ``sums`` gather what flows out less what flows in, as integers, whose order does not matter.
+        """
+        e, k = wp.tid()
+        if inside[k] < 0:
+            return
+        n = e * box.cells + inside[k]
+        m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
+        u = velocity[k]
+        if (int(flags[e * box.cells + listed[k]]) & wp.static(KIND)) != wp.static(INLET):
+            u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+        out = u[normal[k] // 2] * float(1 - 2 * (normal[k] % 2))
+        wp.atomic_add(sums, e, wp.int64(wp.float64(out) * wp.float64(wp.static(_FIXED_POINT))))
+        through[e, k] = wp.vec4(u[0], u[1], u[2], m[0])
+
+    return walls, openings
+
+
+@wp.kernel(enable_backward=False)
+def let_out(sums: wp.array(dtype=wp.int64), outlets: float, excess: wp.array(dtype=wp.float32)):
+    """Density less 1 at the ``outlets`` cells of box e's outlets."""
+    e = wp.tid()
+    net = wp.float64(sums[e]) / wp.float64(wp.static(_FIXED_POINT))
+    sums[e] = wp.int64(0)
+    excess[e] = wp.static(3.0**0.5) * float(net) / outlets

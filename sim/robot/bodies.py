@@ -1,0 +1,278 @@
+"""Robots in the boxes of a fluid: one for each box, all advanced together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernel
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import MEMORY, NO_SLIP, Wall
+from sim.lattice.cell import Covered
+from sim.lattice.units import Units
+from sim.robot.chain import RING, Chain, Motion, OnGrid
+from sim.robot.effects import OFF, Outside, surface_drag
+from sim.robot.multibody import FREE, HELD, KINEMATIC, advance, move, start
+from sim.robot.rows import Masses, chain_rows, change_rows, make_rows
+from sim.robot.shape import Hull, displaced
+from sim2real.servo.parameters import CELLS, COLUMNS
+
+Array = NDArray[np.float64]
+
+VIRTUAL_MASS = 0.25
+"""Share of the displaced water that is added to both sides of the equations of motion."""
+INSET = 0.5
+"""How far, in cells, the surface is set in, as a cell that is solid to a small part stops the water
+almost whole: ``inset_at`` for the viscosities at which robots swim."""
+THINNEST = INSET + 0.15
+"""Smallest half-width and half-height in cells: a thinner fin, set in, would slip between them."""
+_MARGIN = 3
+_NO_LIMIT, _FINE = 1e6, 60
+
+
+def inset_at(viscosity: float) -> float:
+    """How far, in cells, to set the surface in at this viscosity in lattice units.
+
+    The slope is that of creeping flow through periodic arrays, whose drag is known in closed form
+    (Sangani and Acrivos, Int. J. Multiphase Flow 8 (1982) 193, 343): a disc or ball of 6 to 14
+    cells, nowhere special on the grid, acts as if 0.34 - 1.5 sqrt(viscosity) cells larger, within
+    0.03 for viscosities from 0.005 to 0.4, and the same in two and three dimensions. The constant
+    is that of faster flow, whose pressure feels the outermost cells: there the best insets lie 0.23
+    higher (cylinder towed at Re 100 with 8 to 24 cells, spheres settling at Re 1.5 and 32).
+    """
+    return 0.57 - 1.5 * float(np.sqrt(viscosity))
+
+
+class Bodies:
+    """One chain of links in each box of a fluid.
+
+    Attributes:
+        fluid: The boxes.
+        hull: The links' shape.
+        units: Size of a cell and of a step.
+        wall: How the robots touch the water.
+        displaced: Mass, centre and inertia of the water that each link displaces, shape (L, 3).
+        middle: Height of the robots' middle in cells.
+    """
+
+    def __init__(
+        self,
+        fluid: Fluid,
+        hull: Hull,
+        masses: Masses,
+        units: Units,
+        *,
+        servos: Array | None = None,
+        limits: Array | None = None,
+        origin_m: tuple[float, float] = (0.0, 0.0),
+        middle: float | None = None,
+        wall: Wall = NO_SLIP,
+        inset: float = INSET,
+        virtual_mass: float = VIRTUAL_MASS,
+        outside: Outside = OFF,
+    ) -> None:
+        """Put robots into a fluid, straight, at the origin, heading along x.
+
+        Args:
+            fluid: The boxes.
+            hull: The links' shape.
+            masses: What the links weigh.
+            units: Size of a cell and of a step.
+            servos: Rows of the servo law's parameters, shape (E, J, P) or (J, P), in the order of
+                ``sim2real.servo.parameters.COLUMNS``; slack joints where None.
+            limits: Smallest and largest angle of each joint in rad, shape (J, 2).
+            origin_m: World coordinates of the cell (0, 0).
+            middle: Height of the robot's middle in cells; that of the box where None. What rises
+                above the box's top is out of the water.
+            wall: How the robots touch the water.
+            inset: How far the surface is set in, in cells, where the water does not slip.
+            virtual_mass: Share of the displaced water on both sides of the equations, likewise.
+            outside: What acts on the robots beside the water.
+        """
+        self.fluid, self.hull, self.units = fluid, hull, units
+        E, L = fluid.boxes, hull.length.size
+        J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
+        device = fluid.device
+        least = 0.0 if wall.slip else THINNEST * units.cell_m
+        seen = Hull(
+            hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
+        )
+        nz = fluid.size[2]
+        self.middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
+        surface = (nz - 0.5 - self.middle) * units.cell_m
+        if wall.slip:
+            water = displaced(hull, hull.body_length / _FINE, 0.0, flat, surface)
+        else:
+            water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
+        water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
+        self.displaced = water
+        self.wall, self._virtual = wall, virtual_mass
+
+        def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
+            return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
+
+        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
+            return wp.zeros(shape, dtype=kind, device=device)
+
+        rows = np.zeros((E, J, len(COLUMNS)))
+        if servos is not None:
+            rows[:] = servos
+        chain = self.chain = Chain()
+        make_rows(chain, self._rows(masses, rows, outside), device)
+        chain.length = put(hull.length, wp.float64)
+        ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
+        chain.limits = put(np.asarray(ends, dtype=np.float64).reshape(J, 2), wp.vec2d)
+        chain.memory = room((E, J, CELLS), wp.float64)
+        chain.push = room((E, N), wp.float64)
+        chain.widest = wp.float64(hull.half_width.max())
+        s = self.motion = Motion()
+        s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
+        s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
+        s.fresh = room((E,), wp.int32)
+        s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
+        s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
+        s.clock = room((E,), wp.float64)
+        s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
+        s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
+        s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
+        grid = self.grid = OnGrid()
+        grid.cell, grid.step = wp.float64(units.cell_m), wp.float64(units.step_s)
+        grid.mass = wp.float64(units.mass_kg)
+        grid.origin = wp.vec2d(*origin_m)
+        grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
+        grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
+        grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
+        grid.sums = room((E, L, SUMS), wp.int64)
+        grid.kept = room((E, L), wp.float32)
+        grid.memory = wp.float32(MEMORY)
+        fluid.twist, fluid.centre = grid.twist, grid.centre
+        self.target = room((E, N), wp.float64)
+        self.friction = room((E, J), wp.float64)
+        set_in = 0.0 if wall.slip else inset
+        half_width = seen.half_width / units.cell_m - set_in
+        half_height = seen.half_height / units.cell_m - set_in
+        if flat:
+            half_height = np.full_like(half_height, _NO_LIMIT)
+        self._shape = (
+            put((hull.length / units.cell_m).astype(np.float32), wp.float32),
+            put(half_width.astype(np.float32), wp.vec3),
+            put(half_height.astype(np.float32), wp.vec3),
+        )
+        reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
+        self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
+        tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
+        low = 0 if flat else max(0, int(self.middle) - tall)
+        high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
+        covered = fluid.covered = Covered()
+        covered.side, covered.low, covered.tall = self._side, low, high - low
+        cells = E * self._side**2 * covered.tall
+        covered.corner = grid.corner = room((E,), wp.vec4i)
+        covered.share = room((cells,), wp.float32)
+        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
+        self._touch = wall.touch(hull.body_length, units)
+        self._cover = cover_kernel(fluid.lattice, fluid.storage, fluid.wide)
+        self.place(np.zeros((E, N)))
+
+    def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
+        """The arrays of robots with these masses, servos and effects."""
+        E, L = servos.shape[0], self.hull.length.size
+        rows = chain_rows(masses, servos, outside, E)
+        water = self.displaced
+        mass, inertia = (np.broadcast_to(x, (E, L)) for x in (masses.mass, masses.inertia))
+        inside = water[:, 2] + water[:, 0] * (rows["com"] - water[:, 1]) ** 2
+        kept = 0.0 if self.wall.slip else 1.0  # where it slips, the inner water is accounted for
+        rows["mass"] = np.stack([mass - kept * water[:, 0], inertia - kept * inside], axis=-1)
+        carried = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
+        rows["water"] = kept * self._virtual * carried
+        rows["weight"] = np.array((rows["mass"] if self.wall.slip else rows["water"])[..., 0])
+        resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
+        resist[:, :, 2] *= water[:, 0]
+        resist[:, :, 3] *= inside
+        if not self.wall.slip:
+            resist[:, :, 1] += surface_drag(outside, self.hull)
+        rows["resist"] = resist
+        return rows
+
+    def adopt(
+        self, which: NDArray[np.intp], masses: Masses, servos: Array, outside: Outside
+    ) -> None:
+        """Give some robots other masses, servos and effects, one row each."""
+        change_rows(self.chain, self._rows(masses, servos, outside), which)
+
+    def place(
+        self, q: Array, v: Array | None = None, mask: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Set coordinates and their velocities, shape (E, N), only where ``mask`` is true.
+
+        Coordinates are x and y of the head's centre of mass, its heading and the joint angles.
+        """
+        E, N = self.motion.q.shape
+        chosen = np.ones(E, dtype=bool) if mask is None else mask
+        for array, values in (
+            (self.motion.q, q),
+            (self.motion.v, np.zeros((E, N)) if v is None else v),
+        ):
+            held = array.numpy()
+            held[chosen] = np.broadcast_to(values, (E, N))[chosen]
+            array.assign(held)
+        there: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        self._launch(start, E, [self.chain, self.motion, self.grid, there])
+
+    def step(self, mode: int = FREE) -> None:
+        """Advance robots and fluid by one step of the lattice."""
+        fluid = self.fluid
+        self._launch(
+            self._cover,
+            (fluid.boxes, self._side**2),
+            [
+                fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered, self.middle, self._touch,
+                self.chain.rough, self.grid.kept, self.grid.pose, self.grid.twist, self.grid.centre,
+                *self._shape, self.grid.sums, fluid.stopped,
+            ],
+        )  # fmt: skip
+        self._launch(
+            advance,
+            fluid.boxes,
+            [
+                self.chain, self.motion, self.grid, mode, self.target, self.friction, fluid.stopped,
+            ],
+        )  # fmt: skip
+        fluid.collide_and_stream()
+        self._launch(move, fluid.boxes, [self.chain, self.motion, self.grid, mode, fluid.stopped])
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
+
+    def prescribe(self, velocities: Array) -> None:
+        """Velocities that ``KINEMATIC`` and ``HELD`` steps prescribe, shape (E, N) or (N,)."""
+        shape = self.target.shape
+        self.target.assign(
+            np.ascontiguousarray(np.broadcast_to(velocities, shape), dtype=np.float64)
+        )
+
+    def push(self, force: Array) -> None:
+        """Let outside forces act from now on: N, N, N m and N m at the joints, shape (E, N)."""
+        shape = self.chain.push.shape
+        self.chain.push.assign(np.ascontiguousarray(np.broadcast_to(force, shape), np.float64))
+
+    def momentum(self) -> Array:
+        """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
+
+        Less that of the water inside them, which the fluid has; without slip with the virtual
+        mass's share, what the scheme conserves.
+        """
+        m, w = self.chain.mass.numpy(), self.chain.water.numpy()
+        V, before, at = (
+            x.numpy() for x in (self.motion.twist, self.motion.before, self.motion.link)
+        )
+        P = m[..., :1] * V[..., :2] + w[..., :1] * (V - before)[..., :2]
+        spin = m[..., 1] * V[..., 2] + w[..., 1] * (V - before)[..., 2]
+        L = spin + at[..., 0] * P[..., 1] - at[..., 1] * P[..., 0]
+        whole = np.concatenate([P.sum(axis=1), L.sum(axis=1)[:, None]], axis=1)
+        return np.asarray(whole - self.motion.inner.numpy().sum(axis=1))
+
+
+__all__ = ["FREE", "HELD", "KINEMATIC", "Bodies", "Masses", "inset_at"]

@@ -1,0 +1,96 @@
+"""Small kernels at the start of a control period: set-points sent, boxes calmed."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from sim.lattice.cell import BODY, Box
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+from sim.robot.chain import RING, Chain, Motion
+from sim2real.servo.law import arrival_time
+
+HISTORY = 16
+"""Control periods whose states are kept, for a look at what led to a stop."""
+
+
+@wp.kernel(enable_backward=False)
+def send(
+    command: wp.array2d(dtype=wp.float64),
+    chain: Chain,
+    s: Motion,
+    history: wp.array3d(dtype=wp.float64),
+    stopped: wp.array(dtype=wp.int32),
+):
+    """Put a set-point on its way to joint k of robot e; keep the robot's state."""
+    e, k = wp.tid()
+    if stopped[e] >= 0:
+        return
+    number = s.newest[e, k] + 1
+    slot = number % wp.static(RING)
+    zero = wp.float64(0.0)
+    p = chain.servo[e, k]
+    now = s.clock[e]
+    arrives = now + p[2]
+    if chain.active[e, k] != 0:
+        arrives = arrival_time(
+            arrives, wp.float64(number), zero, zero, now, zero, p, chain.memory[e, k],
+            chain.active[e, k],
+        )  # fmt: skip
+    s.sent[e, k, slot] = command[e, k] + chain.trim[e, k]
+    s.arrival[e, k, slot] = arrives
+    s.newest[e, k] = number
+    if k == 0:
+        size = s.q.shape[1]
+        row = number % wp.static(HISTORY)
+        for i in range(size):
+            history[e, row, i] = s.q[e, i]
+            history[e, row, size + i] = s.v[e, i]
+
+
+@wp.kernel(enable_backward=False)
+def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
+    """Start robot e's clock, with the angles it has as the set-points in force."""
+    e = wp.tid()
+    if mask[e] == 0:
+        return
+    s.clock[e] = wp.float64(0.0)
+    for k in range(s.newest.shape[1]):
+        s.newest[e, k] = 0
+        s.sent[e, k, 0] = s.q[e, 3 + k]
+        s.arrival[e, k, 0] = wp.float64(-1.0)
+        s.torque[e, k] = wp.float64(0.0)
+        s.measured[e, k] = s.q[e, 3 + k] - chain.trim[e, k]
+        s.strain[e, k] = s.q[e, 3 + k]
+        for i in range(chain.memory.shape[2]):
+            chain.memory[e, k, i] = wp.float64(0.0)
+
+
+@cache
+def calm(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that brings boxes to rest."""
+    made = populations(lattice, storage, wide)
+    Stored, write = made.Stored, made.write
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def calm(
+        mask: wp.array(dtype=wp.int32),
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        e, n = wp.tid()
+        if mask[e] == 0:
+            return
+        cell = e * box.cells + n
+        for d in range(wp.static(lattice.Q)):
+            write(f, d, cell, box.total, 0.0)
+        flag = int(flags[cell])
+        if (flag & wp.static(BODY)) != 0:
+            flags[cell] = wp.uint8(flag - wp.static(BODY))
+        if n == 0:
+            stopped[e] = -1
+
+    return calm

@@ -1,0 +1,124 @@
+"""What moves a joint and what stops it: the servo, dry friction, the joint's limits."""
+
+import warp as wp
+
+from sim.robot.chain import RING, Chain, Motion
+from sim.robot.linear import response
+from sim2real.servo.law import (
+    command_in_force,
+    error_seen,
+    friction_bound,
+    load_torque,
+    motor_torque,
+    pd_torque,
+    shaft_inertia,
+)
+
+_SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
+"""Sweeps at most, and the change of a joint's rate in rad/s that ends them."""
+
+
+@wp.func
+def set_point(e: int, k: int, start: wp.float64, h: wp.float64, s: Motion) -> wp.float64:
+    """Mean over the step of the set-point in force at joint k; NaN where the torque is off."""
+    newest = s.newest[e, k]
+    mean = wp.float64(0.0)
+    until = start + h
+    for back in range(wp.static(RING)):
+        if newest - back >= 0 and until > start:
+            slot = (newest - back) % wp.static(RING)
+            since = wp.max(s.arrival[e, k, slot], start)
+            if since < until:
+                mean += s.sent[e, k, slot] * (until - since) / h
+                until = since
+    return mean
+
+
+@wp.func
+def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
+    """Impulse of servo k over a step, the inertia that stands for its gains, and dry friction's.
+
+    The force is that at the middle of the step, as in ``sim2real.servo.law.substep``.
+    """
+    p = chain.servo[e, k]
+    z = chain.memory[e, k]
+    active = chain.active[e, k]
+    zero = wp.float64(0.0)
+    half = wp.float64(0.5) * h
+    kp = p[0]
+    kd = p[1]
+    v = s.v[e, 3 + k]
+    q = s.q[e, 3 + k] + half * v
+    now = s.clock[e]
+    u = set_point(e, k, now, h, s)
+    if wp.isnan(u):
+        kp = zero
+        kd = zero
+        u = q
+    error = u - q
+    load = zero
+    inertia = zero
+    bound = zero
+    torque = pd_torque(kp, kd, error, v)
+    explicit = bool(False)
+    if active != 0:
+        before = s.torque[e, k]
+        error = command_in_force(u, q, v, before, now, h, p, z, active) - q
+        error = error_seen(error, q, v, before, now, h, p, z, active)
+        load = load_torque(load, q, v, before, now, h, p, z, active)
+        torque = pd_torque(kp, kd, error, v)
+        if kp > zero:
+            made = motor_torque(torque, q, v, torque, now, h, p, z, active)
+            explicit = made != torque
+            torque = made
+        bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
+        inertia = shaft_inertia(zero, zero, zero, zero, zero, zero, p, z, active)
+    s.torque[e, k] = torque
+    rotor = inertia * v
+    if explicit:
+        return wp.vec3d(h * (torque + load) + rotor, inertia, h * bound)
+    gain = half * kd + half * h * kp
+    at_start = error + half * v  # less the half step that the new speed will make
+    impulse = h * (kp * at_start - wp.float64(0.5) * kd * v + load) + rotor
+    return wp.vec3d(impulse, gain + inertia, h * bound)
+
+
+@wp.func
+def stop_joints(
+    e: int, size: int, h: wp.float64, friction: wp.array(dtype=wp.float64), chain: Chain, s: Motion
+) -> int:
+    """Impulses of dry friction and of the joints' limits; ``b`` holds the velocities."""
+    J = size - 3
+    any_bound = bool(False)
+    for k in range(J):
+        q = s.q[e, 3 + k] + h * s.b[e, 3 + k]
+        if friction[k] > wp.float64(0.0) or q < chain.limits[k][0] or q > chain.limits[k][1]:
+            any_bound = True
+    if not any_bound:
+        return 0
+    for k in range(J):
+        response(e, 3 + k, size, s)
+        s.impulse[e, k] = wp.float64(0.0)
+        s.stop[e, k] = wp.float64(0.0)
+    largest = wp.float64(1.0)
+    sweep = int(0)
+    while sweep < wp.static(_SWEEPS) and largest > wp.static(_SETTLED):
+        largest = wp.float64(0.0)
+        sweep += 1
+        for k in range(J):
+            v = s.b[e, 3 + k]
+            own = s.inverse[e, 3 + k, 3 + k]
+            wanted = wp.clamp(s.impulse[e, k] - v / own, -friction[k], friction[k])
+            change = wanted - s.impulse[e, k]
+            s.impulse[e, k] = wanted
+            v += own * change
+            low = wp.min((chain.limits[k][0] - s.q[e, 3 + k]) / h, wp.float64(0.0))
+            high = wp.max((chain.limits[k][1] - s.q[e, 3 + k]) / h, wp.float64(0.0))
+            free = v - own * s.stop[e, k]
+            change -= s.stop[e, k]
+            s.stop[e, k] = (wp.clamp(free, low, high) - free) / own
+            change += s.stop[e, k]
+            largest = wp.max(largest, wp.abs(change) * own)
+            for i in range(size):
+                s.b[e, i] += s.inverse[e, 3 + k, i] * change
+    return 0

@@ -1,0 +1,77 @@
+"""The live state of a batch of robots, for loops that never leave the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.robot.effects import Outside
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Live:
+    """Warp arrays that a simulator reads and writes; take them by DLPack, without a copy.
+
+    Attributes:
+        command: Set-points of the next period in rad, shape (E, J), float64; write here.
+        q: x, y of the head's centre of mass and heading in the water's frame, joint angles,
+            shape (E, 3 + J), float64.
+        v: Their rates, likewise.
+        measured: Angles that the joints' sensors show, shape (E, J), float64.
+        clock: Seconds since the robot's start, shape (E,), float64.
+        stopped: Cell at which the guard stopped a box, -1 where none, shape (E,), int32.
+    """
+
+    command: Any
+    q: Any
+    v: Any
+    measured: Any
+    clock: Any
+    stopped: Any
+
+
+class Simulator(Protocol):
+    """What the fluid's swimmer and its twin have in common."""
+
+    robot: Robot
+    n_envs: int
+    outside: Outside
+
+    def live(self) -> Live:
+        """Its live state."""
+
+    def advance(self) -> None:
+        """Go on by one control period with the set-points in ``live().command``."""
+
+    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+        """Give some robots other models, before their reset."""
+
+    def reset(
+        self,
+        mask: NDArray[np.bool_] | None = None,
+        pose: Array | None = None,
+        joint: Array | None = None,
+    ) -> None:
+        """Put robots at rest."""
+
+
+@cache
+def _wrapped(device: str, pointer: int) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """Warp's view of another library's stream; kept, as what it drops it also gives up."""
+    return wp.Stream(wp.get_device(device), cuda_stream=pointer)
+
+
+def use_stream(device: str, pointer: int) -> None:
+    """Let all further work on a CUDA device go to another library's stream."""
+    chosen: Any = wp.get_device(device)
+    wp.set_stream(_wrapped(device, pointer), chosen)

@@ -1,0 +1,79 @@
+"""What else acts on a robot: a skin over its joints, drag that the water lacks, a tether.
+
+These are the body's effects of the catalogue (``sim2real.body``), the same law for the fluid and
+for the reduced-order twin. All are off where their parameters are 0.
+"""
+
+import warp as wp
+
+from sim.robot.chain import Chain, Motion
+
+
+@wp.func
+def resist(e: int, k: int, h: wp.float64, a: wp.vec3d, chain: Chain, s: Motion) -> wp.vec3d:
+    """What link k resists to a unit change a of its velocity over a step: kg m/s and kg m2/s.
+
+    Drag along the link's axis grows with the speed and its square, across it with the speed; the
+    mass and the inertia are those of water that goes along as the link moves sideways and turns.
+    """
+    p = chain.resist[e, k]
+    at = s.link[e, k]
+    heading = at[2]
+    c = wp.cos(heading)
+    d = wp.sin(heading)
+    none = wp.float64(0.0)
+    axis = wp.vec3d(c, d, none)
+    normal = wp.vec3d(-d, c, none)
+    along = h * (p[0] + p[1] * wp.abs(wp.dot(s.twist[e, k], axis))) * wp.dot(a, axis)
+    across = (h * p[0] + p[2]) * wp.dot(a, normal)
+    return along * axis + across * normal + wp.vec3d(none, none, p[3] * a[2])
+
+
+@wp.func
+def carried(e: int, k: int, chain: Chain, s: Motion) -> wp.vec3d:
+    """Momentum across the link, and spin, of the water that goes along with it."""
+    at = s.link[e, k]
+    heading = at[2]
+    c = wp.cos(heading)
+    d = wp.sin(heading)
+    normal = wp.vec3d(-d, c, wp.float64(0.0))
+    p = chain.resist[e, k]
+    V = s.twist[e, k]
+    none = wp.float64(0.0)
+    return p[2] * wp.dot(V, normal) * normal + wp.vec3d(none, none, p[3] * V[2])
+
+
+@wp.func
+def pull(e: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
+    """Impulse of the tether on the head over a step, as far as it is known before the step."""
+    p = chain.tether[e]
+    at = s.link[e, 0]
+    x = p[1] - chain.current[e][0] * s.clock[e] - at[0]
+    y = p[2] - chain.current[e][1] * s.clock[e] - at[1]
+    return wp.vec3d(h * p[0] * x, h * p[0] * y, wp.float64(0.0))
+
+
+@wp.func
+def skin(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
+    """Impulse of the skin over joint k, and the inertia that stands for its stiffness.
+
+    A spring and a damper beside a spring that relaxes (a standard linear solid), and a spring to
+    the neighbours' angles.
+    """
+    p = chain.skin[e, k]
+    q = s.q[e, 3 + k]
+    v = s.v[e, 3 + k]
+    kept = wp.float64(1.0)
+    if p[3] > wp.float64(0.0):
+        kept = wp.exp(-h / p[3])
+    strain = (q - s.strain[e, k]) * kept
+    s.strain[e, k] = q - strain
+    across = wp.float64(0.0)
+    J = s.q.shape[1] - 3
+    if k > 0:
+        across += s.q[e, 2 + k] - q
+    if k < J - 1:
+        across += s.q[e, 4 + k] - q
+    torque = chain.coupling[e] * across - p[0] * q - p[2] * strain
+    gain = wp.float64(0.5) * h * (p[1] + h * (p[0] + p[2]))
+    return wp.vec2d(h * (torque - wp.float64(0.5) * (p[1] + h * (p[0] + p[2])) * v), gain)

@@ -1,0 +1,156 @@
+"""What may differ between the robots of a batch: one row of each array for each robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.robot.effects import Outside
+from sim.robot.shape import Hull
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.robot import Robot
+from sim2real.servo.parameters import COLUMNS, joint_row
+from sim2real.servo.rollout import active_effects
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Masses:
+    """What the links weigh; shape (E, L) or (L,), SI.
+
+    Attributes:
+        mass: Mass in kg.
+        inertia: Moment of inertia about the centre of mass in kg m2.
+        com: Distance of the centre of mass from the link's front end in m.
+    """
+
+    mass: Array
+    inertia: Array
+    com: Array
+
+
+_KINDS: Mapping[str, Any] = {
+    "mass": wp.vec2d,
+    "water": wp.vec2d,
+    "resist": wp.vec4d,
+    "skin": wp.vec4d,
+    "tether": wp.vec3d,
+    "current": wp.vec2d,
+    "active": wp.int32,
+    "tip": wp.vec2d,
+    "along": wp.vec2d,
+    "wake": wp.vec2d,
+}
+
+
+def chain_rows(masses: Masses, servos: Array, outside: Outside, E: int) -> dict[str, NDArray[Any]]:
+    """Rows of ``Chain`` that fluid and twin fill alike.
+
+    Args:
+        masses: What the links weigh, shape (E, L) or (L,).
+        servos: Rows of the servo law's parameters, shape (E, J, P).
+        outside: What acts beside the water.
+        E: Number of robots.
+    """
+    J, L = servos.shape[1], servos.shape[1] + 1
+    flat = np.ascontiguousarray(servos).reshape(E * J, len(COLUMNS))
+    return {
+        "com": np.broadcast_to(masses.com + outside.com, (E, L)),
+        "side": np.broadcast_to(outside.side, (E, L)),
+        "rough": np.broadcast_to(outside.rough, (E, L)),
+        "skin": np.broadcast_to(outside.skin, (E, J, 4)),
+        "coupling": np.broadcast_to(outside.coupling, (E,)),
+        "tether": np.broadcast_to(outside.tether, (E, 3)),
+        "current": np.broadcast_to(outside.current, (E, 2)),
+        "trim": np.broadcast_to(outside.trim, (E, J)),
+        "servo": servos,
+        "active": active_effects(flat).reshape(E, J),
+    }
+
+
+def make_rows(struct: Any, rows: Mapping[str, NDArray[Any]], device: Any) -> None:  # noqa: ANN401
+    """Make the arrays of a Warp struct from rows for all robots."""
+    for name, values in rows.items():
+        kind = _KINDS.get(name, wp.float64)
+        array: Any = wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
+        setattr(struct, name, array)
+
+
+def change_rows(
+    struct: Any,  # noqa: ANN401 - a Warp struct
+    rows: Mapping[str, NDArray[Any]],
+    which: NDArray[np.intp],
+) -> None:
+    """Overwrite the rows of some robots, in place: captured graphs stay valid."""
+    for name, values in rows.items():
+        array = getattr(struct, name)
+        held = array.numpy()
+        held[which] = values
+        array.assign(held)
+
+
+def changed(outside: Outside, other: Outside, which: NDArray[np.intp], E: int) -> Outside:
+    """The outside of E robots, some of them with another."""
+    merged: dict[str, Array] = {}
+    for field in fields(Outside):
+        new = getattr(other, field.name)
+        full = np.array(np.broadcast_to(getattr(outside, field.name), (E, *new.shape[1:])))
+        full[which] = new
+        merged[field.name] = full
+    return Outside(**merged)
+
+
+def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
+    """Masses of the links, by the model's normalised densities where it has them.
+
+    A normalised density is (m_i / l_i) (sum l / sum m): Lin, Liu, Wang (2024), Sec. III-B.1. An
+    inertia that the file lacks is that of an elliptic cylinder.
+    """
+    total = sum(link.mass_kg for link in robot.links)
+    length = np.array([link.length_m for link in robot.links])
+    width = np.array([link.width_m for link in robot.links])
+    own = np.array([link.mass_kg for link in robot.links])
+    mass = np.tile(own, (len(models), 1))
+    for row, model in zip(mass, models, strict=True):
+        if "normalised_density" in model.body:
+            row[:] = np.asarray(model.body["normalised_density"]) * total * length / length.sum()
+    middle = np.array(
+        [link.length_m / 2 if link.com_m is None else link.com_m for link in robot.links]
+    )
+    middle[0] -= hull.half_width[0, 0]  # the hull's first axis begins behind the nose
+    inertia = mass * (length**2 / 12 + width**2 / 16)
+    for k, link in enumerate(robot.links):
+        if link.inertia_kgm2 is not None:
+            inertia[:, k] = link.inertia_kgm2 * mass[:, k] / own[k]
+    return Masses(mass, inertia, np.broadcast_to(middle, mass.shape))
+
+
+def servo_rows(robot: Robot, models: Sequence[Model]) -> Array:
+    """Rows of the servo law's parameters, shape (E, J, P).
+
+    Raises:
+        InputError: If a model lacks a joint, or knows its gains per unit of inertia only.
+    """
+    rows = []
+    for model in models:
+        for joint in robot.joints:
+            if joint.name not in model.joints:
+                known = ", ".join(model.joints) or "none"
+                raise InputError("model", "joints", f"{known}", f"the robot's joint {joint.name}")
+            servo = model.joints[joint.name]
+            if servo.per_inertia:
+                raise InputError(
+                    "model", f"joints.{joint.name}", "gains per unit of inertia",
+                    "gains in N m, from recordings that state their loads",
+                )  # fmt: skip
+            row = joint_row(servo, None, joint.name)
+            row[4] = 0.0  # no pendulum in the water
+            rows.append(row)
+    return np.array(rows).reshape(len(models), len(robot.joints), -1)

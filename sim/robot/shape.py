@@ -1,0 +1,156 @@
+"""The robot's hull: round links whose width and height follow the body, one skin over all.
+
+A link is the set of points nearer to its axis than a radius that varies along it, closed by round
+ends; neighbours share the radius at their joint, so that the skin has no gap at any angle. In plan
+view the radius is half the width; across, sections are ellipses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from sim.fluid.section import RAMP
+from sim.lattice.units import WATER_KG_M3
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+_NOSE, _TIP = 0.6, 0.3
+"""Width of the nose and of the tail's tip, relative to the widest of their links."""
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Shape of each link.
+
+    Attributes:
+        length: From joint to joint in m, shape (L,).
+        half_width: At the front, middle and back of each link in m, shape (L, 3).
+        half_height: Likewise; unused in two dimensions.
+    """
+
+    length: Array
+    half_width: Array
+    half_height: Array
+
+    @property
+    def body_length(self) -> float:
+        """From the nose to the tip of the tail in m."""
+        return float(self.length.sum() + self.half_width[0, 0] + self.half_width[-1, 2])
+
+
+def hull_of(robot: Robot) -> Hull:
+    """The hull of a robot whose links have a length, a width and a height.
+
+    A joint is as wide as the narrower of its links. The head widens from the nose; the last link
+    narrows to its tip. The links' lengths include nose and tip.
+    """
+    width = np.array([link.width_m for link in robot.links]) / 2
+    height = np.array([link.height_m for link in robot.links]) / 2
+    length = np.array([link.length_m for link in robot.links])
+    half_width, half_height = _profile(width, _NOSE, _TIP), _profile(height, _NOSE, 1.0)
+    length[0] -= half_width[0, 0]
+    length[-1] -= half_width[-1, 2]
+    return Hull(length, half_width, half_height)
+
+
+def _profile(size: Array, nose: float, tip: float) -> Array:
+    joints = np.minimum(size[:-1], size[1:])
+    front = np.concatenate([[nose * size[0]], joints])
+    back = np.concatenate([joints, [tip * size[-1]]])
+    middle = (front + back) / 2
+    middle[0] = size[0]
+    return np.stack([front, middle, back], axis=1)
+
+
+def draught(hull: Hull, mass_kg: float) -> float | None:
+    """Height in m of the surface above the robot's middle when it floats; None where it sinks.
+
+    It goes down until it displaces its own mass of water: Archimedes' principle.
+    """
+    parts = (hull.length, hull.half_width, hull.half_height)
+    return _draught(tuple(part.tobytes() for part in parts), hull.length.size, mass_kg)
+
+
+@lru_cache(maxsize=64)
+def _draught(parts: tuple[bytes, ...], links: int, mass_kg: float) -> float | None:
+    length, wide, high = (np.frombuffer(part) for part in parts)
+    hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
+    step = hull.body_length / 60
+
+    def spare(above: float) -> float:
+        volume = displaced(hull, step, 0.0, False, above)[:, 0].sum()
+        return float(WATER_KG_M3 * volume) - mass_kg
+
+    highest = float(hull.half_height.max())
+    if spare(highest) <= 0:
+        return None
+    return float(brentq(spare, -highest, highest, xtol=1e-4))
+
+
+def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
+    """The hull with its heights scaled so that it displaces its own mass, wholly under water.
+
+    Returns:
+        The hull, and the depth in m that stands for its heights in two dimensions.
+    """
+    fine = float(hull.half_width.min()) / 2
+    volume = displaced(hull, max(fine, hull.body_length / 150), 0.0, flat)[:, 0].sum()
+    share = mass_kg / (WATER_KG_M3 * float(volume))
+    return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
+
+
+def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:
+    """What the straight hull displaces as the grid sees it: each cell counts for its nearest link.
+
+    Args:
+        hull: The hull.
+        cell: Size of a cell in m.
+        inset: How far the surface is set in, in m.
+        flat: In two dimensions.
+        above: Height of the water's surface above the hull's middle in m.
+
+    Returns:
+        Volume in m3 (area in m2), distance of its centre from the link's front end in m, second
+        moment about that centre in m5 (m4): shape (L, 3).
+    """
+    fine = cell / 6
+    widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell
+    count = 2 * round((hull.length.sum() / 2 + widest) / fine)  # a symmetric body gets equal halves
+    x = (np.arange(count) + 0.5 - count / 2) * fine - hull.length.sum() / 2
+    y = np.arange(fine / 2, widest, fine)
+    z = np.array([0.0])
+    if not flat:
+        layers = max(0, round((min(above, highest) + highest) / fine))
+        z = min(above, highest) - fine * (np.arange(layers) + 0.5)
+    front = -np.concatenate([[0.0], np.cumsum(hull.length)[:-1]])
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    off, width, height, depth = [], [], [], []
+    for k, start in enumerate(front):
+        back = np.clip(start - X, 0, hull.length[k])
+        s = back / hull.length[k] if hull.length[k] > 0 else np.zeros_like(back)
+        curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
+        off.append(np.hypot(X - start + back, Y))
+        width.append(np.tensordot(hull.half_width[k], curve, 1) - inset)
+        height.append(np.tensordot(hull.half_height[k], curve, 1) - inset)
+        depth.append(off[-1] - width[-1])
+    owner = np.argmin(depth, axis=0)
+    out = np.zeros((front.size, 3))
+    for k, start in enumerate(front):
+        mine = owner == k
+        o, w, h = off[k][mine][:, None], width[k][mine][:, None], height[k][mine][:, None]
+        ratio = w / h if not flat else np.ones_like(w)
+        stretched = np.maximum(np.hypot(o, z * ratio), 1e-12)
+        slope = np.hypot(o, z * ratio**2) / stretched if not flat else 1.0
+        share = np.clip(0.5 - (stretched - w) / slope / (RAMP * cell), 0, 1).sum(axis=1)
+        share *= 2 * fine**2 if flat else 2 * fine**3
+        back = start - X[mine]
+        volume = max(float(share.sum()), 1e-12)
+        centre = (share * back).sum() / volume
+        out[k] = volume, centre, (share * ((back - centre) ** 2 + Y[mine] ** 2)).sum()
+    return out

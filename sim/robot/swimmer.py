@@ -1,0 +1,400 @@
+"""Robots that swim: servos, links and water, one robot in each box, all boxes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.fluid.fluid import Fluid
+from sim.fluid.tank import WINDOW_M, Tank, pool, window
+from sim.fluid.wall import SLIP, Wall
+from sim.lattice.units import WATER_M2_S, Units
+from sim.lattice.velocities import D2Q9, D3Q19
+from sim.robot.bodies import FREE, KINEMATIC, Bodies
+from sim.robot.control import HISTORY, calm, remember, send
+from sim.robot.effects import outside
+from sim.robot.live import Live
+from sim.robot.rows import changed, masses, servo_rows
+from sim.robot.shape import Hull, afloat, draught, hull_of
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+CONTROL_S = 0.02
+"""Control period of the robot: 50 Hz."""
+TOP_SPEED_M_S = 1.2
+"""Speed of the tail that the step is made for: it then moves 0.15 cells a step."""
+LEAST_VISCOSITY = 3e-4
+"""Viscosity in lattice units where none is stated; it hardly matters: ``reports/resolution``."""
+SMAGORINSKY = 0.17
+"""Lilly's constant of the sub-grid viscosity."""
+_FASTEST = 0.15
+_SPONGE = 0.5
+
+
+def steps_of(cell_m: float) -> int:
+    """Steps of the lattice in a control period, even: the tail moves 0.15 cells in one."""
+    return 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
+
+
+def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
+    """Viscosity in m2/s that is taken in cells of this size where none is stated."""
+    step_s = CONTROL_S / (substeps or steps_of(cell_m))
+    return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the robots are and how they move, copied from the device; world frame, SI.
+
+    Attributes:
+        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
+        velocity: Surge, sway and yaw rate of the head, in its own frame, shape (E, 3).
+        joint: Joint angles, shape (E, J).
+        rate: Joint rates, shape (E, J).
+        measured: Angles that the joints' sensors show, shape (E, J).
+        torque: Torques of the servos in N m, shape (E, J).
+        force: Force of the water on each link in N and torque about its centre of mass in N m,
+            world frame, shape (E, L, 3).
+        time: Seconds since the start, shape (E,).
+        stopped: Cell at which a box was stopped by the guard, -1 where none was, shape (E,).
+    """
+
+    pose: Array
+    velocity: Array
+    joint: Array
+    rate: Array
+    measured: Array
+    torque: Array
+    force: Array
+    time: Array
+    stopped: NDArray[np.int32]
+
+
+class Swimmer:
+    """A batch of swimming robots with one robot file, each with its own parameters.
+
+    Attributes:
+        robot: The robot.
+        n_envs: Number of boxes E.
+        units: Size of a cell and of a step.
+        substeps: Steps of the lattice in a control period.
+        fluid, bodies: The water and what swims in it; their Warp arrays are the live state.
+        step_count: Control periods since the start.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        model: Model | Sequence[Model],
+        *,
+        n_envs: int = 1,
+        device: str = "cpu",
+        cell_m: float = 0.02,
+        dimensions: int = 3,
+        box_m: tuple[float, float, float] = WINDOW_M,
+        walls: bool = False,
+        wall: Wall = SLIP,
+        depth_m: float | None = None,
+        viscosity_m2_s: float | Array | None = None,
+        smagorinsky: float = SMAGORINSKY,
+        substeps: int | None = None,
+        hull: Hull | None = None,
+        storage: str = "float32",
+        threads: int = 1,
+    ) -> None:
+        """Make the boxes, with the robots straight, at rest, at the origin, heading along x.
+
+        Args:
+            robot: Links, joints and data sheets.
+            model: The servos, and the body's normalised density where it has one; one for all, or
+                one for each box.
+            n_envs: Number of boxes.
+            device: Warp device.
+            cell_m: Side of a cell.
+            dimensions: 2 (plan view) or 3.
+            box_m: Length, width and depth of a box.
+            walls: Close the box with walls; else it goes with the robot.
+            wall: How the robot touches the water: slipping along it, its friction a stress, which
+                suits robots of decimetres; ``NO_SLIP`` where cells resolve the boundary layer.
+            depth_m: Depth of the robot's middle below the surface, its heights scaled so that it
+                neither rises nor sinks. Where None it floats as deep as its mass takes it; one
+                that would sink swims half-way down.
+            viscosity_m2_s: Viscosity of the water away from the wall, one or one for each box: its
+                own, 1e-6, or more; the model's or that of ``least_viscosity`` where None.
+            smagorinsky: Constant of the sub-grid viscosity.
+            substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
+            hull: The links' shape; from the robot's file where None.
+            storage: ``float32`` or ``float16`` for the populations.
+            threads: CPU threads.
+
+        Raises:
+            InputError: If robot, model and box do not go together.
+        """
+        self.robot, self.n_envs = robot, n_envs
+        models = [model] * n_envs if isinstance(model, Model) else list(model)
+        if len(models) != n_envs:
+            raise InputError("swimmer", "model", f"{len(models)} models", f"{n_envs}, one a box")
+        flat = dimensions == 2
+        self.hull = hull if hull is not None else hull_of(robot)
+        _check(robot, self.hull, box_m, cell_m)
+        mass = sum(link.mass_kg for link in robot.links)
+        self.hull, depth, under = _in_water(self.hull, mass, flat, depth_m, box_m[2])
+        if substeps is None:
+            substeps = steps_of(cell_m)
+        if substeps < 2 or substeps % 2:
+            raise InputError("swimmer", "substeps", str(substeps), "an even number above 0")
+        self.substeps = substeps
+        self.units = Units(cell_m, CONTROL_S / substeps, depth if flat else cell_m)
+        if viscosity_m2_s is None:
+            least = least_viscosity(cell_m, substeps)
+            own = [one.body.get("water", {}).get("viscosity_m2_s", least) for one in models]
+            viscosity_m2_s = np.maximum(own, WATER_M2_S if wall.slip else least)
+        self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
+        self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
+        self.fluid = Fluid(
+            D2Q9 if flat else D3Q19,
+            self.tank.size,
+            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s,
+            boxes=n_envs,
+            walls=self.tank.walls,
+            normals=self.tank.normals,
+            smagorinsky=smagorinsky,
+            storage=storage,
+            device=device,
+            threads=threads,
+        )
+        nx, ny, nz = self.tank.size
+        self.outside = outside(robot, models, self.hull)
+        if self.outside.wall.any() or (walls and self.outside.current.any()):
+            name = "wall_effect" if self.outside.wall.any() else "pool_current with walls"
+            raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
+        middle = nz - 0.5 - under / cell_m
+        self.bodies = Bodies(
+            self.fluid,
+            self.hull,
+            masses(robot, models, self.hull),
+            self.units,
+            servos=servo_rows(robot, models),
+            limits=np.array([joint.limits_rad for joint in robot.joints]),
+            origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
+            middle=middle,
+            wall=wall,
+            outside=self.outside,
+        )
+        self.step_count = 0
+        J = len(robot.joints)
+        self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.fluid.device)
+        self.history: Any = wp.zeros(
+            (n_envs, HISTORY, 2 * (3 + J)), dtype=wp.float64, device=self.fluid.device
+        )
+        self._graphs: dict[int, Any] = {}
+        self.reset()
+
+    def reset(
+        self,
+        mask: NDArray[np.bool_] | None = None,
+        pose: Array | None = None,
+        joint: Array | None = None,
+    ) -> None:
+        """Put robots at rest in water at rest.
+
+        Args:
+            mask: Boxes to reset, shape (E,); all where None.
+            pose: x, y of the head's centre of mass and heading, shape (E, 3) or (3,); with the
+                body's middle at the origin where None.
+            joint: Joint angles, shape (E, J) or (J,); straight where None.
+        """
+        E, J = self.n_envs, len(self.robot.joints)
+        chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        q = np.zeros((E, 3 + J))
+        if pose is None:
+            com = self.bodies.chain.com.numpy()[:, 0]
+            q[:, 0] = self.hull.length.sum() / 2 - com
+        else:
+            q[:, :3] = pose
+        q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
+        on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        fluid, motion = self.fluid, self.bodies.motion
+        self._launch(
+            calm(fluid.lattice, fluid.storage, fluid.wide),
+            (E, fluid.cells),
+            [on_device, fluid.f, fluid.flags, fluid.box, fluid.stopped],
+        )
+        v = np.zeros_like(q)
+        v[:, :2] = -self.outside.current  # at rest in the pool, whose water moves
+        self.bodies.place(q, v, mask=chosen)
+        self._launch(remember, E, [on_device, self.bodies.chain, motion])
+
+    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+        """Give the robots of some boxes other models, before their ``reset``.
+
+        The water keeps its viscosity.
+
+        Args:
+            which: Indices of the boxes, shape (n,).
+            models: Their models.
+        """
+        other = outside(self.robot, models, self.hull)
+        own = masses(self.robot, models, self.hull)
+        self.bodies.adopt(which, own, servo_rows(self.robot, models), other)
+        self.outside = changed(self.outside, other, which, self.n_envs)
+
+    def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
+        """Send set-points and advance by one control period.
+
+        Args:
+            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on
+                the device is taken as it is, without waiting for the device.
+
+        Raises:
+            InputError: If a set-point is not finite.
+        """
+        if isinstance(command, wp.array):
+            wp.copy(self._command, command)
+        else:
+            values = np.broadcast_to(np.asarray(command, dtype=np.float64), self._command.shape)
+            if not np.all(np.isfinite(values)):
+                row = int(np.argwhere(~np.isfinite(values))[0, 0])
+                found = f"{values[row].tolist()} in environment {row}"
+                raise InputError("swimmer", "command", found, "finite angles")
+            self._command.assign(np.ascontiguousarray(values))
+        self._run(FREE)
+
+    def live(self) -> Live:
+        """The live state, on the device."""
+        s = self.bodies.motion
+        return Live(self._command, s.q, s.v, s.measured, s.clock, self.fluid.stopped)
+
+    def advance(self) -> None:
+        """Advance by one control period with the set-points in ``live().command``."""
+        self._run(FREE)
+
+    def follow(self, joint: Array, rate: Array | None = None) -> None:
+        """Advance by one control period with prescribed joints; the body stays free.
+
+        Args:
+            joint: Angles at the period's end, shape (E, J) or (J,).
+            rate: Rates at its end, likewise; else the joints turn evenly. With rates they follow
+                the cubic through angles and rates at both ends.
+        """
+        motion = self.bodies.motion
+        q, v = motion.q.numpy()[:, 3:], motion.v.numpy()[:, 3:]
+        end = np.broadcast_to(joint, q.shape)
+        time = np.arange(self.substeps + 1) / self.substeps
+        if rate is None:
+            path = q + (end - q) * time[:, None, None]
+        else:
+            s = time[:, None, None]
+            path = (
+                q * (1 + 2 * s) * (1 - s) ** 2
+                + CONTROL_S * v * s * (1 - s) ** 2
+                + end * s * s * (3 - 2 * s)
+                + CONTROL_S * np.broadcast_to(rate, q.shape) * s * s * (s - 1)
+            )
+        for turned in np.diff(path, axis=0) / self.units.step_s:
+            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), turned], axis=1))
+            self.bodies.step(KINEMATIC)
+        self._sponge()
+        self.step_count += 1
+
+    def _run(self, mode: int) -> None:
+        device = self.fluid.device
+        if not device.is_cuda:
+            self._period(mode)
+        elif self.fluid.t in self._graphs:
+            wp.capture_launch(self._graphs[self.fluid.t])
+        else:
+            self._period(mode)  # compiles every kernel, which a capture must not
+            with wp.ScopedCapture(device=device) as capture:
+                self._period(mode)
+            self._graphs[self.fluid.t] = capture.graph
+        self.step_count += 1
+
+    def _period(self, mode: int) -> None:
+        bodies = self.bodies
+        self._launch(
+            send,
+            (self.n_envs, len(self.robot.joints)),
+            [self._command, bodies.chain, bodies.motion, self.history, self.fluid.stopped],
+        )
+        for _ in range(self.substeps):
+            bodies.step(mode)
+        self._sponge()
+
+    def _sponge(self) -> None:
+        tank = self.tank
+        if not tank.sponge:
+            return
+        reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
+        self._launch(
+            self.fluid.kernels.damp,
+            (self.n_envs, self.fluid.cells),
+            [
+                self.fluid.f, self.fluid.box, self.bodies.grid.position, reach,
+                float(tank.sponge), _SPONGE,
+            ],
+        )  # fmt: skip
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
+
+    def state(self) -> State:
+        """Where the robots are and how they move."""
+        s = self.bodies.motion
+        q, v, clock = _copied(s.q), _copied(s.v), _copied(s.clock)
+        q[:, :2] += self.outside.current * clock[:, None]
+        v[:, :2] += self.outside.current
+        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
+        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
+        return State(
+            pose=q[:, :3],
+            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
+            joint=q[:, 3:],
+            rate=v[:, 3:],
+            measured=_copied(s.measured),
+            torque=_copied(s.torque),
+            force=_copied(s.force),
+            time=clock,
+            stopped=_copied(self.fluid.stopped),
+        )
+
+
+def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
+    """What a Warp array holds now: on a CPU ``numpy`` alone would go on changing."""
+    return np.array(array.numpy())
+
+
+def _in_water(
+    hull: Hull, mass_kg: float, flat: bool, depth_m: float | None, water_m: float
+) -> tuple[Hull, float, float]:
+    """The hull, the depth that stands for its heights in 2D, the depth of its middle."""
+    if depth_m is None and not flat:
+        depth_m = draught(hull, mass_kg)
+        if depth_m is not None:
+            return hull, 0.0, depth_m
+    hull, depth = afloat(hull, mass_kg, flat)
+    return hull, depth, water_m / 2 if depth_m is None else depth_m
+
+
+def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:
+    where = robot.path or "robot"
+    if np.any(hull.length <= 0):
+        k = int(np.argmax(hull.length <= 0))
+        found = f"{robot.links[k].length_m:g} m long, {robot.links[k].width_m:g} m wide"
+        raise InputError(where, f"links {k}", found, "longer than its round end: joints overlap")
+    if hull.body_length >= min(box_m[:2]):
+        found = f"a robot {hull.body_length:g} m long"
+        raise InputError(where, "links", found, f"shorter than the box, {min(box_m[:2]):g} m")
+    if 2 * hull.half_height.max() >= box_m[2]:
+        found = f"a robot {2 * hull.half_height.max():g} m high"
+        raise InputError(where, "links", found, f"lower than the water, {box_m[2]:g} m")
+    if not cell_m > 0:
+        raise InputError("swimmer", "cell_m", f"{cell_m:g}", "above 0")

@@ -1,0 +1,1 @@
+"""The reduced-order twin: the same robots in water that is a force law."""

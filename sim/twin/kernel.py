@@ -1,0 +1,312 @@
+"""The kernels of the reduced-order twin: a chain of links in water that is a force law.
+
+Each link carries water that goes along as it moves across its axis and along it (Kirchhoff's
+impulse, with the turning moment that follows from it), and feels drag across and along it. At the
+tail's end the water keeps the momentum that it has: the reactive thrust of elongated bodies
+(Lighthill, Proc. R. Soc. B 179 (1971) 125), which per length of water m with speed w across and u
+along the tail is - m w u across it and + m w w / 2 along it. Drag is that of Morison et al. (1950)
+and a share linear in the speed, taken implicitly, against water that the robot has set in motion:
+around a link it takes on a share of the link's velocity V in a time T, d moved / dt =
+(share V - moved) / T, and keeps its direction in space. Without it a robot gets up to speed too
+soon, and one that turns swims too fast through the water it stirs. The quadratic drag across,
+C |w| w, grows with the vortices that make it: it is C |w| late, and late follows w over a way, as
+lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that of
+``sim.robot.multibody``.
+"""
+
+import warp as wp
+
+from sim.robot.chain import RING, Chain, Motion
+from sim.robot.joints import drive, stop_joints
+from sim.robot.linear import factorise, solve
+from sim.robot.multibody import column, move_links, pose_links
+from sim.robot.outside import pull, resist, skin
+from sim.twin import law as twin_law
+from sim2real.effects import SIGNATURE
+from sim2real.servo.law import SENSOR_BITS, arrival_time, measured_angle
+
+POINTS = wp.constant(twin_law.POINTS)
+
+
+@wp.struct
+class Water:
+    """The water's law; row by row in the shape that is given.
+
+    Attributes:
+        place: Distance of each point before the link's centre of mass in m, (E, L, POINTS).
+        added: Water that goes along across each point in kg, (E, L, POINTS).
+        broad: Drag across at each point in N s2/m2, (E, L, POINTS).
+        reach: Way in m over which that drag grows at each point, (E, L, POINTS).
+        slow: Drag across at each point in N s/m, (E, L, POINTS).
+        along: Drag along each link in N s/m and in N s2/m2, (E, L).
+        axial: Water that goes along each link along its axis in kg, (E, L).
+        tip: Water per length at the tail's end in kg/m, and how far behind the last link's centre
+            of mass it ends in m, (E,).
+        wake: Share of a link's velocity that the water around it takes on, its time in s, (E,).
+        wall: Share that a wall one body length away adds to the thrust, (E,).
+        pool: Half the pool's length and width in m, and the body's length.
+        carried: Momentum and spin of the water that went along in the last step, (E, L).
+        moved: Velocity of the water around each link in m/s, in the world's frame, (E, L).
+        late: Speed across each point in m/s that its grown drag stands for, (E, L, POINTS).
+    """
+
+    place: wp.array3d(dtype=wp.float64)
+    added: wp.array3d(dtype=wp.float64)
+    broad: wp.array3d(dtype=wp.float64)
+    reach: wp.array3d(dtype=wp.float64)
+    slow: wp.array3d(dtype=wp.float64)
+    along: wp.array2d(dtype=wp.vec2d)
+    axial: wp.array2d(dtype=wp.float64)
+    tip: wp.array(dtype=wp.vec2d)
+    wake: wp.array(dtype=wp.vec2d)
+    wall: wp.array(dtype=wp.float64)
+    pool: wp.vec3d
+    carried: wp.array2d(dtype=wp.vec3d)
+    moved: wp.array2d(dtype=wp.vec2d)
+    late: wp.array3d(dtype=wp.float64)
+
+
+@wp.func
+def impulse(e: int, k: int, chain: Chain, s: Motion, water: Water) -> wp.vec3d:
+    """Momentum and spin of the water that goes along with link k at its velocity."""
+    at = s.link[e, k]
+    V = s.twist[e, k]
+    c = wp.cos(at[2])
+    d = wp.sin(at[2])
+    own = c * V[1] - d * V[0]
+    p = wp.float64(0.0)
+    spin = wp.float64(0.0)
+    for j in range(POINTS):
+        r = water.place[e, k, j]
+        m = water.added[e, k, j] * (own + V[2] * r)
+        p += m
+        spin += m * r
+    ahead = water.axial[e, k] * (c * V[0] + d * V[1])
+    return wp.vec3d(ahead * c - p * d, ahead * d + p * c, spin)
+
+
+@wp.func
+def stir(e: int, k: int, h: wp.float64, s: Motion, water: Water) -> int:
+    """Let the water around link k take on its share of the link's velocity."""
+    wake = water.wake[e]
+    if wake[0] != wp.float64(0.0):
+        V = s.twist[e, k]
+        moved = water.moved[e, k]
+        kept = wp.exp(-h / wake[1])
+        water.moved[e, k] = kept * moved + (wp.float64(1.0) - kept) * wake[0] * wp.vec2d(V[0], V[1])
+    return 0
+
+
+@wp.func
+def tail_end(e: int, ahead: wp.float64, w: wp.float64, s: Motion, water: Water) -> wp.vec2d:
+    """Lighthill's force at the tail's end, along and across it, more near a wall if so asked."""
+    mass = water.tip[e][0]
+    if water.wall[e] != wp.float64(0.0):
+        at = s.link[e, s.link.shape[1] - 1]
+        gap = wp.min(water.pool[0] - wp.abs(at[0]), water.pool[1] - wp.abs(at[1]))
+        share = water.pool[2] / wp.max(gap, wp.float64(0.5) * water.pool[2])
+        mass = mass * (wp.float64(1.0) + water.wall[e] * share * share)
+    return wp.vec2d(wp.float64(0.5) * mass * w * w, -mass * w * ahead)
+
+
+@wp.func
+def advance_twin(
+    e: int,
+    h: wp.float64,
+    chain: Chain,
+    s: Motion,
+    water: Water,
+    friction: wp.array2d(dtype=wp.float64),
+) -> int:
+    """One sub-step of robot e."""
+    zero = wp.float64(0.0)
+    L = chain.length.shape[0]
+    N = 2 + L
+    J = L - 1
+    for i in range(N):
+        s.b[e, i] = h * chain.push[e, i]
+        for j in range(i + 1):
+            s.A[e, i, j] = zero
+    for k in range(L):
+        at = s.link[e, k]
+        V = s.twist[e, k]
+        c = wp.cos(at[2])
+        d = wp.sin(at[2])
+        ahead = c * V[0] + d * V[1]
+        own = c * V[1] - d * V[0]
+        moved = water.moved[e, k]
+        flow_t = c * moved[0] + d * moved[1]
+        flow_n = c * moved[1] - d * moved[0]
+        a0 = zero
+        a1 = zero
+        a2 = zero
+        push_n = zero
+        turn = zero
+        for j in range(POINTS):
+            r = water.place[e, k, j]
+            w = own + V[2] * r - flow_n
+            broad = h * water.broad[e, k, j] * wp.abs(w)
+            drag = h * water.slow[e, k, j] + broad
+            both = water.added[e, k, j] + drag
+            back = drag * flow_n
+            if water.reach[e, k, j] > zero:
+                gone = h * wp.sqrt(w * w + (ahead - flow_t) * (ahead - flow_t))
+                behind = (w - water.late[e, k, j]) * wp.exp(-gone / water.reach[e, k, j])
+                back += broad * behind
+                water.late[e, k, j] = w - behind
+            push_n += back
+            turn += back * r
+            a0 += both
+            a1 += both * r
+            a2 += both * r * r
+        rough = water.along[e, k]
+        drag = h * (rough[0] + rough[1] * wp.abs(ahead - flow_t))
+        along = water.axial[e, k] + drag
+        push_t = drag * flow_t
+        m = chain.mass[e, k]
+        old = water.carried[e, k]
+        turn += h * (own * (old[0] * c + old[1] * d) - ahead * (old[1] * c - old[0] * d))
+        R = wp.vec3d(m[0] * V[0] + old[0], m[0] * V[1] + old[1], m[1] * V[2] + old[2])
+        tied = zero
+        if k == 0:
+            R += pull(e, h, chain, s)
+            tied = h * h * chain.tether[e][0]
+        if k == L - 1:
+            arm = water.tip[e][1]
+            end = tail_end(e, ahead, own - V[2] * arm, s, water)
+            push_t += h * end[0]
+            push_n += h * end[1]
+            turn -= h * arm * end[1]
+        R += wp.vec3d(push_t * c - push_n * d, push_t * d + push_n * c, turn)
+        for i in range(3 + k):
+            a = column(e, k, i, chain, s)
+            s.b[e, i] = s.b[e, i] + wp.dot(a, R)
+            at_n = c * a[1] - d * a[0]
+            f_n = a0 * at_n + a1 * a[2]
+            f_t = along * (c * a[0] + d * a[1])
+            Ka = wp.vec3d(
+                (m[0] + tied) * a[0] + f_t * c - f_n * d,
+                (m[0] + tied) * a[1] + f_t * d + f_n * c,
+                m[1] * a[2] + a1 * at_n + a2 * a[2],
+            )
+            Ka += resist(e, k, h, a, chain, s)
+            for j in range(i + 1):
+                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
+    for k in range(J):
+        push = drive(e, k, h, chain, s)
+        over = skin(e, k, h, chain, s)
+        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + over[0]
+        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + over[1]
+        friction[e, k] = push[2]
+    factorise(e, 0, N, s)
+    solve(e, N, s)
+    stop_joints(e, N, h, friction[e], chain, s)
+    for i in range(N):
+        s.v[e, i] = s.b[e, i]
+    move_links(e, chain, s)
+    for k in range(L):
+        water.carried[e, k] = impulse(e, k, chain, s, water)
+        stir(e, k, h, s, water)
+    s.clock[e] = s.clock[e] + h
+    return 0
+
+
+@wp.func
+def centre(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
+    """Centre of the links' mass, ``ahead`` seconds on at the links' velocities."""
+    at = wp.vec2d()
+    total = wp.float64(0.0)
+    for k in range(chain.length.shape[0]):
+        x = s.link[e, k] + ahead * s.twist[e, k]
+        at += chain.mass[e, k][0] * wp.vec2d(x[0], x[1])
+        total += chain.mass[e, k][0]
+    return at / total
+
+
+@wp.func
+def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+    """Carry the coordinates on; the centre of mass moves as its velocity says."""
+    wanted = centre(e, h, chain, s)
+    for i in range(s.q.shape[1]):
+        s.q[e, i] = s.q[e, i] + h * s.v[e, i]
+    pose_links(e, chain, s)
+    off = wanted - centre(e, wp.float64(0.0), chain, s)
+    s.q[e, 0] = s.q[e, 0] + off[0]
+    s.q[e, 1] = s.q[e, 1] + off[1]
+    for k in range(chain.length.shape[0]):
+        at = s.link[e, k]
+        s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
+    for k in range(s.q.shape[1] - 3):
+        seen = s.q[e, 3 + k]
+        if (chain.active[e, k] & wp.static(SENSOR_BITS)) != 0:
+            seen = measured_angle(
+                seen, seen, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
+                chain.memory[e, k], chain.active[e, k],
+            )  # fmt: skip
+        s.measured[e, k] = seen - chain.trim[e, k]
+    return 0
+
+
+@wp.func
+def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
+    """Put a set-point on its way to joint k."""
+    number = s.newest[e, k] + 1
+    slot = number % wp.static(RING)
+    zero = wp.float64(0.0)
+    p = chain.servo[e, k]
+    arrives = s.clock[e] + p[2]
+    if chain.active[e, k] != 0:
+        arrives = arrival_time(
+            arrives, wp.float64(number), zero, zero, s.clock[e], zero, p, chain.memory[e, k],
+            chain.active[e, k],
+        )  # fmt: skip
+    s.sent[e, k, slot] = u + chain.trim[e, k]
+    s.arrival[e, k, slot] = arrives
+    s.newest[e, k] = number
+    return 0
+
+
+@wp.kernel(enable_backward=False)
+def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.int32)):
+    """Pose robots as their coordinates say; only where ``mask`` is set."""
+    e = wp.tid()
+    if mask[e] == 0:
+        return
+    pose_links(e, chain, s)
+    move_links(e, chain, s)
+    for k in range(chain.length.shape[0]):
+        water.carried[e, k] = impulse(e, k, chain, s, water)
+
+
+@wp.kernel(enable_backward=False)
+def swim_twin(
+    first: int,
+    command: wp.array3d(dtype=wp.float64),
+    which: wp.array(dtype=wp.int32),
+    count: int,
+    substeps: int,
+    h: wp.float64,
+    chain: Chain,
+    s: Motion,
+    water: Water,
+    friction: wp.array2d(dtype=wp.float64),
+    track: wp.array3d(dtype=wp.float64),
+):
+    """Control periods of robot e, its commands those of signal ``which``.
+
+    ``track`` takes x, y, heading and the measured angles at the end of each period, if it has room.
+    """
+    _ = wp.static(SIGNATURE)
+    e = first + wp.tid()
+    J = s.newest.shape[1]
+    for n in range(count):
+        for k in range(J):
+            send_twin(e, k, command[which[e], n, k], chain, s)
+        for _i in range(substeps):
+            advance_twin(e, h, chain, s, water, friction)
+            move_twin(e, h, chain, s)
+        if n < track.shape[1]:
+            for i in range(3):
+                track[e, n, i] = s.q[e, i]
+            for k in range(J):
+                track[e, n, 3 + k] = s.measured[e, k]

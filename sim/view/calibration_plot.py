@@ -1,0 +1,35 @@
+"""The calibration's figure: measured against simulated surge, sway, yaw and first joint."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim.inference.calibrate import HELD_OUT_SHARE
+from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim2real.model import Model
+from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def comparison(
+    swim: Swim, before: Model, after: Model, simulator: Simulator, robot: Robot
+) -> Figure:
+    """Surge, sway, yaw rate and the first joint, before and after; what was held out is shaded."""
+    was, now = simulated(swim, [before, after], simulator)
+    names = [*(f"{n} ({u})" for n, u in zip(SIGNALS, UNITS, strict=True))]
+    names.append(f"{robot.joints[0].name} (rad)")
+    with house_style():
+        figure = new_figure(620, f"{swim.name}: measured and simulated")
+        axes = figure.subplots(len(names), 1, sharex=True)
+        for k, (axis, name) in enumerate(zip(axes, names, strict=True)):
+            axis.plot(swim.t, swim.signals[:, k], color=INK, linewidth=1.4, label="measured")
+            axis.plot(swim.t, was[:, k], color=FAINT, linewidth=1, label="before")
+            axis.plot(swim.t, now[:, k], color=ACCENT, linewidth=1, label="calibrated")
+            axis.axvspan(swim.t[-1] * (1 - HELD_OUT_SHARE), swim.t[-1], color=FAINT, alpha=0.15)
+            axis.set_ylabel(name)
+        axes[-1].set_xlabel("time (s); shaded: held out")
+        axes[0].legend(ncols=3, loc="upper left")
+    return figure

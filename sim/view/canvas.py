@@ -1,0 +1,140 @@
+"""Drawing on an array of colours, smooth to a part of a pixel: water, robot, lines, rings.
+
+A canvas has rows from above, shape (height, width, 3), from 0 to 255. ``x`` and ``y`` are where its
+columns and rows are in the world, in m: shapes (width,) and (height,), ``y`` falling.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.robot.shape import Hull
+from sim.view.legend import BODY, INK, Array
+from sim.view.plane import Plane, depth
+
+GRID_M = 0.25
+_STROKE = 0.0026
+"""Width of the robot's outline, as a share of the picture's width."""
+
+Colour = tuple[int, int, int]
+
+
+def places(
+    centre: tuple[float, float], pixels: float, width: int, height: int
+) -> tuple[Array, Array]:
+    """``x`` and ``y`` of a canvas about ``centre``, with so many pixels a metre."""
+    columns, rows = (np.arange(n, dtype=np.float64) + 0.5 - n / 2 for n in (width, height))
+    return np.asarray(centre[0] + columns / pixels), np.asarray(centre[1] - rows / pixels)
+
+
+def blend(canvas: Array, share: Array, colour: Colour) -> None:
+    """Lay a colour over a canvas where ``share``, shape (height, width), is above 0."""
+    touched = share > 0
+    canvas[touched] += share[touched, None] * (np.array(colour) - canvas[touched])
+
+
+def zoomed(seen: Plane, x: Array, y: Array) -> Array:
+    """The vorticity in 1/s at the canvas's places, 0 where the box does not reach."""
+    from PIL import Image as Pillow
+
+    half = (x[1] - x[0]) / 2
+    columns, left, right = _inside(x, seen.corner[0], seen.cell, seen.vorticity.shape[0], half)
+    rows, low, high = _inside(y, seen.corner[1], seen.cell, seen.vorticity.shape[1], half)
+    out = np.zeros((y.size, x.size))
+    if not columns.size or not rows.size:
+        return out
+    count = seen.vorticity.shape[1]
+    field = Pillow.fromarray(np.ascontiguousarray(seen.vorticity.T[::-1], dtype=np.float32))
+    part = field.resize(
+        (columns.size, rows.size), Pillow.Resampling.BICUBIC,
+        (left, count - high, right, count - low),
+    )  # fmt: skip
+    out[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = np.asarray(part, dtype=np.float64)
+    return out
+
+
+def _inside(
+    along: Array, corner: float, cell: float, count: int, half: float
+) -> tuple[NDArray[np.intp], float, float]:
+    """Which places lie in the box, and their outer edges in cells."""
+    low, high = (0.5 + (along + side - corner) / cell for side in (-half, half))
+    which = np.flatnonzero((low > -1e-9) & (high < count + 1e-9))
+    if not which.size:
+        return which, 0.0, 0.0
+    return which, max(float(low[which].min()), 0.0), min(float(high[which].max()), float(count))
+
+
+def grid_lines(x: Array, y: Array) -> Array:
+    """How much of each pixel a line of the world's grid covers, shape (height, width)."""
+    across, down = (
+        np.abs((along / GRID_M + 0.5) % 1 - 0.5) * GRID_M / (x[1] - x[0]) for along in (x, y)
+    )
+    return np.asarray(np.clip(1.0 - np.minimum(across, down[:, None]), 0, 1))
+
+
+def add_line(share: Array, ends: Array, width: float, x: Array, y: Array) -> None:
+    """Add a straight line to ``share``, shape (height, width); where lines meet, none adds up.
+
+    Args:
+        share: How much of each pixel is covered.
+        ends: In m, shape (2, 2).
+        width: In pixels.
+        x: Places of the columns.
+        y: Places of the rows.
+    """
+    pixel = x[1] - x[0]
+    window = _window(ends, (width + 2) * pixel, x, y)
+    X, Y = x[window[1]], y[window[0]][:, None]
+    start, way = ends[0], ends[1] - ends[0]
+    long = max(float(way @ way), 1e-18)
+    along = np.clip(((X - start[0]) * way[0] + (Y - start[1]) * way[1]) / long, 0, 1)
+    off = np.hypot(X - start[0] - along * way[0], Y - start[1] - along * way[1]) / pixel
+    part = share[window]
+    np.maximum(part, np.clip(width / 2 + 0.5 - off, 0, 1), out=part)
+
+
+def draw_ring(
+    canvas: Array, centre: Array, radius: float, x: Array, y: Array, colour: Colour, fill: float
+) -> None:
+    """A circle of ``radius`` m about ``centre``, filled with a share ``fill`` of its colour."""
+    pixel = x[1] - x[0]
+    window = _window(centre[None], 1.5 * radius + 3 * pixel, x, y)
+    off = (np.hypot(x[window[1]] - centre[0], y[window[0]][:, None] - centre[1]) - radius) / pixel
+    stroke = _STROKE * x.size
+    inside = fill * np.clip(0.5 - off, 0, 1)
+    blend(canvas[window], np.maximum(inside, np.clip(stroke / 2 + 0.5 - np.abs(off), 0, 1)), colour)
+
+
+def draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> None:
+    """Fill, joints and outline, drawn from the signed distance.
+
+    Args:
+        canvas: What to draw on.
+        hull: The links' shape.
+        links: Front end and heading of each link, shape (L, 3).
+        x: Places of the columns.
+        y: Places of the rows.
+    """
+    back = links[-1, :2] - hull.length[-1] * np.array([np.cos(links[-1, 2]), np.sin(links[-1, 2])])
+    window = _window(np.vstack([links[:, :2], back]), 1.2 * hull.half_width.max(), x, y)
+    part = canvas[window]
+    if not part.size:
+        return
+    X, Y, pixel = x[window[1]], y[window[0]][:, None], x[1] - x[0]
+    stroke = _STROKE * x.size
+    inside = -depth(hull, links, X, Y) / pixel
+    blend(part, np.clip(inside + 0.5, 0, 1), BODY)
+    for joint in links[1:]:
+        off = np.hypot(X - joint[0], Y - joint[1]) / pixel
+        blend(part, np.clip(1.5 * stroke - off + 0.5, 0, 1), INK)
+    blend(part, np.clip(stroke / 2 + 0.5 - np.abs(inside), 0, 1), INK)
+
+
+def _window(points: Array, margin: float, x: Array, y: Array) -> tuple[slice, slice]:
+    """Rows and columns within ``margin`` of the points, shape (N, 2)."""
+    found = []
+    for along, at in ((y, points[:, 1]), (x, points[:, 0])):
+        near = np.flatnonzero((along > at.min() - margin) & (along < at.max() + margin))
+        found.append(slice(near[0], near[-1] + 1) if near.size else slice(0, 0))
+    return found[0], found[1]

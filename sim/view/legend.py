@@ -1,0 +1,111 @@
+"""Colours of a picture, and what tells their meaning: key, scale, time, heading, cells."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sim.view.plane import Plane
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+"""Rows from above, shape (height, width, 3)."""
+
+INK, BODY, RULE = (28, 30, 33), (250, 247, 240), (106, 112, 120)
+_STOPS = (
+    "#0a2344", "#19528c", "#5698c7", "#b9d6e8", "#ffffff",
+    "#f5cab4", "#df8060", "#b8381d", "#5c110b",
+)  # fmt: skip
+_SHADES = 511
+_DRAWN_FOR = 1280
+_SCALE_M = 0.2
+
+
+def colours(share: Array) -> Array:
+    """Blue for -1, white for 0, red for 1; one more axis of 3, from 0 to 255."""
+    index = np.rint((np.clip(share, -1, 1) + 1) / 2 * (_SHADES - 1)).astype(int)
+    return np.asarray(_table()[index])
+
+
+@cache
+def _table() -> Array:
+    stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in _STOPS], dtype=float)
+    at = np.linspace(0, len(stops) - 1, _SHADES)
+    return np.stack([np.interp(at, range(len(stops)), channel) for channel in stops.T], axis=1)
+
+
+class Lettering:
+    """Words and signs on a picture, in proportion to its width.
+
+    Attributes:
+        unit: Pixels of what is one pixel in a picture as wide as ``drawn_for``.
+    """
+
+    def __init__(self, image: Image, drawn_for: int = _DRAWN_FOR) -> None:
+        from PIL import Image as Pillow
+        from PIL import ImageDraw, ImageFont
+
+        self._page = Pillow.fromarray(image)
+        self._draw: Any = ImageDraw.Draw(self._page)
+        self.unit = self._page.width / drawn_for
+        self._large, self._small = (ImageFont.load_default(n * self.unit) for n in (30, 22))
+        margin = 32 * self.unit
+        self.left, self.right = margin, self._page.width - margin
+        self.top, self.low = margin, self._page.height - margin
+
+    def write(self, x: float, y: float, text: str, anchor: str, *, large: bool = False) -> None:
+        """Text at a place in pixels; ``anchor`` as Pillow has it: ``lt`` is left and top."""
+        self._draw.text(
+            (x, y), text, INK, self._large if large else self._small, anchor,
+            stroke_width=2.5 * self.unit, stroke_fill="white",
+        )  # fmt: skip
+
+    def scale(self, pixels: float) -> None:
+        """A bar as long as some way in the world, below on the right; ``pixels`` of a metre."""
+        long = _SCALE_M * pixels
+        self._draw.line(
+            (self.right - long, self.low, self.right, self.low), INK, round(4 * self.unit)
+        )
+        self.write(self.right - long / 2, self.low - 12 * self.unit, f"{_SCALE_M:g} m", "ms")
+
+    def key(self, vorticity: float) -> None:
+        """What colours mean, above on the right; ``vorticity`` in 1/s has the full colour."""
+        from PIL import Image as Pillow
+
+        unit = self.unit
+        wide, high = round(220 * unit), round(12 * unit)
+        shades = np.tile(colours(np.linspace(-1, 1, wide)), (high, 1, 1)).astype(np.uint8)
+        corner = round(self.right) - wide, round(self.top + 2 * unit)
+        self._page.paste(Pillow.fromarray(shades), corner)
+        self._draw.rectangle((*corner, corner[0] + wide, corner[1] + high), None, RULE)
+        under = corner[1] + high + 8 * unit
+        self.write(corner[0], under, f"-{vorticity:g}", "ma")
+        self.write(corner[0] + wide / 2, under, "vorticity, 1/s", "ma")
+        self.write(corner[0] + wide, under, f"{vorticity:g}", "ma")
+
+    def image(self) -> Image:
+        """The picture with what was written on it."""
+        return np.asarray(self._page)
+
+
+def lettered(image: Image, seen: Plane, pixels: float, vorticity: float) -> Image:
+    """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
+
+    Args:
+        image: The picture.
+        seen: What it shows.
+        pixels: Of a metre.
+        vorticity: In 1/s, what has the full colour.
+    """
+    on = Lettering(image)
+    on.write(on.left, on.top + 2 * on.unit, f"cells of {100 * seen.cell:.3g} cm", "lt")
+    on.write(on.left, on.low, f"{seen.time:.2f} s", "ls", large=True)
+    heading = f"heading {round(np.degrees(seen.links[0, 2]))}°"
+    on.write(on.left + 125 * on.unit, on.low, heading, "ls", large=True)
+    on.scale(pixels)
+    on.key(vorticity)
+    return on.image()

@@ -1,0 +1,135 @@
+"""What a camera above the pool would see: the water's vorticity and the robot's outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.robot.chain import Chain, Motion
+from sim.robot.shape import Hull
+from sim.view.slice import slice_kernel
+
+if TYPE_CHECKING:
+    from sim.robot.swimmer import Swimmer
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The horizontal plane through a robot's middle, world frame, SI.
+
+    Attributes:
+        vorticity: In 1/s, anticlockwise above 0, shape (nx, ny).
+        corner: x and y of the first cell's middle.
+        cell: Side of a cell.
+        centre: Middle of what is worth seeing: the robot, or the pool that its walls close.
+        size: Length and width of what is worth seeing.
+        links: Front end of each link, its heading, shape (L, 3).
+        time: Seconds since the start.
+    """
+
+    vorticity: Array
+    corner: tuple[float, float]
+    cell: float
+    centre: tuple[float, float]
+    size: tuple[float, float]
+    links: Array
+    time: float
+
+
+def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
+    """The plane of one robot; a box that goes with it is unwrapped and has the robot in its middle.
+
+    Raises:
+        IndexError: If there is no such environment.
+    """
+    bodies, tank, e = swimmer.bodies, swimmer.tank, range(swimmer.n_envs)[environment]
+    cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
+    spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
+    time = float(bodies.motion.clock.numpy()[e])
+    drift = swimmer.outside.current[e] * time  # the box goes with the pool's water
+    origin = np.array(bodies.grid.origin) + drift
+    if tank.sponge:
+        middle = bodies.grid.position.numpy()[e].astype(np.float64)
+        first = np.rint(middle - (np.array([nx, ny]) - 1) / 2).astype(int)
+        spin = np.roll(spin, tuple(-first), axis=(0, 1))
+        size, centre = (nx - 2, ny - 2), origin + cell * middle
+    else:
+        first, size = np.zeros(2), (nx - 1, ny - 1)
+        centre = origin + cell * np.array([nx, ny]) / 2
+    corner = origin + cell * first
+    return Plane(
+        vorticity=spin / swimmer.units.step_s,
+        corner=(float(corner[0]), float(corner[1])),
+        cell=cell,
+        centre=(float(centre[0]), float(centre[1])),
+        size=(size[0] * cell, size[1] * cell),
+        links=front_ends(bodies.chain, bodies.motion, drift, e),
+        time=time,
+    )
+
+
+def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> Array:
+    """Front end and heading of each link of one robot, shape (L, 3).
+
+    Args:
+        chain: The robots.
+        motion: Their state.
+        drift: How far the pool's water has gone, shape (2,).
+        environment: Which robot.
+    """
+    e = environment
+    given: Any = motion.link, chain.com, chain.side
+    pose, com, side = (np.array(one.numpy()[e], dtype=np.float64) for one in given)
+    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    pose[:, :2] += drift + com[:, None] * ahead - side[:, None] * left
+    return pose
+
+
+def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
+    """Signed distance from the outline in m, negative inside; of each point (x, y).
+
+    Args:
+        hull: The links' shape.
+        links: Front end and heading of each link, shape (L, 3).
+        x: Along the world's x axis in m, of any shape.
+        y: Likewise, along y.
+    """
+    found = np.full(np.broadcast(x, y).shape, np.inf)
+    for (front_x, front_y, heading), length, wide in zip(
+        links, hull.length, hull.half_width, strict=True
+    ):
+        dx, dy, c, d = x - front_x, y - front_y, np.cos(heading), np.sin(heading)
+        back = np.clip(-(dx * c + dy * d), 0.0, length)
+        s = back / length
+        radius = (
+            wide[0] * (1 - s) * (1 - 2 * s) + 4 * wide[1] * s * (1 - s) + wide[2] * s * (2 * s - 1)
+        )
+        found = np.minimum(found, np.hypot(dx + back * c, dy + back * d) - radius)
+    return found
+
+
+def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
+    fluid = swimmer.fluid
+    nx, ny, _ = fluid.size
+    velocity: Any = wp.empty((nx, ny), dtype=wp.vec2, device=fluid.device)
+    wp.launch(
+        slice_kernel(fluid.lattice, fluid.storage, fluid.wide),
+        dim=(nx, ny),
+        inputs=[fluid.f, fluid.flags, fluid.box, fluid.t, environment, z, velocity],
+        device=fluid.device,
+    )
+    return np.asarray(velocity.numpy(), dtype=np.float64)
+
+
+def _curl(u: Array) -> Array:
+    """By central differences in a box that wraps round; per step."""
+    along_x = np.roll(u[..., 1], -1, axis=0) - np.roll(u[..., 1], 1, axis=0)
+    along_y = np.roll(u[..., 0], -1, axis=1) - np.roll(u[..., 0], 1, axis=1)
+    return np.asarray(along_x - along_y) / 2

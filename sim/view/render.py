@@ -1,0 +1,84 @@
+"""A picture of a swimming robot from above: the water's vorticity and the robot's outline."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+
+from sim.robot.swimmer import Swimmer
+from sim.view.canvas import blend, draw_robot, grid_lines, places, zoomed
+from sim.view.legend import RULE, Image, colours, lettered
+from sim.view.plane import plane_of
+from sim2real.errors import InputError
+from sim2real.output import check_writable, write_whole
+
+VORTICITY = 10.0
+"""Vorticity in 1/s that has the full colour."""
+
+
+def picture(
+    swimmer: Swimmer, environment: int = 0, *, width: int = 1280, vorticity: float = VORTICITY
+) -> Image:
+    """The water in the plane of the robot's middle, and the robot; lines stand in the world.
+
+    Args:
+        swimmer: The robots, as they are now.
+        environment: Which.
+        width: Pixels; the height follows, and is even.
+        vorticity: In 1/s, what has the full colour.
+
+    Raises:
+        InputError: If Pillow is not installed.
+    """
+    need("PIL", "Pillow")
+    seen = plane_of(swimmer, environment)
+    pixels = width / seen.size[0]
+    height = 2 * round(seen.size[1] * pixels / 2)
+    x, y = places(seen.centre, pixels, width, height)
+    canvas = colours(zoomed(seen, x, y) / vorticity)
+    blend(canvas, 0.16 * grid_lines(x, y), RULE)
+    draw_robot(canvas, swimmer.hull, seen.links, x, y)
+    return lettered(np.rint(canvas).astype(np.uint8), seen, pixels, vorticity)
+
+
+def check_picture(path: str | os.PathLike[str]) -> Path:
+    """Make sure, before any work, that a picture can be made and written to ``path``.
+
+    Raises:
+        InputError: If it does not end in .png, Pillow is not installed, or the folder can't be
+            made or written.
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")
+    need("PIL", "Pillow")
+    return check_writable(path)
+
+
+def save_picture(image: Image, path: str | os.PathLike[str]) -> Path:
+    """Write a picture as PNG, whole or not at all.
+
+    Raises:
+        InputError: If the folder can't be made or written.
+    """
+    from PIL import Image as Pillow
+
+    stream = io.BytesIO()
+    Pillow.fromarray(image).save(stream, format="png", optimize=True)
+    return write_whole(path, stream.getvalue())
+
+
+def need(module: str, name: str) -> None:
+    """Make sure that a library of the extra ``sim`` is there.
+
+    Raises:
+        InputError: If it is not.
+    """
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError:
+        expected = "pip install 'sim2real[sim]'"
+        raise InputError("pictures", "library", f"no {name}", expected) from None

@@ -1,0 +1,38 @@
+"""The kernel that reads the velocity in one horizontal plane of a box."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from sim.lattice.cell import FLUID, KIND, Box
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+
+@cache
+def slice_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel for a lattice, storage type and width of memory."""
+    made = populations(lattice, storage, wide)
+    Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def velocity_in(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        e: int,
+        z: int,
+        velocity: wp.array2d(dtype=wp.vec2),
+    ):
+        """Velocity along x and y in the plane z of box e; 0 in walls."""
+        x, y = wp.tid()
+        n = e * box.cells + x + box.nx * (y + box.ny * z)
+        flag = int(flags[n])
+        velocity[x, y] = wp.vec2()
+        if (flag & wp.static(KIND)) == wp.static(FLUID):
+            m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+            velocity[x, y] = wp.vec2(m[1], m[2]) / (1.0 + m[0])
+
+    return velocity_in

@@ -1,0 +1,157 @@
+"""A video that is written while it is made: each frame goes to the file, none is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from sim.view.legend import BODY, INK, Image, colours
+from sim.view.render import need
+from sim2real.errors import InputError
+from sim2real.output import check_writable
+
+FRAMES_PER_S = 25
+
+
+@dataclass(frozen=True)
+class _Format:
+    codec: str
+    pixels: str
+    options: dict[str, str]
+    width: int
+
+
+_FORMATS = {
+    ".mp4": _Format("libx264", "yuv420p", {"crf": "23", "preset": "medium"}, 1280),
+    ".avi": _Format("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}, 1280),
+    ".gif": _Format("gif", "pal8", {}, 640),
+}
+
+
+def check_video(path: str | os.PathLike[str]) -> Path:
+    """Make sure, before any work, that a video can be made and written to ``path``.
+
+    Raises:
+        InputError: If it ends in none of .mp4, .avi and .gif, PyAV or Pillow is not installed, or
+            the folder can't be made or written.
+    """
+    if Path(path).suffix.lower() not in _FORMATS:
+        raise InputError(
+            path, "", repr(Path(path).suffix), f"a name that ends in {' or '.join(_FORMATS)}"
+        )
+    need("av", "PyAV")
+    need("PIL", "Pillow")
+    return check_writable(path)
+
+
+class Video:
+    """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
+
+    It appears whole when the block ends. An error inside the block leaves nothing behind.
+
+    Attributes:
+        path: Where the video will be.
+        frames: How many it has so far.
+        width: Pixels across that suit the format.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, frames_per_s: int = FRAMES_PER_S) -> None:
+        """Open the file.
+
+        Args:
+            path: Where the video will be; its ending says the format.
+            frames_per_s: How fast it plays.
+
+        Raises:
+            InputError: As ``check_video``.
+        """
+        self.path, self.frames = check_video(path), 0
+        import av
+
+        ending = self.path.suffix.lower()
+        self._format = _FORMATS[ending]
+        self.width = self._format.width
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            dir=self.path.parent, prefix=f".{self.path.name}.", suffix=ending
+        )
+        os.close(handle)
+        self._temporary = Path(name)
+        faststart = {"movflags": "faststart"} if ending == ".mp4" else {}
+        self._file = av.open(name, "w", options=faststart)
+        add: Any = self._file.add_stream
+        self._stream = add(self._format.codec, rate=frames_per_s, options=self._format.options)
+        self._stream.pix_fmt = self._format.pixels
+
+    def add(self, image: Image) -> None:
+        """Append a frame; all have the first one's size, both sides even."""
+        if not self.frames:
+            self._stream.height, self._stream.width = image.shape[:2]
+        few = self._format.pixels == "pal8"
+        self._file.mux(self._stream.encode(_in_few_colours(image) if few else _in_all(image)))
+        self.frames += 1
+
+    def __enter__(self) -> Self:
+        """Return the video."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file, and give it its name if all went well."""
+        try:
+            if kind is None and self.frames:
+                self._file.mux(self._stream.encode(None))
+                self._file.close()
+                os.chmod(self._temporary, 0o644)
+                os.replace(self._temporary, self.path)
+        finally:
+            with contextlib.suppress(Exception):
+                self._file.close()
+            with contextlib.suppress(FileNotFoundError):
+                self._temporary.unlink()
+
+
+def _in_all(image: Image) -> Any:  # noqa: ANN401 - PyAV is optional
+    from av import VideoFrame
+
+    return VideoFrame.from_ndarray(image, format="rgb24")
+
+
+def _in_few_colours(image: Image) -> Any:  # noqa: ANN401
+    """A GIF knows 256 colours. One palette serves all frames, as none is there to choose from."""
+    from av import VideoFrame
+
+    red, green, blue = image.transpose(2, 0, 1) >> 2
+    opaque = np.full((256, 1), 255, dtype=np.uint8)
+    both: Any = _nearest()[red, green, blue], np.hstack([opaque, _palette()])
+    return VideoFrame.from_ndarray(both, format="pal8")
+
+
+@cache
+def _palette() -> Image:
+    """Those of the water, and what smooth edges of the robot and of text mix, shape (256, 3)."""
+    share = np.linspace(0, 1, 28)[:, None]
+    edges = [np.array(INK) * share + np.array(on) * (1 - share) for on in (BODY, (255, 255, 255))]
+    return np.rint(np.vstack([colours(np.linspace(-1, 1, 200)), *edges])).astype(np.uint8)
+
+
+@cache
+def _nearest() -> NDArray[np.uint8]:
+    """Index of the palette's nearest colour to each of 6 bits a channel, shape (64, 64, 64)."""
+    levels = np.linspace(0, 255, 64)
+    all_colours = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    return np.asarray(KDTree(_palette()).query(all_colours)[1], dtype=np.uint8)
