@@ -1,8 +1,8 @@
 """The catalogue's rows for the body in the water and for the camera above it.
 
 Their equations stand where they act: the body's in ``sim.robot.outside`` and ``sim.twin.twin``, the
-camera's in ``sim2real.camera``. A model lists those it has under ``body.effects``; one that belongs to a
-material names it as ``component``.
+camera's in ``sim2real.camera``. A model lists those it has under ``body.effects``; one that belongs
+to a material names it as ``component``.
 """
 
 from __future__ import annotations
