@@ -77,7 +77,7 @@ class Tried:
 def candidates(robot: Robot) -> list[tuple[str, str, tuple[Free, ...]]]:
     """Effects, what they belong to, their parameters."""
     out = []
-    for effect in BODY + CAMERA:
+    for effect in (*BODY, *CAMERA):
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))

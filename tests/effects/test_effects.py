@@ -60,7 +60,7 @@ def test_the_catalogue_is_complete_and_each_name_stands_once():
 
 @each()
 def test_effect_is_documented_and_bounded(effect):
-    module = sys.modules[f"sim2real.effects.{effect.name}"]
+    module = sys.modules[f"sim2real.effects.servo.{effect.name}"]
     assert "Taken for" in module.__doc__ or "Nothing else" in module.__doc__
     assert effect.parameters
     for parameter in effect.parameters:
@@ -445,8 +445,8 @@ def test_a_new_effect_is_one_file(tmp_path):
     """A copy of the package with one file more knows, simulates and refuses what that file says."""
     package = Path(inspect.getfile(named)).parents[1]
     shutil.copytree(package, tmp_path / "sim2real")
-    source = (package / "effects" / "sensor_offset.py").read_text()
-    (tmp_path / "sim2real" / "effects" / "squared_sensor.py").write_text(
+    source = (package / "effects" / "servo" / "sensor_offset.py").read_text()
+    (tmp_path / "sim2real" / "effects" / "servo" / "squared_sensor.py").write_text(
         source.replace('"sensor_offset"', '"squared_sensor"').replace(
             "x + p[c]", "x + p[c] * x * x"
         )

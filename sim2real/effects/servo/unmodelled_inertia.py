@@ -36,4 +36,6 @@ EFFECT = Effect(
     site="inertia",
     term=rotor,
     parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),
+    either_sign=True,
+    load="inertia_kgm2",
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     parameters=(Parameter("loss_at_full_load", low=0.0, high=0.9, typical=0.2),),
     component="supply",
     order=1,
+    mimics=("torque_saturation",),
 )

@@ -37,7 +37,7 @@ EFFECT = Effect(
     term=bound,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
-        Parameter("asymmetry", low=-1.0, high=1.0, typical=0.3),
+        Parameter("asymmetry", low=-1.0, high=1.0, typical=0.3, starts=(-2.0, 2.0)),
     ),
     family="dry friction",
 )

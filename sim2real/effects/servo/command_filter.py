@@ -40,7 +40,7 @@ EFFECT = Effect(
     says="the servo smooths its set-point over {time_constant_s}",
     site="command",
     term=smooth,
-    parameters=(Parameter("time_constant_s", low=0.0, high=0.5, typical=0.03),),
+    parameters=(Parameter("time_constant_s", low=0.0003, high=0.5, typical=0.03),),
     memory=2,
     order=2,
     family="filter",

@@ -42,7 +42,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("breakaway_Nm", low=0.0, high=2.0, typical=0.1),
-        Parameter("velocity_rad_s", low=0.0, high=5.0, typical=0.3),
+        Parameter("velocity_rad_s", low=0.003, high=5.0, typical=0.3),
     ),
     family="dry friction",
 )

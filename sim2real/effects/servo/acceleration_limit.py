@@ -10,7 +10,7 @@ the root of the step.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import LIMITS, Effect, Parameter
 
 
 @wp.func
@@ -52,7 +52,7 @@ EFFECT = Effect(
     says="the servo's own profile speeds its set-point up by no more than {limit_rad_s2}",
     site="command",
     term=brake,
-    parameters=(Parameter("limit_rad_s2", low=0.0, high=10000.0, typical=60.0),),
+    parameters=(Parameter("limit_rad_s2", low=0.6, high=10000.0, typical=60.0, starts=LIMITS),),
     memory=3,
     order=1,
 )

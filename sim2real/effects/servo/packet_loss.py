@@ -39,4 +39,5 @@ EFFECT = Effect(
     parameters=(Parameter("probability", low=0.0, high=1.0, typical=0.05),),
     component="link",
     order=2,
+    fitted=False,
 )

@@ -38,4 +38,6 @@ EFFECT = Effect(
     parameters=(Parameter("halfwidth_s", low=0.0, high=0.1, typical=0.01),),
     component="link",
     order=1,
+    fitted=False,
+    mimics=("rate_limit", "torque_saturation"),
 )

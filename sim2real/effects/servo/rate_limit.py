@@ -8,7 +8,7 @@ saturation, voltage sag; another supply or inertia tells, as neither changes the
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import LIMITS, Effect, Parameter
 
 
 @wp.func
@@ -40,6 +40,6 @@ EFFECT = Effect(
     says="the servo's own profile moves its set-point no faster than {limit_rad_s}",
     site="command",
     term=ramp,
-    parameters=(Parameter("limit_rad_s", low=0.0, high=500.0, typical=3.0),),
+    parameters=(Parameter("limit_rad_s", low=0.03, high=500.0, typical=3.0, starts=LIMITS),),
     memory=2,
 )

@@ -42,7 +42,7 @@ EFFECT = Effect(
     term=bristle,
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
-        Parameter("stiffness_Nm_per_rad", low=0.0, high=200.0, typical=10.0),
+        Parameter("stiffness_Nm_per_rad", low=0.1, high=200.0, typical=10.0),
     ),
     memory=1,
     family="dry friction",

@@ -8,7 +8,7 @@ inertia tells, as it makes this one worse and not the rate limit.
 
 import warp as wp
 
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import LIMITS, Effect, Parameter
 
 
 @wp.func
@@ -34,6 +34,6 @@ EFFECT = Effect(
     says="the motor gives no more than {limit_Nm}",
     site="motor",
     term=clip,
-    parameters=(Parameter("limit_Nm", low=0.0, high=20.0, typical=0.5),),
+    parameters=(Parameter("limit_Nm", low=0.005, high=20.0, typical=0.5, starts=LIMITS),),
     order=2,
 )

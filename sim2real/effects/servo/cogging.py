@@ -29,6 +29,10 @@ def ripple(
     return x + p[c] * wp.sin(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
 
 
+_PERIODS = tuple(5.0 / (0.75 + 0.3 * k) for k in range(65))
+"""From one bump in 1.3 rad to twenty in one."""
+_PHASES = (0.0, 2.0944, -2.0944)
+
 EFFECT = Effect(
     name="cogging",
     plain="a torque that repeats with the angle",
@@ -36,8 +40,9 @@ EFFECT = Effect(
     site="load",
     term=ripple,
     parameters=(
-        Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05),
-        Parameter("period_rad", low=0.0, high=1.6, typical=0.2),
-        Parameter("phase_rad", low=-3.15, high=3.15, typical=0.0),
+        Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05, starts=(0.3,)),
+        Parameter("period_rad", low=0.002, high=1.6, typical=0.2, starts=_PERIODS),
+        Parameter("phase_rad", low=-3.15, high=3.15, typical=1.0, starts=_PHASES),
     ),
+    everywhere=True,
 )

@@ -36,4 +36,6 @@ EFFECT = Effect(
     site="load",
     term=pendulum,
     parameters=(Parameter("torque_Nm", low=-2.0, high=2.0, typical=0.1),),
+    either_sign=True,
+    load="gravity_Nm",
 )

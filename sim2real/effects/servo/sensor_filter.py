@@ -41,7 +41,7 @@ EFFECT = Effect(
     says="the measured angle is smoothed over {time_constant_s}",
     site="sensor",
     term=smooth,
-    parameters=(Parameter("time_constant_s", low=0.0, high=0.5, typical=0.02),),
+    parameters=(Parameter("time_constant_s", low=0.0002, high=0.5, typical=0.02),),
     memory=3,
     order=4,
     family="filter",
