@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.linear import response, through
-from sim2real.diagnose.splits import Simulated, Split, rms
+from sim2real.diagnose.heldout import Side, Split
+from sim2real.diagnose.torque import response, through
+from sim2real.inference.holdout import rms
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def _left(fold: Split, rng: np.random.Generator) -> list[Array]:
     return after
 
 
-def _inputs(one: Simulated, angle: Array, theta: Array) -> Array:
+def _inputs(one: Side, angle: Array, theta: Array) -> Array:
     """What the network sees at each moment, shape (T, I)."""
     t, step = one.trace.t, float(np.median(np.diff(one.trace.t)))
     sent = np.interp(t - theta[2], t, one.trace.command)
@@ -137,7 +138,7 @@ def _network(inputs: Array, rng: np.random.Generator) -> _Network:
     return _Network(inputs.mean(axis=0), size, *ends, weight, offset)
 
 
-def _columns(network: _Network, inputs: Array, one: Simulated, theta: Array) -> Array:
+def _columns(network: _Network, inputs: Array, one: Side, theta: Array) -> Array:
     """What each feature does to the angle, rad for a torque of 1 N m or an angle of 1, (T, D)."""
     # What it has not seen it takes for the nearest that it has seen.
     x = (np.clip(inputs, network.low, network.high) - network.place) / network.size

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.check import all_findings, check
-from sim2real.diagnose.naming import fitted_effects
-from sim2real.diagnose.rounding import coarse_step
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.search import Hypothesis
+from sim2real.diagnose.wording import fitted_effects
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
-from sim2real.noise import noise_floor
+from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.parameters import joint_row
@@ -144,3 +144,17 @@ def gate(case: Case) -> tuple[str, ...]:
         for sentence in all_findings(check(recording, case.robot)):
             sentences[f"{recording.name}: {sentence}"] = None
     return tuple(sentences)
+
+
+def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
+    """The step on which all of a joint's angles lie, where it is well above the stated one, rad.
+
+    Args:
+        traces: The joint's recordings.
+        stated_rad: ``position_step_rad`` of the data sheet.
+    """
+    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in traces]
+    found = min(steps)
+    if found <= DECISION.coarser * stated_rad or max(steps) > 1.1 * found:
+        return None
+    return found

@@ -8,11 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.holdout import each_in_turn, rms
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.minimise import Servos, minimise
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
 
 Array = NDArray[np.float64]
+
+_STEPS_PER_RADIAN = 16.0
+_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
+_MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -30,13 +37,13 @@ class Unseen:
     @property
     def rmse(self) -> float:
         """Root mean square error in rad."""
-        return float(np.sqrt(np.mean(np.concatenate(self.residuals) ** 2)))
+        return rms(self.residuals)
 
 
 def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
     """Pairs of traces to fit and to score: each recording in turn, or the end of a lone one."""
     if len(traces) > 1:
-        return [([other for other in traces if other is not one], [one]) for one in traces]
+        return [(rest, [one]) for rest, one in each_in_turn(traces)]
     fitted, scored, _ = split(traces, None)
     return [(fitted, scored)] if scored else []
 
@@ -86,3 +93,69 @@ def held_out(
         Unseen(tuple(results[n][0]), np.array(results[n][1])) if n in results else None
         for n in range(len(joints))
     ]
+
+
+@dataclass(frozen=True)
+class Side:
+    """A servo on one recording of one side of a fold.
+
+    Attributes:
+        recording: Index of the recording among the joint's.
+        trace: The recording; ``used`` tells which samples belong to this side of the split.
+        angle: Simulated angle in rad, shape (T,).
+    """
+
+    recording: int
+    trace: Trace
+    angle: Array
+
+    @property
+    def residual(self) -> Array:
+        """Simulated minus measured angle in rad where used, shape (used,)."""
+        used = self.trace.used
+        return np.asarray(self.angle[used] - self.trace.position[used])
+
+
+@dataclass(frozen=True)
+class Split:
+    """A fold: the servo fitted to one side of it, on both sides.
+
+    Attributes:
+        theta: Its parameters, shape (P,).
+        fitted: The side that was fitted.
+        scored: The side that the fit has not seen.
+    """
+
+    theta: Array
+    fitted: tuple[Side, ...]
+    scored: tuple[Side, ...]
+
+
+def splits(traces: Sequence[Trace], unseen: Unseen) -> list[Split]:
+    """The folds of ``held_out`` with simulations of both sides."""
+    place = {id(trace): k for k, trace in enumerate(traces)}
+
+    def side(given: Sequence[Trace], theta: Array) -> tuple[Side, ...]:
+        return tuple(
+            # Of a lone recording there are two copies, one a side.
+            Side(place.get(id(one), 0), one, simulated(one, theta[None])[0])
+            for one in given
+        )
+
+    return [
+        Split(theta, side(fitted, theta), side(scored, theta))
+        for (fitted, scored), theta in zip(folds(traces), unseen.theta, strict=True)
+    ]
+
+
+def simulated(trace: Trace, theta: Array) -> Array:
+    """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
+    rows = np.array(theta)
+    rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    kp, kd = rows[0, :2]
+    inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
+    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
+    # One length for all, or differences between them would be of the integration.
+    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
+    angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
+    return np.ascontiguousarray(angle[:, :, 0])

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.candidates import Candidate
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import DetectionLimit
-from sim2real.diagnose.screen import Screen
+from sim2real.diagnose.screen import Candidate, Screen
 
 Array = NDArray[np.float64]
 
-BAR = 8.0
-"""Gain in log-likelihood at which an effect is noticed."""
 _NINE_IN_TEN = 1.28
 
 
@@ -31,7 +29,7 @@ def detection_limits(
         candidates: The candidates, as the screen counts them.
         component: The joint.
     """
-    needed = float(np.sqrt(2 * BAR)) + _NINE_IN_TEN
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + _NINE_IN_TEN
     limits = []
     for k, option in enumerate(candidates):
         mine = seen.candidate == k

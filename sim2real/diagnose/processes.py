@@ -14,7 +14,7 @@ MANY = 24
 """Things from which it pays to start processes."""
 
 
-def spread(work: Callable[[Given], Made], things: Sequence[Given]) -> list[Made]:
+def shared(work: Callable[[Given], Made], things: Sequence[Given]) -> list[Made]:
     """``work`` on every thing, in order.
 
     ``work`` must be a function of a module that is quick to import and free of Warp.

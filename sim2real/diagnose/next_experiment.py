@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import Diagnosis, Experiment
 from sim2real.diagnose.search import Hypothesis
 from sim2real.effects import named
@@ -20,8 +21,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-ENOUGH = 5.0
-"""Separation, in units of the noise, at which rivals are told apart at first sight."""
 _LEAST = 2.0
 _PERIOD_S = 0.02
 _WEIGHT = (0.05, 0.1)
@@ -70,7 +69,7 @@ def next_experiment(
     scores = np.min([_separations(staged, plans, *pair) for pair in pairs], axis=0)
     plain = np.array([plan.context == "none" for plan in plans])
     usual = np.where(plain, scores, -1.0)
-    best = int(usual.argmax() if usual.max() >= ENOUGH else scores.argmax())
+    best = int(usual.argmax() if usual.max() >= DECISION.separation else scores.argmax())
     plan, score = plans[best], float(scores[best])
     return Experiment(
         component=component,

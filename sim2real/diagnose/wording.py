@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.investigate import Finding
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.result import Estimate, NamedEffect, Rival
+from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
 from sim2real.diagnose.search import Hypothesis
+from sim2real.diagnose.smooth import Smooth
+from sim2real.diagnose.unmodelled import Window, robust_sd, windows
 from sim2real.effects import named
 from sim2real.model import FittedEffect
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-NAMED = 0.5
-"""Probability from which an effect is named."""
-PASSES_FOR = {
-    "voltage_sag": {"torque_saturation"},
-    "latency_jitter": {"torque_saturation", "rate_limit"},
-}
-"""What an effect of the supply or the link looks like on one joint: beside it, no finding. Of seven
-such on the first sealed set none was there."""
 _RIVALS = 8
 _Q95 = 1.645
+_THROUGHOUT = 0.9
+"""Share of the time from which a mismatch is there all the time."""
+_WORDS = {
+    "position": "it depends on the position: torque is missing at some angles",
+    "speed": "it depends on the speed and its sign: just after reversals above all",
+    "error": "it depends on how much torque is asked for: at high load or close to the target",
+    "time": "it grows with the time since the start",
+    "sensor": "it depends on the position: what is seen is off at some angles",
+    "other_joint": "it follows the acceleration of another joint",
+    "shaking": "it comes at one frequency, whatever the joint does",
+    "jump": "it begins at one instant and stays",
+}
+_TELLING = 12.0
+"""Gain in log-likelihood from which a state is said to drive a mismatch."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +55,7 @@ def gathered(findings: Mapping[str, Finding]) -> list[Said]:
     shared: dict[str, list[tuple[str, Group]]] = {}
     for joint, finding in findings.items():
         for group in finding.groups:
-            if group.probability < NAMED:
+            if group.probability < DECISION.named:
                 continue
             if named(group.members[0]).component == "joint":
                 said.append(Said(group, (joint,), joint))
@@ -57,9 +67,16 @@ def gathered(findings: Mapping[str, Finding]) -> list[Said]:
         place: str = named(effect).component if len(joints) > 1 else joints[0]
         said.append(Said(likeliest, joints, place))
     several = [effect for effect, where in shared.items() if len(where) > 1]
-    alike = {like for effect in several for like in PASSES_FOR.get(effect, ())}
-    said = [one for one in said if one.group.members[0] not in alike]
+    mimicked = {like for effect in several for like in named(effect).mimics}
+    said = [_doubted(one) if one.group.members[0] in mimicked else one for one in said]
+    said = [one for one in said if one.group.probability >= DECISION.named]
     return sorted(said, key=lambda one: -one.group.probability)
+
+
+def _doubted(one: Said) -> Said:
+    """What something of the supply or the link, seen on several joints, looks like on one."""
+    probability = min(one.group.probability, DECISION.mimic)
+    return replace(one, group=replace(one.group, probability=probability))
 
 
 def named_effects(
@@ -89,7 +106,7 @@ def _named(
     found = [_estimates(models[j], effect, findings[j]) for j in one.joints]
     found = [entry for entry in found if entry]
     parameters = _combined(found)
-    plain = findings[joint].book.plain.fit.servos.theta[0]
+    plain = findings[joint].tried.plain.fit.servos.theta[0]
     rich = models[joint].fit.servos.theta[0]
     return NamedEffect(
         effect=effect,
@@ -122,7 +139,7 @@ def rivals(findings: Mapping[str, Finding], said: Sequence[Said]) -> tuple[Rival
     }
     found = []
     for joint, finding in findings.items():
-        effects = {e for s in finding.posterior.sets for e in s - finding.book.base}
+        effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
         for effect in effects:
             p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
             if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
@@ -140,7 +157,7 @@ def _estimates(model: Hypothesis, effect: str, finding: Finding) -> dict[str, Es
 
 def estimates(model: Hypothesis, effect: str, step_rad: float | None) -> dict[str, Estimate]:
     """Parameters of an effect with their spread, by name; empty where the fit has it not."""
-    if step_rad is not None and effect == "encoder_quantization":
+    if step_rad is not None and not named(effect).fitted:
         return {"step_rad": Estimate(step_rad, 0.0, step_rad, step_rad)}
     servos = model.fit.servos
     columns = [COLUMNS[k] for k in servos.columns[0]]
@@ -189,8 +206,87 @@ def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEff
                 for p in named(name).parameters
             },
         )
-        for name in sorted(model.effects)
+        for name in sorted(model.members)
     ]
     if step_rad is not None:
-        listed.append(FittedEffect("encoder_quantization", {"step_rad": step_rad}))
+        listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
     return tuple(listed)
+
+
+def mismatch(
+    finding: Finding,
+    joint: str,
+    traces: Sequence[Trace],
+    residual: Array,
+    errors: tuple[float, float],
+) -> Mismatch:
+    """What is said of a joint that differs.
+
+    Args:
+        finding: What was found on the joint.
+        joint: Its name.
+        traces: Its recordings.
+        residual: Simulated minus measured angle of the plain servo in rad, shape (R, T).
+        errors: Root mean square error of the plain servo, and the noise, rad.
+    """
+    rmse, noise = errors
+    when = _when(finding, traces, residual, noise)
+    smooth = finding.unmodelled.smooth
+    return Mismatch(
+        signal=f"{joint}.position_rad",
+        component=joint,
+        rmse=rmse,
+        noise=noise,
+        share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
+        windows_s={t.name: w for t, w in zip(traces, when, strict=True)},
+        where=_where(smooth, when, traces, intermittent=finding.unmodelled.windows is not None),
+        dependence=dependence(smooth, float(finding.best.fit.count[0])),
+    )
+
+
+def dependence(smooth: Smooth, count: float) -> Mapping[str, float]:
+    """Share of the innovations' energy that a smooth function of each state explains."""
+    return {
+        state: float(1 - np.exp(-2 * max(gain, 0.0) / count))
+        for state, gain in sorted(smooth.shares.items(), key=lambda entry: -entry[1])
+    }
+
+
+def _when(
+    finding: Finding, traces: Sequence[Trace], residual: Array, noise: float
+) -> list[tuple[Window, ...]]:
+    without = finding.unmodelled
+    if finding.unknown > DECISION.named and without.windows is not None:
+        return list(without.windows)
+    if finding.unknown > DECISION.named and without.smooth.state == "jump":
+        instants = without.smooth.jumps_s
+        return [((at, float(t.t[-1])),) for at, t in zip(instants, traces, strict=True)]
+    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    everywhere = np.concatenate(rows)
+    spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
+    sd = max(noise, min(spread, DECISION.structured * noise))
+    return [windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True)]
+
+
+def _where(
+    smooth: Smooth,
+    when: Sequence[tuple[Window, ...]],
+    traces: Sequence[Trace],
+    *,
+    intermittent: bool,
+) -> str:
+    best = max(smooth.shares, key=lambda state: smooth.shares[state])
+    telling = smooth.shares[best] > _TELLING
+    words = _WORDS[best] if telling else "in no state in particular"
+    shaded = sum(b - a for w in when for a, b in w)
+    if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
+        return f"throughout: {words}" if telling else "throughout"
+    if intermittent and any(when):
+        stretches = [
+            f"{a:.1f} to {b:.1f} s of {t.name}"
+            for t, w in zip(traces, when, strict=True)
+            for a, b in w
+        ]
+        more = f" and {len(stretches) - 3} more" if len(stretches) > 3 else ""
+        return f"in stretches: {', '.join(stretches[:3])}{more}"
+    return words

@@ -1,4 +1,4 @@
-"""Whether what is missing is in the catalogue at all."""
+"""Where and when something is missing, and whether it is in the catalogue at all."""
 
 from __future__ import annotations
 
@@ -9,27 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.generic import Motion, Servo, Smooth, smooth_function_of
-from sim2real.diagnose.processes import spread
-from sim2real.diagnose.windows import Window, inside, robust_sd, windows
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.processes import shared
+from sim2real.diagnose.smooth import Motion, Servo, Smooth, smooth_function_of
+from sim2real.inference.noise import Wander
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.minimise import Fits, minimise
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
+Window = tuple[float, float]
 
-WANDER_S, WANDER_SHARE = 3.0, 1.5
-"""Slow wander that a sensor may have: time constant, size relative to its noise."""
-SUSPICIOUS = 1.15
-"""Excess of a plain fit from which jumps, shaking and windows are looked for."""
+LARGER = 5.0
+"""Standard deviation inside a window, relative to that outside."""
+EDGE_COST = 12.0
+"""Log-likelihood that each edge of a window must earn."""
+SHORTEST_S = 0.1
+WANDER = Wander(3.0, 1.5)
+"""Slow wander that a sensor may have and that is no structure."""
 _ROUNDS = 3
-_MOST_INSIDE = 0.6
-_WINDOW_COST, _SECOND_COST = 15.0, 30.0
-"""Log-likelihood that a window and each second of it must earn: edges, and a torque of its own."""
 
 
 @dataclass(frozen=True)
-class Unknown:
+class Unmodelled:
     """What could be missing, without a name.
 
     Attributes:
@@ -48,12 +50,12 @@ class Unknown:
     windows_evidence: float
 
 
-def unknown(
+def unmodelled(
     batch: Batch,
     joints: Sequence[Sequence[Trace]],
     robots: Sequence[Sequence[int]],
     plain: Fits,
-) -> list[Unknown]:
+) -> list[Unmodelled]:
     """Look for physics without a name in every joint of a batch.
 
     Args:
@@ -67,10 +69,10 @@ def unknown(
         excess(residuals[j], traces, batch, float(np.sqrt(plain.error2[j] / plain.count[j])))
         for j, traces in enumerate(joints)
     ]
-    suspects = [j for j in range(len(joints)) if excesses[j] > SUSPICIOUS]
+    suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    smooth = spread(
+    smooth = shared(
         smooth_function_of,
         [
             (
@@ -82,7 +84,9 @@ def unknown(
         ],
     )
     nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
-    return [Unknown(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))]
+    return [
+        Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
+    ]
 
 
 def residual_angles(batch: Batch, fits: Fits) -> Array:
@@ -96,12 +100,11 @@ def residual_angles(batch: Batch, fits: Fits) -> Array:
 def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
     """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
 
-    The residual is whitened for white noise and an Ornstein-Uhlenbeck process by the steady-state
-    Kalman filter (Anderson, Moore, Optimal Filtering, Prentice-Hall 1979, ch. 4).
+    The residual is whitened for white noise and ``WANDER``.
     """
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
-        numerator, denominator, spread = wander_filter(float(np.median(np.diff(trace.t))))
+        numerator, denominator, spread = WANDER.filter(float(np.median(np.diff(trace.t))))
         innovation = lfilter(numerator, denominator, row[: trace.t.size])
         used = trace.used.copy()
         used[: batch.lags] = False
@@ -109,26 +112,6 @@ def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: fl
         count += int(used.sum())
     scale = noise_rad**2 / (1 + spread)
     return energy / count / scale
-
-
-def wander_filter(step_s: float) -> tuple[list[float], list[float], float]:
-    """The filter of ``excess``.
-
-    Args:
-        step_s: Time between samples.
-
-    Returns:
-        Numerator and denominator, as ``scipy.signal.lfilter`` takes them, and the variance of what
-        it takes away, in variances of the noise.
-    """
-    keep = float(np.exp(-step_s / WANDER_S))
-    drive = WANDER_SHARE**2 * (1 - keep**2)
-    spread = WANDER_SHARE**2
-    for _ in range(200):
-        gain = spread / (spread + 1)
-        spread = keep**2 * spread * (1 - gain) + drive
-    gain = spread / (spread + 1)
-    return [1.0, -keep], [1.0, -keep * (1 - gain)], spread
 
 
 def intermittent(
@@ -144,7 +127,11 @@ def intermittent(
     scores: dict[int, float] = {}
     for _ in range(_ROUNDS):
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
-        found = {j: w for j, w in found.items() if any(w) and _share(w, joints[j]) < _MOST_INSIDE}
+        found = {
+            j: w
+            for j, w in found.items()
+            if any(w) and _share(w, joints[j]) < DECISION.window_share
+        }
         if not found:
             return {}
         order = list(found)
@@ -164,7 +151,11 @@ def intermittent(
         before = plain.loglikelihood
         scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
     costs = {
-        j: sum(_WINDOW_COST + _SECOND_COST * (b - a) for some in w for a, b in some)
+        j: sum(
+            DECISION.window_cost + DECISION.window_second_cost * (b - a)
+            for some in w
+            for a, b in some
+        )
         for j, w in found.items()
     }
     return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
@@ -235,3 +226,55 @@ def _servo(batch: Batch, plain: Fits, joint: int) -> Servo:
     first = batch.first_signal[joint]
     load = batch.load[first : first + batch.recordings[joint]]
     return Servo(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)
+
+
+def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
+    """Standard deviation of the residual outside windows, from its median absolute deviation."""
+    outside = residual[~inside & np.isfinite(residual)]
+    if outside.size < 10:
+        outside = residual[np.isfinite(residual)]
+    return float(np.median(np.abs(outside)) / 0.6745)
+
+
+def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
+    """Stretches in which the residual is larger than noise.
+
+    The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
+    Transactions on Information Theory 13 (1967) 260-269).
+
+    Args:
+        t: Times in s, shape (T,).
+        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
+        sd: Its standard deviation where nothing is missing, rad.
+
+    Returns:
+        Beginning and end of each stretch, s.
+    """
+    z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
+    score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], _likeliest(score), [0]])))
+    found = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
+    return tuple((a, b) for a, b in found if b - a >= SHORTEST_S)
+
+
+def inside(t: Array, given: tuple[Window, ...]) -> NDArray[np.bool_]:
+    """Which times lie in one of the windows, shape (T,)."""
+    mask = np.zeros(t.size, dtype=bool)
+    for begin, end in given:
+        mask |= (t >= begin) & (t <= end)
+    return mask
+
+
+def _likeliest(score: Array) -> NDArray[np.int8]:
+    """1 where the chain is likeliest loud, 0 where quiet, for scores of loud over quiet (T,)."""
+    quiet, loud = 0.0, -EDGE_COST
+    from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
+    for k, x in enumerate(score.tolist()):
+        from_loud[k] = loud - EDGE_COST > quiet
+        from_quiet[k] = quiet - EDGE_COST > loud
+        quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
+    state, path = int(loud - EDGE_COST > quiet), np.zeros(score.size, dtype=np.int8)
+    for k in range(score.size - 1, -1, -1):
+        path[k] = state
+        state = int(not from_quiet[k]) if state else int(from_loud[k])
+    return path

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.signal import lfilter
 
-from sim2real.diagnose.linear import Response, gain_torques, response, through
+from sim2real.diagnose.torque import Response, gain_torques, response, through
+from sim2real.inference.evidence import chance_gain
+from sim2real.inference.noise import autoregression, lag_products, whitened
 
 Array = NDArray[np.float64]
 
@@ -82,8 +83,8 @@ class Smooth:
     shares: dict[str, float]
 
     def evidence(self, count: float) -> float:
-        """Evidence against the plain servo's, by Schwarz, Annals of Statistics 6 (1978) 461-464."""
-        return self.gain - 0.5 * self.unknowns * float(np.log(count))
+        """Evidence against the plain servo's."""
+        return self.gain - chance_gain(self.unknowns, count)
 
 
 def smooth_function(motions: Sequence[Motion], servo: Servo, *, thorough: bool = True) -> Smooth:
@@ -96,19 +97,19 @@ def smooth_function(motions: Sequence[Motion], servo: Servo, *, thorough: bool =
     """
     responses = [_response(m, servo, r) for r, m in enumerate(motions)]
     gains = [_gain_torques(m, servo) for m in motions]
-    bent = _stacked([through(g, f) for g, f in zip(gains, responses, strict=True)])
-    plain, autoregression = _fit(motions, bent, servo, None)
+    bent = np.vstack([through(g, f) for g, f in zip(gains, responses, strict=True)])
+    plain, model = _fit(motions, bent, servo, None)
     found: dict[str, Sequence[float]] = {}
     for state, torque, sensor in _families(motions, servo):
         columns = [
             np.hstack([through(x, f), y]) for x, y, f in zip(torque, sensor, responses, strict=True)
         ]
-        level, _ = _fit(motions, np.hstack([bent, _stacked(columns)]), servo, autoregression)
+        level, _ = _fit(motions, np.hstack([bent, np.vstack(columns)]), servo, model)
         found[state] = level, columns[0].shape[1]
     jumps: tuple[float, ...] = ()
     if thorough:
-        found["shaking"] = _shaking(motions, responses, bent, servo, autoregression)
-        jumps, *found["jump"] = _jump(motions, bent, servo, autoregression)
+        found["shaking"] = _shaking(motions, responses, bent, servo, model)
+        jumps, *found["jump"] = _jump(motions, bent, servo, model)
     state = max(found, key=lambda s: found[s][0] - 4.0 * found[s][1])
     shares = {s: x[0] - plain - 0.5 * x[1] for s, x in found.items()}
     level, unknowns = found[state]
@@ -178,18 +179,14 @@ def _response(motion: Motion, servo: Servo, r: int) -> Response:
     return response(float(servo.inertia[r]), servo.kd, servo.kp + float(servo.gravity[r]), step)
 
 
-def _stacked(columns: Sequence[Array]) -> Array:
-    return np.vstack(columns)
-
-
 def _fit(
-    motions: Sequence[Motion], columns: Array, servo: Servo, autoregression: Array | None
+    motions: Sequence[Motion], columns: Array, servo: Servo, given: Array | None
 ) -> tuple[float, Array]:
     """Log-likelihood with these columns (N, K) and the noise model at its best, and that model."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
     residual = np.concatenate([m.residual for m in motions])
     model = _noise_model(motions, [m.residual for m in motions], servo)
-    model = model if autoregression is None else autoregression
+    model = model if given is None else given
     level = 0.0
     for _ in range(_ROUNDS):
         white = _whitened(motions, np.column_stack([residual, columns]), model, cuts)
@@ -211,12 +208,12 @@ def _shaking(
     responses: Sequence[Response],
     bent: Array,
     servo: Servo,
-    autoregression: Array,
+    model: Array,
 ) -> tuple[float, int]:
     """A torque at one frequency, of its own phase in each recording."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
     residual = np.concatenate([m.residual for m in motions])
-    white = _whitened(motions, np.column_stack([residual, bent]), autoregression, cuts)
+    white = _whitened(motions, np.column_stack([residual, bent]), model, cuts)
     basis, _ = np.linalg.qr(white[:, 1:])
     left = white[:, 0] - basis @ (basis.T @ white[:, 0])
     power: Array = np.zeros(_FREQUENCIES // 2 + 1)
@@ -228,17 +225,17 @@ def _shaking(
     hertz = np.fft.rfftfreq(_FREQUENCIES, float(np.median(np.diff(motions[0].t))))
     power[(hertz < SHAKEN_HZ[0]) | (hertz > SHAKEN_HZ[1])] = 0.0
     lines = _lines(motions, responses, float(hertz[power.argmax()]))
-    level, _ = _fit(motions, np.hstack([bent, lines]), servo, autoregression)
+    level, _ = _fit(motions, np.hstack([bent, lines]), servo, model)
     return level, lines.shape[1] + 2
 
 
 def _jump(
-    motions: Sequence[Motion], bent: Array, servo: Servo, autoregression: Array
+    motions: Sequence[Motion], bent: Array, servo: Servo, model: Array
 ) -> tuple[tuple[float, ...], float, int]:
     """A jump of the sensor's zero in each recording: the instants, log-likelihood, unknowns."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
     residual = np.concatenate([m.residual for m in motions])
-    white = _whitened(motions, np.column_stack([residual, bent]), autoregression, cuts)
+    white = _whitened(motions, np.column_stack([residual, bent]), model, cuts)
     basis, _ = np.linalg.qr(white[:, 1:])
     left = white[:, 0] - basis @ (basis.T @ white[:, 0])
     steps, instants = [], []
@@ -248,13 +245,13 @@ def _jump(
         tried = np.zeros((residual.size, times.size))
         rows = slice(*np.concatenate([[0], cuts, [residual.size]])[r : r + 2])
         tried[rows] = motion.t[:, None] >= times
-        seen = _whitened(motions, tried, autoregression, cuts)
+        seen = _whitened(motions, tried, model, cuts)
         seen -= basis @ (basis.T @ seen)
         best = int(((seen.T @ left) ** 2 / ((seen**2).sum(axis=0) + 1e-30)).argmax())
         steps.append(tried[:, best])
         instants.append(float(times[best]))
     columns = np.column_stack(steps)
-    level, _ = _fit(motions, np.hstack([bent, columns]), servo, autoregression)
+    level, _ = _fit(motions, np.hstack([bent, columns]), servo, model)
     return tuple(instants), level, 3 * len(motions)
 
 
@@ -267,26 +264,18 @@ def _lines(motions: Sequence[Motion], responses: Sequence[Response], frequency: 
         block = np.zeros((motion.t.size, 2 * len(motions)))
         block[:, 2 * r : 2 * r + 2] = wave
         blocks.append(block)
-    return _stacked(blocks)
+    return np.vstack(blocks)
 
 
 def _whitened(
     motions: Sequence[Motion], columns: Array, model: Array, cuts: NDArray[np.intp]
 ) -> Array:
     """Innovations of columns (N, K) at the samples that count."""
-    taps = np.concatenate([[1.0], -model])
-    parts = [lfilter(taps, [1.0], part, axis=0) for part in np.split(columns, cuts)]
+    parts = [whitened(part, model, axis=0) for part in np.split(columns, cuts)]
     return np.vstack([x[m.counts] for x, m in zip(parts, motions, strict=True)])
 
 
 def _noise_model(motions: Sequence[Motion], residuals: Sequence[Array], servo: Servo) -> Array:
-    """Autoregression of residuals, by least squares, its gain at frequency 0 bounded below."""
-    p = servo.lags
-    products = np.zeros((p + 1, p + 1))
-    for motion, residual in zip(motions, residuals, strict=True):
-        lagged = np.stack([np.roll(residual, k) for k in range(p + 1)], axis=1)[motion.counts]
-        products += lagged.T @ lagged
-    past = products[1:, 1:] + 1e-9 * (np.trace(products) / p + 1e-30) * np.eye(p)
-    free, ones = np.linalg.solve(past, np.column_stack([products[1:, 0], np.ones(p)])).T
-    excess = max(free.sum() - (1 - servo.least_gain), 0.0)
-    return np.asarray(free - excess / ones.sum() * ones)
+    pairs = zip(motions, residuals, strict=True)
+    products = np.sum([lag_products(x, m.counts, servo.lags) for m, x in pairs], axis=0)
+    return autoregression(products[None], servo.least_gain)[0]
