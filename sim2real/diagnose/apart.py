@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Servos, variants
+from sim2real.servo.problem import Servos, variants
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int32]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.diagnose.decoys import meaningless
 from sim2real.diagnose.directions import directions
 from sim2real.diagnose.splits import Simulated, Split, rms
-from sim2real.servo.minimise import Servos
+from sim2real.servo.problem import Servos
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

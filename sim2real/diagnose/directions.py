@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.candidates import Candidate
-from sim2real.servo.minimise import Servos, variants
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.problem import Servos, variants
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Servos, minimise
+from sim2real.servo.problem import Servos, minimise
 from sim2real.servo.trace import Trace, split
 
 Array = NDArray[np.float64]

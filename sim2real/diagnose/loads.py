@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Fits, Servos, minimise
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

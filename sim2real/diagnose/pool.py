@@ -13,8 +13,8 @@ from sim2real.diagnose.replicates import freed_of_the_common
 from sim2real.diagnose.search import Set
 from sim2real.effects import named
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, Servos, minimise, variants
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise, variants
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

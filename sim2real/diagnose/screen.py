@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.candidates import Candidate
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, variants
+from sim2real.servo.problem import Fits, variants
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from sim2real.diagnose.candidates import REFITTED, RIPPLE, Candidate, candidate
 from sim2real.diagnose.screen import Screen, screen
 from sim2real.effects import named
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, Servos, minimise
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S, natural_units
 
 Array = NDArray[np.float64]

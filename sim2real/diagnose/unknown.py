@@ -13,7 +13,7 @@ from sim2real.diagnose.generic import Motion, Servo, Smooth, smooth_function_of
 from sim2real.diagnose.processes import spread
 from sim2real.diagnose.windows import Window, inside, robust_sd, windows
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, minimise
+from sim2real.servo.problem import Fits, minimise
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

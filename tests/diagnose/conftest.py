@@ -9,7 +9,7 @@ from simulated import traced
 
 from sim2real.diagnose.search import Book, baselines, search
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Fits
+from sim2real.servo.problem import Fits
 from sim2real.servo.trace import Trace
 
 
