@@ -21,8 +21,8 @@ from scipy.stats import norm
 
 from sim.inference.calibrate import BLOCK, HELD_OUT_SHARE, Free, seen
 from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim2real.inference.noise import autocorrelation_times
 from sim2real.model import Model
-from sim2real.posterior.convergence import autocorrelation_times
 
 Array = NDArray[np.float64]
 

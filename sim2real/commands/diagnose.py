@@ -8,7 +8,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.experiment import write_commands
+from sim2real.diagnose.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable

@@ -26,7 +26,7 @@ from sim2real.output import provenance
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import minimise
+from sim2real.servo.problem import minimise
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 

@@ -22,7 +22,7 @@ from sim2real.diagnose.screen import Candidate
 from sim2real.diagnose.search import Set
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import counting, whitened
-from sim2real.servo.minimise import Servos, variants
+from sim2real.servo.problem import Servos, variants
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

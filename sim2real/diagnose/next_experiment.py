@@ -16,7 +16,7 @@ from sim2real.diagnose.search import Hypothesis
 from sim2real.effects import named
 from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Servos, minimise
+from sim2real.servo.problem import Servos, minimise
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from sim2real.diagnose.screen import candidates
 from sim2real.effects import named
 from sim2real.inference import least_squares
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, Servos, minimise, variants
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise, variants
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.search import Found, Hypothesis, Set
-from sim2real.servo.minimise import Fits, loglikelihood
+from sim2real.inference.evidence import profile_loglikelihood
+from sim2real.servo.problem import Fits
 
 Array = NDArray[np.float64]
 
@@ -134,6 +135,6 @@ def _resampled(fit: Fits, weights: Array) -> Array:
     normal = normal + ridge[:, None, None] * np.eye(normal.shape[1])
     step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
     error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
-    score = loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
+    score = profile_loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
     # Where the search stopped short, a step promises what it would not keep.
     return np.asarray(score[1:] - (score[0] - fit.loglikelihood[0]))

@@ -17,8 +17,8 @@ from sim2real.diagnose.search import BLOCKS, Hypothesis, Set, with_effects
 from sim2real.model import Model
 from sim2real.noise import quantization_step
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import minimise
 from sim2real.servo.parameters import BASE, joint_row
+from sim2real.servo.problem import minimise
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -15,8 +16,8 @@ from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, Servos, minimise
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S, natural_units
 
 Array = NDArray[np.float64]
@@ -155,6 +156,9 @@ class ServoSearch:
         for size in sorted({_width(one.tried[s].fit) for one, s in new.values()}):
             some = [x for x in new.values() if _width(x[0].tried[x[1]].fit) == size]
             fits = joined([one.tried[s].fit for one, s in some])
+            # A finding may have been moved to a place in another batch.
+            joint = np.array([one.case for one, _ in some], dtype=np.int32)
+            fits = replace(fits, servos=replace(fits.servos, joint=joint))
             lists = [candidates(s, *self._strength(one)) for one, s in some]
             screens = screen(self.batch, fits, lists, blocks=BLOCKS)
             for (one, s), seen, given in zip(some, screens, lists, strict=True):

@@ -14,7 +14,7 @@ from sim2real.diagnose.processes import shared
 from sim2real.diagnose.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.inference.noise import Wander
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, minimise
+from sim2real.servo.problem import Fits, minimise
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

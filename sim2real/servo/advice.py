@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.effects import Effect
+from sim2real.inference.holdout import rms
 from sim2real.recording import Load, Recording
-from sim2real.servo.fit import Fit, residuals, rms
+from sim2real.servo.fit import Fit, residuals
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import Effect, Parameter
-from sim2real.servo.fit import Fit, robust_loss, robust_scale, search
+from sim2real.inference.least_squares import (
+    OUTLIER_SD,
+    minimise_robustly,
+    robust_loss,
+    robust_scale,
+)
+from sim2real.servo.fit import Fit
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
 from sim2real.servo.start import natural_units
@@ -64,11 +70,12 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
 
     box = (low[index] / unit, high[index] / unit)
     tried = [
-        search(evaluate, np.clip(start / unit, *box), box, rounds=0, evaluations=12)[0]
+        minimise_robustly(evaluate, start / unit, *box, rounds=0, evaluations=12)[0]
         for start in _starts(traces, plain, given, columns, substep_s)
     ]
-    nearest = min(tried, key=lambda x: robust_loss([evaluate(x)[0]], plain.scale_rad))
-    x, converged = search(evaluate, nearest, box, rounds=3, evaluations=40)
+    limit = OUTLIER_SD * plain.scale_rad
+    nearest = min(tried, key=lambda x: robust_loss(evaluate(x)[0], limit))
+    x, converged = minimise_robustly(evaluate, nearest, *box, rounds=3, evaluations=40)
     errors, slopes = evaluate(x)
     parameters = np.zeros(len(names))
     parameters[index] = x * unit
@@ -135,7 +142,10 @@ def _starts(
     rows = np.hstack([np.tile(plain.parameters[:3], (grid.shape[0], 1)), grid])
     angles = _simulate(traces, rows, columns, substep_s)
     losses = [
-        robust_loss([_error(a[k], t) for a, t in zip(angles, traces, strict=True)], plain.scale_rad)
+        robust_loss(
+            np.concatenate([_error(a[k], t) for a, t in zip(angles, traces, strict=True)]),
+            OUTLIER_SD * plain.scale_rad,
+        )
         for k in range(rows.shape[0])
     ]
     order = np.argsort(losses)

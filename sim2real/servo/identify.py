@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
+from sim2real.inference.holdout import rms
+from sim2real.inference.noise import correlation_samples, whiteness
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
@@ -17,16 +19,11 @@ from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo import advice
 from sim2real.servo.enrich import effect_units, fit_effects, residuals_with_effects
-from sim2real.servo.fit import Fit, fit, residuals, rms
+from sim2real.servo.fit import Fit, fit, residuals
 from sim2real.servo.intervals import intervals, symmetric_intervals
 from sim2real.servo.start import first_guess, natural_units
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
-from sim2real.servo.uncertainty import (
-    Uncertainty,
-    correlation_samples,
-    uncertainty,
-    whiteness,
-)
+from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 

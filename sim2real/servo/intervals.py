@@ -24,9 +24,9 @@ def intervals(
 ) -> dict[str, tuple[float, float]]:
     """90 % interval of every plain parameter and of inertia, if that is free, by name.
 
-    Symmetric ends from the covariance where that is small; by profile likelihood elsewhere. An
-    upper end is infinite where the recordings set none; no end is below what is possible. An
-    interval spans every rival that accounts for the recordings as well.
+    Symmetric ends from the covariance where that is small and no rival is elsewhere; else by
+    profile likelihood. An upper end is infinite where the recordings set none; no end is below what
+    is possible. An interval spans every rival that accounts for the recordings as well.
     """
     low, high = best.low, best.high
     equal = [one for one in rivals if _excess(one, best, spread.inflation) < _CHI2_90]
@@ -35,13 +35,14 @@ def intervals(
     for k, index in enumerate(best.free):
         value, half = float(best.parameters[index]), float(spread.half_width[k])
         ends = (max(value - half, float(low[index])), min(value + half, float(high[index])))
-        if k in wide or half > _NOT_LINEAR * units[k]:
+        values = [float(one.parameters[index]) for one in (best, *equal)]
+        elsewhere = any(abs(other - value) > half for other in values)
+        if k in wide or elsewhere or half > _NOT_LINEAR * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
                 _profiled(best, index, -first, float(low[index]), fitted, spread.inflation),
                 _profiled(best, index, first, float(high[index]), fitted, spread.inflation),
             )
-        values = [float(one.parameters[index]) for one in (best, *equal)]
         ends = (min(ends[0], *values), max(ends[1], *values))
         result[PARAMETERS[index]] = (ends[0], np.inf if ends[1] == high[index] else ends[1])
     return result

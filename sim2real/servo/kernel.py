@@ -1,5 +1,8 @@
 """The Warp kernel of a rollout: one servo a thread, its clock stopping at every event."""
 
+# Warp compiles this; int(0) is how it declares a variable.
+# ruff: noqa: UP018
+
 import warp as wp
 
 from sim2real.effects import SIGNATURE
@@ -7,6 +10,7 @@ from sim2real.servo.law import (
     SENSOR_BITS,
     Row,
     arrival_time,
+    exact_motion,
     measured_angle,
     resting_angle,
     shaft_inertia,
@@ -23,11 +27,14 @@ def simulate_servos(
     times: wp.array2d(dtype=wp.float64),
     command: wp.array2d(dtype=wp.float64),
     length: wp.array(dtype=wp.int32),
-    steps_per_radian: wp.float64,
     longest: Row,
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``."""
+    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``.
+
+    Sub-steps of at most ``longest``; a servo that is linear is solved exactly where that is
+    infinite.
+    """
     _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     row = wp.tid()
     p = theta[row]
@@ -41,12 +48,12 @@ def simulate_servos(
     kd = wp.float64(p[1])
     latency = p[2]
     inertia = wp.float64(p[3])
-    steps = steps_per_radian
     if effects != 0:
         inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
-        steps *= wp.float64(2.0)
-    fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
-    longest_step = wp.min(longest[row], wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
+    longest_step = longest[row]
+    exact = int(0)
+    if wp.isinf(longest_step):
+        exact = int(1)
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
     state[2] = kp * (u - state[0])
@@ -58,6 +65,9 @@ def simulate_servos(
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
+            if exact == 1 and arrival > 0 and sent[arrival] == sent[arrival - 1]:
+                arrival += 1  # it changes nothing
+                continue
             arrives = t[arrival] + latency
             if effects != 0:
                 number = wp.float64(arrival)
@@ -68,7 +78,11 @@ def simulate_servos(
                     continue
         until = wp.min(t[sample], arrives)
         if until > now:
-            count = int(wp.ceil((until - now) / longest_step))
+            count = int(0)
+            if exact == 1:
+                state = exact_motion(state, u, until - now, kp, kd, inertia)
+            else:
+                count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
             for k in range(count):
                 time = now - start + wp.float64(k) * h

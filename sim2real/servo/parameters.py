@@ -34,6 +34,9 @@ COLUMNS = BASE + tuple(
 )
 """Names of all columns of one joint."""
 
+INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
+"""Column of the inertia that no load states."""
+
 Array = NDArray[np.float64]
 
 

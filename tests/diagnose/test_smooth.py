@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
-from sim2real.diagnose.generic import Motion, Servo, smooth_function, smooth_function_of
+from sim2real.diagnose.smooth import Motion, Servo, smooth_function, smooth_function_of
 from sim2real.servo.rollout import rollout
 
 LAGS = 25

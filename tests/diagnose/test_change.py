@@ -8,15 +8,18 @@ from simulated import INERTIA, NOISE, column, recording, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.contrast import MOST_CERTAIN, change, contrast, gains
+from sim2real.diagnose.change import change, contrast, misstated, sharpened
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose_all
-from sim2real.diagnose.loads import INERTIA as INERTIA_COLUMN
-from sim2real.diagnose.loads import misstated
-from sim2real.diagnose.pool import Pool, pooled, shared_servo
+from sim2real.diagnose.per_recording import (
+    Linear,
+    alignment,
+    freed_of_the_common,
+    gains,
+    linearised,
+)
 from sim2real.diagnose.references import with_known_servos
-from sim2real.diagnose.replicates import alignment, freed_of_the_common
 from sim2real.diagnose.search import baselines
-from sim2real.diagnose.sharpen import sharpened
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
@@ -27,7 +30,7 @@ COUNT = 400
 NAMES = ("kp_Nm_per_rad", "sensor_gain", "sensor_offset", "backlash")
 
 
-def pool(sizes, seed=0, references=3, lacking=0.0):
+def linear(sizes, seed=0, references=3, lacking=0.0):
     """One shared parameter and three effects, of these sizes, shape (R, 3), in white noise.
 
     ``lacking`` is how large the effects of missing physics are that differ from one to the next.
@@ -42,7 +45,7 @@ def pool(sizes, seed=0, references=3, lacking=0.0):
         grams.append(rows.T @ rows)
     count = np.full(len(sizes), float(COUNT))
     signed = np.array([True, True, True, True])
-    return Pool(np.array(grams), count, references, 1, NAMES, signed, True)
+    return Linear(np.array(grams), count, references, 1, NAMES, signed, True)
 
 
 NOTHING = [(0, 0, 0)] * 4
@@ -50,7 +53,7 @@ OFFSET = [(0, 0, 0)] * 3 + [(0, 2, 0)]
 
 
 def test_gain_and_size_are_those_of_least_squares():
-    given = pool(OFFSET)
+    given = linear(OFFSET)
     gain, size, left = gains(given, [3])
     rows = np.linalg.cholesky(given.gram[3] + 1e-9 * np.eye(5)).T
     x = np.linalg.lstsq(rows[:, [1, 3]], -rows[:, 0], rcond=None)[0]
@@ -64,22 +67,22 @@ def test_gain_and_size_are_those_of_least_squares():
 
 def test_an_effect_that_cannot_be_negative_gains_nothing_backwards():
     given = replace(
-        pool([(0, 0, 0)] * 3 + [(0, -2, 0)]), signed=np.array([True, True, False, True])
+        linear([(0, 0, 0)] * 3 + [(0, -2, 0)]), signed=np.array([True, True, False, True])
     )
     assert gains(given, [3])[0][2] == 0
-    assert gains(pool([(0, 0, 0)] * 3 + [(0, -2, 0)]), [3])[0][2] > 100
+    assert gains(linear([(0, 0, 0)] * 3 + [(0, -2, 0)]), [3])[0][2] > 100
 
 
 def test_a_change_in_the_case_is_named():
-    found = change(contrast(pool(OFFSET)))
+    found = change(contrast(linear(OFFSET)))
     assert found.group.members == ("sensor_offset",)
-    assert found.group.probability == pytest.approx(MOST_CERTAIN)
+    assert found.group.probability == pytest.approx(DECISION.most_certain)
     assert found.strange == 0
 
 
 def test_nothing_is_named_where_nothing_changed():
     for seed in range(20):
-        found = change(contrast(pool(NOTHING, seed)))
+        found = change(contrast(linear(NOTHING, seed)))
         assert found.group.probability < 0.5
 
 
@@ -87,7 +90,7 @@ def test_what_differs_as_much_among_references_is_no_change():
     """Missing physics looks different in each recording; a gain in likelihood would accuse."""
     sure, gained = [], []
     for seed in range(20):
-        weighed = contrast(pool(NOTHING, seed, lacking=1.0))
+        weighed = contrast(linear(NOTHING, seed, lacking=1.0))
         sure.append(change(weighed).group.probability)
         gained.append(weighed.gain.max())
     assert np.min(gained) > 20
@@ -96,7 +99,7 @@ def test_what_differs_as_much_among_references_is_no_change():
 
 def test_a_servo_set_anew_gets_no_name():
     """Nothing else comes near what its own gain explains."""
-    given = pool(NOTHING)
+    given = linear(NOTHING)
     column = given.gram[3].copy()
     column[0] -= 3 * column[1]
     column[:, 0] -= 3 * column[:, 1]
@@ -107,13 +110,13 @@ def test_a_servo_set_anew_gets_no_name():
 
 
 def test_other_motions_ask_for_more():
-    weighed = contrast(pool([(0, 0, 0)] * 3 + [(0, 0.3, 0)]))
+    weighed = contrast(linear([(0, 0, 0)] * 3 + [(0, 0.3, 0)]))
     sure = change(weighed).group.probability
-    assert change(replace(weighed, replicated=False)).group.probability < 0.1 * sure
+    assert change(replace(weighed, repeated=False)).group.probability < 0.1 * sure
 
 
 def test_what_no_effect_explains_gets_no_name():
-    weighed = contrast(pool(OFFSET))
+    weighed = contrast(linear(OFFSET))
     alien = replace(weighed, energy=50.0, left=np.full(len(weighed.effects), 45.0))
     found = change(alien)
     assert found.group.probability < 0.1
@@ -127,7 +130,7 @@ def test_a_repeated_command_is_found_with_its_lag():
     assert alignment(one, traced(2, "b"))[1] > 0.5
 
 
-def test_what_replicates_share_is_taken_away():
+def test_what_repeats_share_is_taken_away():
     one, other = traced(1, "a"), traced(2, "b")
     bend = 0.05 * np.sin(one.t)
     residuals = [bend, bend + 0.01, np.zeros(other.t.size)]
@@ -140,8 +143,7 @@ def test_what_replicates_share_is_taken_away():
 def weighed(case, references):
     """The contrast of one joint, all as traces."""
     plain = baselines(Batch([[*references, *case]]))
-    servo = shared_servo(plain.servos, frozenset(), plain.servos.theta[0], INERTIA)
-    given = pooled(references, case, [servo])
+    given = linearised(references, case, [plain.servos])
     return sharpened(contrast(given), given)
 
 
@@ -175,11 +177,11 @@ def test_a_load_that_is_stated_wrong_is_told_from_one_that_changed(right):
     moved = traced(3, "a", seconds=8.0, load=stated if right else before)
     case = [replace(moved, load=stated)]
     plain = baselines(Batch([references]))
-    servo = shared_servo(plain.servos, frozenset(), plain.servos.theta[0], INERTIA)
+    servo = plain.servos
     found = misstated(references, case, [servo])
     assert found.effects == ("unmodelled_inertia",)
     assert found.gain < -50 if right else found.gain > 50
-    assert found.theta[column(INERTIA_COLUMN)] == pytest.approx(-INERTIA)
+    assert found.theta[column("unmodelled_inertia.inertia_kgm2")] == pytest.approx(-INERTIA)
     assert misstated(references, [replace(moved, load=before)], [servo]) is None
 
 
@@ -190,6 +192,7 @@ def test_references_of_another_robot_are_refused():
 
 
 def test_an_unchanged_servo_gets_no_name(found):
+    assert found[0].verdict == "unchanged"
     assert found[0].effects == ()
     assert [e.effect for e in found[0].model.joints["j1"].effects] == ["coulomb_friction"]
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, column, row, traced
 
+from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Servos, loglikelihood, minimise, variants
+from sim2real.servo.problem import Servos, minimise, variants
 
 FRICTION = 0.05
 TRUTH = np.array([KP, KD, LATENCY, FRICTION])
@@ -64,7 +65,7 @@ def test_what_is_left_is_the_noise(fits):
 def test_likelihood_is_that_of_gaussian_noise(fits):
     expected = -0.5 * fits.count * np.log(fits.error2 / fits.count)
     np.testing.assert_allclose(fits.loglikelihood, expected)
-    assert loglikelihood(np.ones(1), np.ones(1)) == 0.0
+    assert profile_loglikelihood(np.ones(1), np.ones(1)) == 0.0
 
 
 def test_the_slope_is_gone_where_the_search_ends(fits):

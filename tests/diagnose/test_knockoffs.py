@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.candidates import REFITTED, RIPPLE, candidate
-from sim2real.diagnose.decoys import contest, counting, false_discovery_rate, meaningless
-from sim2real.diagnose.directions import directions
+from sim2real.diagnose.knockoffs import contest, directions, false_discovery_rate, meaningless
+from sim2real.diagnose.screen import FITTED, candidate
 from sim2real.diagnose.search import baselines
 from sim2real.servo.batch import Batch
 
@@ -14,8 +13,8 @@ T = 0.02 * np.arange(1500)
 
 
 def competed(searched):
-    given = [c for c in searched.book.starts[frozenset()] if c.effect.name != RIPPLE]
-    fit = searched.book.plain.fit
+    given = [c for c in searched.seen[1] if not c.effect.everywhere]
+    fit = searched.tried.plain.fit
     moved = directions(searched.traces, fit.servos, given)
     rng = np.random.default_rng(0)
     return contest(searched.traces, moved, fit.autoregression[0], rng), given
@@ -31,36 +30,36 @@ def test_where_nothing_is_missing_the_best_effect_is_a_false_one(nothing):
     assert rate_of_the_best(nothing) > 0.5
 
 
-def test_an_effect_that_is_there_beats_every_decoy(rubbing, filtered):
+def test_an_effect_that_is_there_beats_every_knockoff(rubbing, filtered):
     assert rate_of_the_best(rubbing) < 0.02
     assert rate_of_the_best(filtered) < 0.02
 
 
 def test_the_terms_are_those_of_the_screen(rubbing):
     result, given = competed(rubbing)
-    seen = rubbing.book.screens[frozenset()]
-    names = [c.effect.name for c in rubbing.book.starts[frozenset()]]
+    seen, options = rubbing.seen
+    names = [c.effect.name for c in options]
     for k, option in enumerate(given):
         mine = seen.candidate == names.index(option.effect.name)
         assert result.real[k] == pytest.approx(seen.gain[mine].max(), rel=0.02, abs=0.1)
 
 
-def test_of_real_effects_that_are_not_there_no_more_win_than_of_decoys():
+def test_of_real_effects_that_are_not_there_no_more_win_than_of_knockoffs():
     joints = [[traced(10 * k, "a"), traced(10 * k + 1, "b")] for k in range(10)]
     batch = Batch(joints)
     fits = baselines(batch)
-    given = [candidate(e, 2.2, 0.002) for e in REFITTED if e.name != RIPPLE]
+    given = [candidate(e, 2.2, 0.002) for e in FITTED if not e.everywhere]
     rng = np.random.default_rng(0)
     ahead = []
     for k, traces in enumerate(joints):
         fit = fits[np.array([k])]
         moved = directions(traces, fit.servos, given)
         result = contest(traces, moved, fit.autoregression[0], rng, copies=30)
-        ahead.append(np.mean(result.real > np.quantile(result.decoys, 0.8)))
+        ahead.append(np.mean(result.real > np.quantile(result.knockoffs, 0.8)))
     assert 0.1 < np.mean(ahead) < 0.3
 
 
-def test_decoys_keep_size_and_smoothness_and_lose_the_rest():
+def test_knockoffs_keep_size_and_smoothness_and_lose_the_rest():
     rng = np.random.default_rng(0)
     wave = np.sin(2 * np.pi * T / 2.0)[:, None]
     drawn = [meaningless(wave, T, rng)[:, 0] for _ in range(60)]
@@ -77,9 +76,3 @@ def test_the_rate_is_what_chance_would_add():
     assert false_discovery_rate([0.001] * 2, 50) == pytest.approx(0.025)
     assert false_discovery_rate([0.9], 50) == 1.0
     assert false_discovery_rate([], 50) == 0.0
-
-
-def test_samples_after_a_gap_do_not_count():
-    trace = traced(0)
-    trace.used[100] = False
-    assert np.flatnonzero(~counting(trace, 3)).tolist() == [0, 1, 2, 100, 101, 102, 103]

@@ -8,14 +8,14 @@ from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
 from sim2real.diagnose.search import baselines
-from sim2real.diagnose.unknown import WANDER_S, WANDER_SHARE, excess, residual_angles, unknown
+from sim2real.diagnose.unmodelled import WANDER, excess, residual_angles, unmodelled
 from sim2real.servo.batch import Batch, Problems
 
 
-def wander(seed, size, share=WANDER_SHARE):
+def wander(seed, size, share=WANDER.share):
     """An Ornstein-Uhlenbeck process as slow and as large as a sensor's may be."""
     rng = np.random.default_rng(seed)
-    keep = np.exp(-PERIOD / WANDER_S)
+    keep = np.exp(-PERIOD / WANDER.time_s)
     x = np.empty(size)
     x[0] = rng.normal()
     for k in range(1, size):
@@ -45,7 +45,7 @@ def recorded(seconds=15.0, **effects):
 
 
 def test_noise_that_wanders_is_nothing():
-    assert excess_of(wandering(WANDER_SHARE)) == pytest.approx(1.0, abs=0.1)
+    assert excess_of(wandering(WANDER.share)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_white_noise_is_nothing():
@@ -73,11 +73,11 @@ def test_residual_angles_are_those_of_the_fit(nothing):
 
 def looked_at(traces):
     batch = Batch([traces])
-    return unknown(batch, [traces], [[0]], baselines(batch))[0]
+    return unmodelled(batch, [traces], [[0]], baselines(batch))[0]
 
 
 def test_a_plain_servo_has_nothing_unknown(nothing):
-    (found,) = unknown(nothing.batch, [nothing.traces], [[0]], nothing.plain)
+    (found,) = unmodelled(nothing.batch, [nothing.traces], [[0]], nothing.plain)
     assert found.excess == pytest.approx(1.0, abs=0.12)
     assert found.windows is None
     assert found.windows_evidence == -np.inf

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from simulated import INERTIA
 
-from sim2real.diagnose.experiment import ENOUGH, next_experiment, write_commands
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.next_experiment import next_experiment, write_commands
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load, read_recording
@@ -15,7 +16,7 @@ REACH = 0.8
 
 
 def planned(searched, *members):
-    rivals = [searched.book.tried[frozenset({name})] for name in members]
+    rivals = [searched.tried.tried[frozenset({name})] for name in members]
     return next_experiment(searched.traces[0], rivals, members, "j1", REACH)
 
 
@@ -26,7 +27,7 @@ def apart(rubbing):
 
 
 def test_rivals_that_differ_are_told_apart(apart):
-    assert apart.separation > ENOUGH
+    assert apart.separation > DECISION.separation
     assert apart.context == "none", "no change of context is asked for without need"
     assert apart.separates == ("coulomb_friction", "unmodelled_inertia")
     assert "j1" in apart.statement
@@ -46,7 +47,7 @@ def test_two_filters_are_no_further_apart_than_friction_and_rotor(filtered, apar
 
 
 def test_a_rival_is_no_distance_from_itself(rubbing):
-    rival = rubbing.book.tried[frozenset({"coulomb_friction"})]
+    rival = rubbing.tried.tried[frozenset({"coulomb_friction"})]
     members = ("coulomb_friction", "coulomb_friction")
     found = next_experiment(rubbing.traces[0], [rival, rival], members, "j1", REACH)
     assert found.separation < 0.1
