@@ -1,6 +1,6 @@
 """Let ``sim2real diagnose`` answer every case of a set, from its inputs alone.
 
-python datasets/concealed/solve.py SET VERDICTS [--device cuda] [--processes N] [--first N] [--last N]
+python datasets/concealed/solve.py SET VERDICTS [--processes N] [--first K] [--last K]
 
 With ``--processes`` each case is answered by itself, its time and the memory of its process stand in
 ``cost.json``, and a case that has been answered is not answered again: what was interrupted goes on

@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
             robot,
             model=model,
             references=references,
+            negligible=options.negligible,
             seed=options.seed,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
@@ -59,6 +60,8 @@ def spoken(found: Diagnosis) -> str:
     lines = [f"verdict: {found.verdict.replace('_', ' ')}"]
     for effect in found.effects:
         lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
+    for effect in found.negligible:
+        lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement} (negligible)")
     for entry in found.mismatch:
         lines.append(
             f"  {entry.component}: {1e3 * entry.rmse:.2f} mrad against "

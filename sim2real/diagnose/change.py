@@ -131,7 +131,7 @@ def change(found: Contrast) -> Change:
     odds = LOG_PRIOR + (0.0 if found.repeated else DECISION.change_other_motion)
     changed = float(expit(found.evidence[best] + odds))
     lonely = found.explained[best] < DECISION.explained
-    strange = DECISION.change_strange if lonely else 0.0
+    strange = DECISION.nameless if lonely else 0.0
     weight = np.exp(np.minimum(found.evidence - found.evidence[best], 0.0) - found.misfit)
     weight *= [np.exp(DECISION.change_retuned) if n in BASE else 1.0 for n in found.effects]
     share = changed * (1 - strange) * weight / weight.sum()

@@ -54,7 +54,7 @@ class Decision:
         change_other_motion: Further log odds against a change where the case moves otherwise.
         change_retuned: Log odds that a plain parameter was set anew rather than that an effect came.
         change_farthest: Prior standard deviation of a change, in multiples of its start.
-        change_strange: Probability that a change has no name, where the best leaves most of it.
+        nameless: Probability that what is missing has no name, where effects leave most of it.
         change_law_error: How far a straight line to a change may be from what it does.
         change_worth: Evidence below which no change will be named, however well it fits.
         detection_gain: Gain at which an effect is noticed.
@@ -96,7 +96,7 @@ class Decision:
     change_other_motion: float
     change_retuned: float
     change_farthest: float
-    change_strange: float
+    nameless: float
     change_law_error: float
     change_worth: float
     detection_gain: float

@@ -303,7 +303,7 @@ def strangeness(tried: Found, best: Hypothesis, without: Unmodelled, excess_afte
             return 0.0
         explained = (without.excess - excess_after) / (without.excess - 1)
         if explained < DECISION.explained:
-            strange = max(strange, DECISION.certain)
+            strange = max(strange, DECISION.nameless)
     return strange
 
 

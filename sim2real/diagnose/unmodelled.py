@@ -26,7 +26,7 @@ EDGE_COST = 12.0
 """Log-likelihood that each edge of a window must earn."""
 SHORTEST_S = 0.1
 WANDER = Wander(3.0, 1.5)
-"""Slow wander that a sensor may have and that is no structure."""
+"""Slow wander that sensors have; beyond it a residual is structured."""
 _ROUNDS = 3
 
 

@@ -25,7 +25,11 @@ _LEAD = (
     "should be right."
 )
 _VERDICTS = {
-    "consistent": ("good", "The plain servo explains these recordings: nothing is missing."),
+    "consistent": (
+        "good",
+        "The plain servo explains these recordings: nothing is missing that would matter.",
+    ),
+    "unchanged": ("good", "Nothing has changed since the references were recorded."),
     "explained": ("good", "Something was missing from the simulation, and it has a name now."),
     "ambiguous": (
         "info",
