@@ -1,8 +1,5 @@
 """The Warp kernel of a rollout: one servo a thread, its clock stopping at every event."""
 
-# Warp compiles this; int(0) is how it declares a variable.
-# ruff: noqa: UP018
-
 import warp as wp
 
 from sim2real.effects import SIGNATURE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ class Simulator:
         self._signals = [to_warp(x, "cpu") for x in (t, command, length)]
         self._load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
-        self._pool = ThreadPoolExecutor(threads)
+        self._pool = _pool(threads)
 
     def is_linear(self, theta: Array) -> bool:
         """Whether servos (B, P) have an exact solution: no effect is on, and no pendulum there."""
@@ -158,7 +159,13 @@ class Simulator:
         ]
 
     def run(self, theta: Array, substep_s: float) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """Angles of servos (B, P) as a Warp array, one row a servo and recording, (B * S, T)."""
+        """Angles of servos (B, P) as a Warp array, one row a servo and recording, (B * S, T).
+
+        Raises:
+            ValueError: If the sub-step is infinite and one of them is not linear.
+        """
+        if np.isinf(substep_s) and not self.is_linear(theta):
+            raise ValueError("no exact solution of servos with effects or a pendulum")
         S = len(self.traces)
         rows = np.repeat(theta, S, axis=0)
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
@@ -170,6 +177,11 @@ class Simulator:
         inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, to_warp(longest, "cpu")]
         wp.launch(simulate_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         return angle
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)
 
 
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)

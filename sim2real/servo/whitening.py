@@ -5,9 +5,6 @@ recordings the servo itself and then V - 1 variants of it. Noise that is correla
 whitened by an autoregression whose coefficients are the problem's own.
 """
 
-# Warp compiles this and checks its types itself.
-# mypy: ignore-errors
-
 from __future__ import annotations
 
 import warp as wp

@@ -9,7 +9,9 @@ def test_intervals_hold_where_residuals_are_correlated():
     from scipy.stats import binomtest
 
     from sim2real.inference.least_squares import robust_scale
+    from sim2real.inference.parameters import Parameter
     from sim2real.servo.fit import Fit
+    from sim2real.servo.parameters import COLUMNS
     from sim2real.servo.uncertainty import uncertainty
 
     held = 0
@@ -20,11 +22,10 @@ def test_intervals_hold_where_residuals_are_correlated():
         noise = lfilter([1.0], [1.0, -0.9], white)
         estimate = np.linalg.lstsq(slopes, noise, rcond=None)[0]
         error = slopes @ estimate - noise
-        fit = Fit(
-            names=("level", "slope"), parameters=estimate, low=np.full(2, -9.0),
-            high=np.full(2, 9.0), free=(0, 1), scale_rad=robust_scale(error), residuals=(error,),
-            jacobians=(slopes,), converged=True, inertia=1.0,
-        )  # fmt: skip
+        row = np.zeros(len(COLUMNS))
+        row[:2] = estimate
+        names = [Parameter(name, -9.0, 9.0, 1.0) for name in COLUMNS[:2]]
+        fit = Fit(tuple(names), row, robust_scale(error), (error,), (slopes,), True, 1.0)
         spread = uncertainty(fit, np.full(2, 100.0))
         held += abs(estimate[1]) < spread.half_width[1]
     low, high = binomtest(held, 200).proportion_ci(0.99)
