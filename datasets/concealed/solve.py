@@ -2,8 +2,8 @@
 
 python datasets/concealed/solve.py SET VERDICTS [--processes N] [--first K] [--last K]
 
-With ``--processes`` each case is answered by itself, its time and the memory of its process stand in
-``cost.json``, and a case that has been answered is not answered again: what was interrupted goes on
+With ``--processes`` each case is answered by itself, its time and the memory of its process stand
+in ``cost.json``, and a case that has been answered is not answered again: what was interrupted goes on
 where it stopped.
 """
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.heldout import Side, Split
-from sim2real.diagnose.torque import response, through
 from sim2real.inference.holdout import rms
+from sim2real.servo.holdout import Side, Split
+from sim2real.servo.linear import through, torque_filter
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ def _columns(network: _Network, inputs: Array, one: Side, theta: Array) -> Array
     hidden = np.tanh(x @ network.weight + network.offset)
     load, step = one.trace.load, float(np.median(np.diff(one.trace.t)))
     kp, kd = float(theta[0]), float(theta[1])
-    servo = response(load.inertia_kgm2, kd, kp + load.gravity_Nm, step)
+    servo = torque_filter(load.inertia_kgm2, kd, kp + load.gravity_Nm, step)
     torque = np.hstack([hidden[:, : UNITS[0]], x])
     # The recording starts at rest: what a constant torque does has been done.
     moved = through(torque - torque[:1], servo) + torque[:1] / (kp + load.gravity_Nm)

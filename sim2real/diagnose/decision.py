@@ -1,7 +1,7 @@
 """Every number that decides a verdict or a name, as ``decision.json`` has it.
 
-The file is written by ``benchmarks/calibrate_decisions.py`` from cases of the generators' development
-seeds; beside each value it says what it was read from.
+The file is written by ``benchmarks/calibrate_decisions.py`` from cases of the generators'
+development seeds; beside each value it says what it was read from.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Decision:
         nameless_cost: Evidence by which a smooth function must be ahead of the catalogue.
         nameless_softness: Evidence over which that comparison changes its mind.
         few: Effects that one joint may well miss together.
-        beyond_few: Highest probability of effects beyond these, or beside one that leaves structure.
+        beyond_few: Highest probability of effects beyond these, or where structure stays.
         of_many: Highest probability of the greatest of more than these.
         ripple: What every servo has a little of is a finding from so many noises on.
         coarser: Step of a sensor, relative to the stated one, from which it is a finding.
@@ -52,7 +52,7 @@ class Decision:
         window_share: Share of the time from which it is no stretch.
         change_borrowed: References that what all effects gain together counts for.
         change_other_motion: Further log odds against a change where the case moves otherwise.
-        change_retuned: Log odds that a plain parameter was set anew rather than that an effect came.
+        change_retuned: Log odds that a plain parameter was set anew, not that an effect came.
         change_farthest: Prior standard deviation of a change, in multiples of its start.
         nameless: Probability that what is missing has no name, where effects leave most of it.
         change_law_error: How far a straight line to a change may be from what it does.

@@ -8,12 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, bases, gate, prepared, rows, servo
+from sim2real.diagnose.case import Case, Joint, JointResult, bases, gate, prepared, rows, servo
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.heldout import Unseen, held_out
 from sim2real.diagnose.investigate import Finding, investigate
-from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
@@ -26,6 +24,7 @@ from sim2real.output import provenance
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
+from sim2real.servo.holdout import Unseen, held_out
 from sim2real.servo.problem import minimise
 
 __all__ = ["Case", "diagnose", "diagnose_all"]

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.heldout import simulated
 from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.search import Hypothesis
-from sim2real.diagnose.torque import Response, gain_torques, response, smooth, through
 from sim2real.diagnose.unmodelled import WANDER
 from sim2real.inference.noise import counting
+from sim2real.servo.holdout import simulated
+from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[st
         simulated=state(simulated(trace, theta[None])[0]),
         command=trace.command,
         servo=(kp, latency),
-        response=response(load.inertia_kgm2, kd, kp + load.gravity_Nm, step),
+        response=torque_filter(load.inertia_kgm2, kd, kp + load.gravity_Nm, step),
     )
 
 
@@ -203,7 +203,7 @@ class Left:
     simulated: State
     command: Array
     servo: tuple[float, float]
-    response: Response
+    response: Filter
 
 
 def formula(given: Sequence[Left], torque_unit: str) -> str:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link import LinkData, Uneven, links
-from sim2real.diagnose.link_response import Residual
 from sim2real.diagnose.posterior import Group, Posterior, posterior
 from sim2real.diagnose.screen import FITTED
 from sim2real.diagnose.search import (
@@ -26,6 +25,7 @@ from sim2real.diagnose.search import (
 from sim2real.diagnose.unmodelled import Unmodelled, excess, residual_angles, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.servo.batch import Batch
+from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
 

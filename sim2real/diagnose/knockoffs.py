@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.heldout import Side, Split, simulated
 from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.screen import Candidate
 from sim2real.diagnose.search import Set
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import counting, whitened
+from sim2real.servo.holdout import Side, Split, simulated
 from sim2real.servo.problem import Servos, variants
 from sim2real.servo.trace import Trace
 
@@ -260,8 +260,8 @@ def best_knockoff(
 ) -> float:
     """Held-out error of the plain servo with the best knockoff, rad.
 
-    In every fold the knockoff that explains most of the fitted side is chosen there, its strength and
-    the plain servo's parameters fitted there along with it, to first order, by least squares.
+    In every fold the knockoff that explains most of the fitted side is chosen there, its strength
+    and the plain servo's parameters fitted there along with it, to first order, by least squares.
 
     Args:
         traces: The joint's recordings.

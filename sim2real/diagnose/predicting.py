@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.heldout import held_out
 from sim2real.diagnose.investigate import ROUNDING
 from sim2real.diagnose.result import Diagnosis, NamedEffect
 from sim2real.diagnose.search import Found, Hypothesis, baselines, search
@@ -22,6 +21,7 @@ from sim2real.diagnose.wording import fitted_effects
 from sim2real.model import JointModel
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch, Normal, Problems
+from sim2real.servo.holdout import held_out
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from sim2real.diagnose.torque import Response, gain_torques, response, through
 from sim2real.inference.evidence import chance_gain
 from sim2real.inference.noise import autoregression, lag_products, whitened
+from sim2real.servo.linear import Filter, gain_torques, through, torque_filter
 
 Array = NDArray[np.float64]
 
@@ -173,10 +173,12 @@ def _acceleration(angle: Array, t: Array) -> Array:
     return np.asarray(np.gradient(np.gradient(angle, t), t))
 
 
-def _response(motion: Motion, servo: Servo, r: int) -> Response:
+def _response(motion: Motion, servo: Servo, r: int) -> Filter:
     """Filter from torque to angle at the recording's rate."""
     step = float(np.median(np.diff(motion.t)))
-    return response(float(servo.inertia[r]), servo.kd, servo.kp + float(servo.gravity[r]), step)
+    return torque_filter(
+        float(servo.inertia[r]), servo.kd, servo.kp + float(servo.gravity[r]), step
+    )
 
 
 def _fit(
@@ -205,7 +207,7 @@ def _fit(
 
 def _shaking(
     motions: Sequence[Motion],
-    responses: Sequence[Response],
+    responses: Sequence[Filter],
     bent: Array,
     servo: Servo,
     model: Array,
@@ -255,7 +257,7 @@ def _jump(
     return tuple(instants), level, 3 * len(motions)
 
 
-def _lines(motions: Sequence[Motion], responses: Sequence[Response], frequency: float) -> Array:
+def _lines(motions: Sequence[Motion], responses: Sequence[Filter], frequency: float) -> Array:
     """Responses to a sine and a cosine, in columns of their own for each recording."""
     blocks = []
     for r, (motion, filtered) in enumerate(zip(motions, responses, strict=True)):

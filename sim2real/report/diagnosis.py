@@ -82,7 +82,7 @@ _LIMITS = (
 )
 _DOUBTFUL, _WORTH_A_BAR = 0.1, 0.05
 _DOUBT = (
-    "Made-up effects that mean nothing do nearly as well here as those that are named: decoys put "
+    "Made-up effects that mean nothing do nearly as well here as those that are named: knockoffs put "
     "the share of wrong names at {rate}. Something is missing, but don't trust what it is called; "
     "the names are no surer than that, and the bars below are what the evidence says by itself."
 )
@@ -118,7 +118,7 @@ def _verdict(diagnosis: Diagnosis) -> Note:
 
 
 def _effect(effect: NamedEffect, most: float) -> Note:
-    """The finding, no surer than the decoys let it be."""
+    """The finding, no surer than the knockoffs let it be."""
     probability = min(effect.probability, most)
     if len(effect.group) < 2:
         return Note("info", f"{effect.statement} {how_sure(probability)}")

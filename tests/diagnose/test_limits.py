@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
+from sim2real.diagnose.checks import detection_limits
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.limits import detection_limits
 from sim2real.diagnose.screen import Screen, candidate, screen
 from sim2real.diagnose.search import baselines
 from sim2real.effects import named

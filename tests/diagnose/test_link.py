@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from sim2real.diagnose.link import LinkData, halfwidth, latency_jitter, link, packet_loss
-from sim2real.diagnose.link_response import Residual, with_noise
+from sim2real.diagnose.link_noise import with_noise
+from sim2real.servo.linear import Residual
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
 LAGS, LEAST_GAIN = 25, 0.02

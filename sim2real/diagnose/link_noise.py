@@ -1,8 +1,6 @@
-"""What single set-points do to the angle of a servo, and the noise under which they are looked for.
+"""The noise of an angle, under which single set-points are looked for.
 
-The servo is I q'' + kd q' + (kp + gravity) q = kp u, the pendulum linearised about the mean
-set-point, so that a set-point that comes late or never adds a known short response to what a fit
-leaves. Innovations of that are normal, of one size in motion and of another at rest.
+Autoregressive, its innovations normal, of one size in motion and of another at rest.
 """
 
 from __future__ import annotations
@@ -10,23 +8,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.inference.noise import autoregression, counting, lag_products, whitened
+from sim2real.servo.linear import Residual, SetPoints, set_points
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EARLIEST_S = 0.04
-"""Most that a set-point's response is followed ahead of the latency."""
 RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
-_SETTLED, _LONGEST = 0.003, 80
-"""Share of a response that may be left where it is cut off, and the most samples until then."""
-_LEAST_RATE, _APART = 0.1, 0.03
 _NEGLIGIBLE = 1e-5
 """Share of the squares of all responses that may be left where they are cut off."""
 _LEAST_SD_RAD = 1e-9
@@ -36,165 +29,10 @@ _FEWEST, _ITERATIONS = 100, 20
 
 
 @dataclass(frozen=True)
-class Residual:
-    """What the fit of a servo leaves of one joint in one recording.
-
-    Attributes:
-        t: Times in s, shape (T,), increasing.
-        command: Set-points in rad, sent at ``t``, shape (T,).
-        used: Samples that may be seen, shape (T,).
-        residual: Simulated minus measured angle in rad, shape (T,); anything where not used.
-        kp: Fitted proportional gain in N m/rad.
-        kd: Fitted derivative gain in N m s/rad.
-        latency_s: Fitted latency.
-        inertia_kgm2: Inertia on the shaft.
-        gravity_Nm: Torque of the load's weight when held level.
-    """
-
-    t: Array
-    command: Array
-    used: Mask
-    residual: Array
-    kp: float
-    kd: float
-    latency_s: float
-    inertia_kgm2: float
-    gravity_Nm: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Modes:
-    """A second-order system, gain / ((s - fast) (s - slow)), its poles kept a little apart."""
-
-    fast: complex
-    slow: complex
-    gain: float
-
-    def impulse(self, x: Array) -> Array:
-        """Response to an impulse ``x`` s ago, 0 before it."""
-        _, a, b = self._decays(x)
-        return np.asarray(self.gain * ((a - b) / (self.fast - self.slow)).real)
-
-    def step(self, x: Array) -> Array:
-        """Response to a step ``x`` s ago: the integral of ``impulse``."""
-        p, r = self.fast, self.slow
-        _, a, b = self._decays(x)
-        return np.asarray(self.gain * ((1 + (r * a - p * b) / (p - r)) / (p * r)).real)
-
-    def twice(self, x: Array) -> tuple[Array, Array]:
-        """Inverse Laplace transform of 1 / ((s - fast) (s - slow))2 at ``x``, and its derivative.
-
-        By partial fractions with two double poles.
-        """
-        p, r = self.fast, self.slow
-        y, a, b = self._decays(x)
-        value = y * (a + b) - 2 * (a - b) / (p - r)
-        slope = (a + b) + y * (p * a + r * b) - 2 * (p * a - r * b) / (p - r)
-        size = (p - r) ** 2
-        return np.asarray((value / size).real), np.asarray((slope / size).real * (x > 0))
-
-    def _decays(self, x: Array) -> tuple[Array, Any, Any]:
-        """Positive part of ``x``, and what is left of the fast and the slow mode then."""
-        y = np.maximum(x, 0.0)
-        if self.fast.imag == 0:
-            return y, np.exp(self.fast.real * y), np.exp(self.slow.real * y)
-        a = np.exp(self.fast * y)
-        return y, a, a.conj()
-
-
-@dataclass(frozen=True)
-class Response:
-    """Responses of one angle to its K = T set-points.
-
-    All tables have one row a set-point; column m of row k is sample ``k + first + m``.
-
-    Attributes:
-        first: Samples from a set-point to the first that it can move.
-        late: Simulated minus measured angle per s that a set-point is late, in rad/s, shape (K, W).
-        missing: Simulated minus measured angle per rad by which the set-point in force, from this
-            one to the next, is below the one sent, shape (K, W).
-        change: Set-points minus those before them in rad, shape (K,).
-        refit: Change of the angle in rad with the latency in s and with the logarithms of kd and
-            kp, shape (T, 3).
-        period_s: Usual time between set-points.
-    """
-
-    first: int
-    late: Array
-    missing: Array
-    change: Array
-    refit: Array
-    period_s: float
-    modes: _Modes
-    since: Array
-
-    def late_by(self, delay: Array) -> tuple[Array, Array]:
-        """What delays of any size do: simulated minus measured angle, and its derivative.
-
-        Args:
-            delay: Of each set-point in s, shape (K,).
-
-        Returns:
-            Angles in rad, shape (T,), and a table like ``late``.
-        """
-        change, then = self.change[:, None], self.since - delay[:, None]
-        gap = (self._on_time - self.modes.step(then)) * change
-        return spread(gap, self.first), self.modes.impulse(then) * change
-
-    @cached_property
-    def _on_time(self) -> Array:
-        return self.modes.step(self.since)
-
-
-def spread(rows: Array, first: int) -> Array:
-    """Sum of a table (K, W) over its set-points, by sample, shape (K,)."""
-    K, W = rows.shape
-    total = np.zeros(K + first + W)
-    for m in range(W):
-        total[first + m : first + m + K] += rows[:, m]
-    return total[:K]
-
-
-def response(given: Residual) -> Response:
-    """The exact responses at the true times; a late set-point to first order in its delay."""
-    modes, t, K = _modes(given), given.t, given.t.size
-    period = float(np.median(np.diff(t)))
-    change = np.diff(given.command, prepend=given.command[0])
-    arrival = t + given.latency_s
-    seen = arrival <= t[-1]
-    offset = (np.searchsorted(t, arrival) - np.arange(K))[seen]
-    first = int(offset.min()) if offset.size else 0
-    first -= min(first, int(np.ceil(EARLIEST_S / period)))
-    rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)
-    lasting = -np.log(_SETTLED) / rate + period + EARLIEST_S
-    W = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
-    sample = np.arange(K)[:, None] + first + np.arange(W)
-    since = np.where(sample < K, t[np.minimum(sample, K - 1)] - arrival[:, None], -1.0)
-    slot = np.append(np.diff(t), period)[:, None]
-    late = modes.impulse(since) * change[:, None]
-    missing = modes.step(since) - modes.step(since - slot)
-    inertia, kp, kd = given.inertia_kgm2, given.kp, given.kd
-    twice, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
-    gains = (-late, -kp * kd * twice, kp * (inertia * slope + kd * twice))
-    refit = np.stack([spread(x, first) for x in gains], axis=1)
-    return Response(first, late, missing, change, refit, period, modes, since)
-
-
-def _modes(given: Residual) -> _Modes:
-    weight = given.gravity_Nm * float(np.cos(np.mean(given.command)))
-    stiffness = max(given.kp + weight, 1e-3 * given.kp) / given.inertia_kgm2
-    half = given.kd / (2 * given.inertia_kgm2)
-    root = complex(half**2 - stiffness) ** 0.5
-    if abs(root) < _APART * half:
-        root = complex(_APART * half)
-    return _Modes(-half - root, -half + root, given.kp / given.inertia_kgm2)
-
-
-@dataclass(frozen=True)
 class Segment:
     """One recording of one joint: its residual in rad, the samples that count and those at rest."""
 
-    response: Response
+    response: SetPoints
     residual: Array
     counts: Mask
     rests: Mask
@@ -314,7 +152,7 @@ def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> Noisy
     """
     segments = tuple(
         Segment(
-            response(one),
+            set_points(one),
             np.where(one.used, one.residual, 0.0),
             counting(one.used, lags),
             np.zeros(one.used.size, dtype=bool),
@@ -377,7 +215,7 @@ class Normal:
 
     Attributes:
         gram: Of the responses; row d holds those of set-points k and k + d, shape (W, K).
-        cross: Of the responses with the residual and the columns of ``Response.refit``, (K, 4).
+        cross: Of the responses with the residual and the columns of ``SetPoints.refit``, (K, 4).
         square: Of the latter among themselves, shape (4, 4).
     """
 
@@ -406,7 +244,7 @@ def normals(joint: NoisyJoint, noise: Noise, tables: Sequence[Array]) -> tuple[N
     Args:
         joint: The joint.
         noise: Whose autoregression whitens.
-        tables: For each recording its responses, laid out as in ``Response``, shape (K, W).
+        tables: For each recording its responses, laid out as in ``SetPoints``, shape (K, W).
     """
     p = noise.model.size
     longest = max(table.shape[1] for table in tables) + p
