@@ -4,9 +4,9 @@
     python benchmarks/calibrate_decisions.py ROWS.jsonl --write
 
 The first makes cases with the generator of ``datasets/concealed`` (it needs numba), one seed a
-case, diagnoses them and keeps what was measured of each joint, a line each; what is there already is
-not measured again, so that it can be run in pieces. The second reads the numbers off these lines and
-writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves they were
+case, diagnoses them and keeps what was measured of each joint, a line each; what is there already
+is not measured again, so that it can be run in pieces. The second reads the numbers off these lines
+and writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves they were
 read from. No sealed set is looked at. A number with fewer cases behind it than ``FEWEST`` stays as
 it was, and says so; one that is a choice ("chosen") is none that data could make.
 """

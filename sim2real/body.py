@@ -23,10 +23,11 @@ def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEf
     Raises:
         InputError: If there is none; ``where`` says who asked.
     """
-    for effect in (*BODY, *CAMERA):
+    every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in every:
         if effect.name == name:
             return effect
-    known = ", ".join(effect.name for effect in (*BODY, *CAMERA))
+    known = ", ".join(effect.name for effect in every)
     raise InputError(where, "effects", repr(name), f"one of {known}")
 
 

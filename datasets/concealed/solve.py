@@ -3,8 +3,8 @@
 python datasets/concealed/solve.py SET VERDICTS [--processes N] [--first K] [--last K]
 
 With ``--processes`` each case is answered by itself, its time and the memory of its process stand
-in ``cost.json``, and a case that has been answered is not answered again: what was interrupted goes on
-where it stopped.
+in ``cost.json``, and a case that has been answered is not answered again: what was interrupted goes
+on where it stopped.
 """
 
 from __future__ import annotations

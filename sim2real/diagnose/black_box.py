@@ -153,7 +153,7 @@ def _columns(network: _Network, inputs: Array, one: Side, theta: Array) -> Array
 
 
 def _ridge(rows: Array, target: Array) -> tuple[Array, float]:
-    """Weights of least error in cross-validation over stretches, and that error squared."""
+    """Weights of least error in cross-validation over segments, and that error squared."""
     size = np.sqrt((rows**2).mean(axis=0)) + 1e-12
     design = rows / size
     chunks = np.array_split(np.arange(target.size), _CHUNKS)

@@ -22,7 +22,7 @@ from sim2real.diagnose.per_recording import (
     Fitted,
     Linear,
     Own,
-    fitted_apart,
+    fit_own,
     gains,
     linearised,
 )
@@ -216,7 +216,7 @@ def sharpened(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
             label.append(int(k))
     before = list(linear.fitted.traces[: linear.references])
     batch = Batch([before, list(linear.fitted.traces[linear.references :])], device)
-    fits = fitted_apart(batch, linear.fitted.servos, linear.fitted.noise, owns)
+    fits = fit_own(batch, linear.fitted.servos, linear.fitted.noise, owns)
     gain = fits.loglikelihood - fits.loglikelihood[0]
     best = [max(np.flatnonzero(np.array(label) == k), key=lambda h: gain[h]) for k in order]
     loudest = found.energy / float(linear.gram[linear.references :, 0, 0].sum())

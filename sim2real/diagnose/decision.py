@@ -47,9 +47,9 @@ class Decision:
         link_tie: Gain by which a joint's own effects must beat it to be kept.
         link_masked: Excess of a joint from which nothing can be seen of single set-points.
         mimic: Probability that is left to an effect that one of the supply or the link mimics.
-        window_cost: Gain that a stretch of something else must earn.
+        window_cost: Gain that a segment of something else must earn.
         window_second_cost: Gain that each second of it must earn.
-        window_share: Share of the time from which it is no stretch.
+        window_share: Share of the time from which it is no segment.
         change_borrowed: References that what all effects gain together counts for.
         change_other_motion: Further log odds against a change where the case moves otherwise.
         change_retuned: Log odds that a plain parameter was set anew, not that an effect came.

@@ -25,7 +25,7 @@ WAVES_PER_RAD = (2, 3, 4, 6, 8, 12, 16)
 """``k`` of sin(k position): from a lever's to a gear tooth's."""
 SMALL_SPEED = 0.05
 """Speed in rad/s below which its sign is not known for the noise of the sensor."""
-_STRETCHES = 4
+_SEGMENTS = 4
 _GAINS = 3
 _LAGS = 3
 """Samples after a gap that do not count."""
@@ -277,8 +277,8 @@ def _problem(given: Sequence[Left]) -> _Problem:
     targets = [_white(left, -left.residual[:, None])[:, 0] for left in given]
     folds = []
     for r, left in enumerate(given):
-        stretch = np.arange(left.counts.size) * _STRETCHES // left.counts.size
-        fold = stretch if len(given) == 1 else np.full(left.counts.size, r)
+        segment = np.arange(left.counts.size) * _SEGMENTS // left.counts.size
+        fold = segment if len(given) == 1 else np.full(left.counts.size, r)
         folds.append(fold[left.counts])
     measured, simulated = (np.concatenate(some) for some in rows)
     listed = terms(given[0].measured)

@@ -1,6 +1,6 @@
 """Knockoffs: effects that mean nothing, in competition with the real ones.
 
-A knockoff is what a real effect would do, at another time and turned round in random stretches. It
+A knockoff is what a real effect would do, at another time and turned round in random segments. It
 is as large, as smooth and as irregular as the real one, and nothing can be behind it: how often one
 does as well is how often chance would win (the idea of Barber, Candès, Annals of Statistics 43
 (2015) 2055-2085).
@@ -31,7 +31,7 @@ COPIES = 100
 """Knockoffs of each effect: the least share of wrong names that can be seen is one in so many."""
 FLOOR_COPIES = 40
 """Knockoffs of each start of each effect, for all folds together."""
-_AWAY_S, _STRETCH_S, _TURN_S = 2.0, (1.5, 4.0), 0.25
+_AWAY_S, _SEGMENT_S, _TURN_S = 2.0, (1.5, 4.0), 0.25
 
 
 @dataclass(frozen=True)
@@ -160,19 +160,19 @@ def contest(
 
 
 def meaningless(response: Array, t: Array, rng: np.random.Generator) -> Array:
-    """What effects do (T, S), some seconds later and turned round in random stretches.
+    """What effects do (T, S), some seconds later and turned round in random segments.
 
     The delay alone would not do: of a command that repeats itself, an effect does the same again.
     """
     step = float(np.median(np.diff(t)))
     away = max(1, min(round(_AWAY_S / step), t.size // 4))
     delay = int(rng.integers(away, max(t.size - away, away + 1)))
-    cuts = t[0] + np.cumsum(rng.uniform(*_STRETCH_S, size=int((t[-1] - t[0]) / _STRETCH_S[0]) + 1))
+    cuts = t[0] + np.cumsum(rng.uniform(*_SEGMENT_S, size=int((t[-1] - t[0]) / _SEGMENT_S[0]) + 1))
     # It turns round where the end of the recording comes to meet its start, too: no jumps.
     cuts = np.sort(np.append(cuts, t[min(delay, t.size - 1)]))
-    stretch = np.searchsorted(cuts, t)
+    segment = np.searchsorted(cuts, t)
     nearest = np.abs(t[:, None] - cuts[None]).min(axis=1)
-    sign = rng.choice([-1.0, 1.0], size=cuts.size + 1)[stretch]
+    sign = rng.choice([-1.0, 1.0], size=cuts.size + 1)[segment]
     weight = sign * np.minimum(1.0, nearest / _TURN_S)
     return np.asarray(np.roll(response, delay, axis=0) * weight[:, None])
 
@@ -204,14 +204,14 @@ def false_discovery_of(
     """Expected share of wrong ones among the effects that are named on a robot's joints.
 
     Each named effect is judged against knockoffs of all effects, from the fit that lacks it and has
-    the others. What is heard on the link or read off the sensor's numbers is no part of this. It
+    the others. What is found on the link or read off the sensor's numbers is no part of this. It
     says how often chance would pass for an effect, not how often one effect passes for another.
 
     Args:
         joints: Recordings of each joint.
         findings: What was found on it.
         rng: For the knockoffs.
-        copies: Decoys of each effect.
+        copies: Knockoffs of each effect.
     """
     chances, considered = [], 0
     for traces, finding in zip(joints, findings, strict=True):
@@ -269,7 +269,7 @@ def best_knockoff(
         effects: Changes of its angle by the starts of all effects, (T, S) a recording.
         folds: Its refits.
         rng: For the knockoffs.
-        copies: Decoys of each start of each effect, for all folds together.
+        copies: Knockoffs of each start of each effect, for all folds together.
     """
     drawn = [
         [meaningless(x, t.t, rng) for x, t in zip(effects, traces, strict=True)]

@@ -2,7 +2,7 @@
 
 A parameter is shared by all recordings, or some have one of their own. To first order every effect
 is looked at so, from one launch (``linearised``, ``gains``); the likeliest are fitted for good
-(``fitted_apart``).
+(``fit_own``).
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Apart:
+class OwnFits:
     """Where the fits ended, one for each set of own parameters.
 
     Attributes:
@@ -249,7 +249,7 @@ class Apart:
     theta: Array
 
 
-def fitted_apart(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own]) -> Apart:
+def fit_own(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own]) -> OwnFits:
     """Fit the shared servo together with each set of the case's own parameters.
 
     Each recording has a variance of its own.
@@ -286,7 +286,7 @@ def fitted_apart(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own])
     for h in range(H):
         own[h, owns[h].columns] = True
     at = found.expansion
-    return Apart(-at.loss, at.aside["left"], np.where(own, mine, shared))
+    return OwnFits(-at.loss, at.aside["left"], np.where(own, mine, shared))
 
 
 def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> least_squares.Expansion:

@@ -77,7 +77,7 @@ def posterior(
 ) -> Posterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 
-    Averaging keeps a model that is best by a little, or in a few stretches only, from being called
+    Averaging keeps a model that is best by a little, or in a few segments only, from being called
     certain. Source: Huggins, Miller, Reproducible model selection using bagged posteriors, Bayesian
     Analysis 18 (2023) 79-104. In each bootstrap the parameters are refitted to first order.
 

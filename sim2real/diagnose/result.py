@@ -31,7 +31,7 @@ class Mismatch:
         rmse: Error of the plain servo on data it was not fitted to, rad.
         noise: Standard deviation of the measurement noise, rad.
         share: Share of the error's variance that is not noise, 0 to 1.
-        windows_s: For each recording, by name, the stretches in which the mismatch stands out.
+        windows_s: For each recording, by name, the segments in which the mismatch stands out.
         where: In which states it shows, in words.
         dependence: Share of the residual torque's variance that each state explains by itself.
     """

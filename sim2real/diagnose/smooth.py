@@ -280,4 +280,4 @@ def _whitened(
 def _noise_model(motions: Sequence[Motion], residuals: Sequence[Array], servo: Servo) -> Array:
     pairs = zip(motions, residuals, strict=True)
     products = np.sum([lag_products(x, m.counts, servo.lags) for m, x in pairs], axis=0)
-    return autoregression(products[None], servo.least_gain)[0]
+    return np.asarray(autoregression(products[None], servo.least_gain)[0])

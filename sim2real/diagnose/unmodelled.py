@@ -38,10 +38,10 @@ class Unmodelled:
         excess: Energy of the plain fit's residual that is neither noise nor slow wander, in
             variances of the noise; about 1 where nothing is missing.
         smooth: The best smooth function of one state.
-        windows: Stretches outside which the plain servo fits, for each recording; None if there
+        windows: Segments outside which the plain servo fits, for each recording; None if there
             are none.
         windows_evidence: Evidence, against the plain servo's, of something of its own in these
-            stretches; -inf without them.
+            segments; -inf without them.
     """
 
     excess: float
@@ -237,7 +237,7 @@ def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
 
 
 def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
-    """Stretches in which the residual is larger than noise.
+    """Segments in which the residual is larger than noise.
 
     The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
     Transactions on Information Theory 13 (1967) 260-269).
@@ -248,7 +248,7 @@ def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
         sd: Its standard deviation where nothing is missing, rad.
 
     Returns:
-        Beginning and end of each stretch, s.
+        Beginning and end of each segment, s.
     """
     z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
     score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)

@@ -282,11 +282,11 @@ def _where(
     if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
         return f"throughout: {words}" if telling else "throughout"
     if intermittent and any(when):
-        stretches = [
+        segments = [
             f"{a:.1f} to {b:.1f} s of {t.name}"
             for t, w in zip(traces, when, strict=True)
             for a, b in w
         ]
-        more = f" and {len(stretches) - 3} more" if len(stretches) > 3 else ""
-        return f"in stretches: {', '.join(stretches[:3])}{more}"
+        more = f" and {len(segments) - 3} more" if len(segments) > 3 else ""
+        return f"in segments: {', '.join(segments[:3])}{more}"
     return words

@@ -82,9 +82,10 @@ _LIMITS = (
 )
 _DOUBTFUL, _WORTH_A_BAR = 0.1, 0.05
 _DOUBT = (
-    "Made-up effects that mean nothing do nearly as well here as those that are named: knockoffs put "
-    "the share of wrong names at {rate}. Something is missing, but don't trust what it is called; "
-    "the names are no surer than that, and the bars below are what the evidence says by itself."
+    "Made-up effects that mean nothing do nearly as well here as those that are named: knockoffs "
+    "put the share of wrong names at {rate}. Something is missing, but don't trust what it is "
+    "called; the names are no surer than that, and the bars below are what the evidence says by "
+    "itself."
 )
 
 

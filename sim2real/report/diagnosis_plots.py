@@ -107,7 +107,7 @@ def mean_figure(evidence: Sequence[Evidence], state: str, unit: str) -> Figure:
 def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     """Mean of ``y`` in bins of ``x`` and its standard error; bins rarely visited are left out.
 
-    Neighbouring samples are not independent, so what falls into one stretch of the smoothing's
+    Neighbouring samples are not independent, so what falls into one segment of the smoothing's
     length counts once.
     """
     if not x.size:

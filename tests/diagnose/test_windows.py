@@ -14,7 +14,7 @@ def noise(seed=0, size=T.size):
 
 
 def with_events(*events, seed=0):
-    """Noise, ten times as large in these stretches."""
+    """Noise, ten times as large in these segments."""
     return noise(seed) * np.where(inside(T, events), 10.0, 1.0)
 
 

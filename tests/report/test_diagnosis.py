@@ -349,7 +349,7 @@ def test_lines_are_thinned_and_keep_gaps_and_extremes():
         assert np.isnan(y).any() == (count > 777)
 
 
-def test_error_of_a_mean_counts_independent_stretches():
+def test_error_of_a_mean_counts_independent_segments():
     """Smoothed noise: means lie within two standard errors of 0 about 95 % of the time."""
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(60000)
