@@ -145,6 +145,28 @@ def select(
     progress(1.0)
 
 
+def prune(
+    refit: Callable[[Members], Hypothesis[Fit]], members: Members
+) -> tuple[Hypothesis[Fit], dict[Hashable, float]]:
+    """Leave out members of a set, the least useful first, while the evidence grows.
+
+    Args:
+        refit: The fit of a set.
+        members: Where to begin.
+
+    Returns:
+        What stays, and the evidence that each of its members adds to the others.
+    """
+    found = refit(members)
+    while found.members:
+        without = {m: refit(found.members - {m}) for m in sorted(found.members, key=str)}
+        least = max(without, key=lambda m: without[m].evidence)
+        if without[least].evidence <= found.evidence:
+            return found, {m: found.evidence - h.evidence for m, h in without.items()}
+        found = without[least]
+    return found, {}
+
+
 def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadth: Breadth) -> None:
     """Add to the best sets, leave out one or two of their members, put another in the place."""
     larger = [
