@@ -86,7 +86,7 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
 def candidates(robot: Robot) -> list[tuple[str, str, tuple[Parameter, ...]]]:
     """Effects, what they belong to (a material, the body or the camera), their parameters."""
     out = []
-    for effect in BODY + CAMERA:
+    for effect in (*BODY, *CAMERA):
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))

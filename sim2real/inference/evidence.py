@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 def profile_loglikelihood(error2: Array, count: Array) -> Array:
     """-n/2 log(error2 / n): that of normal errors, their variance at its best, up to 1."""
-    return np.asarray(-0.5 * count * np.log(np.maximum(error2, 1e-300) / count))
+    return np.asarray(-0.5 * count * np.log(np.maximum(error2, 1e-300) / np.maximum(count, 1)))
 
 
 def occam_factor(information: Array, prior_sd: float, nuisance: int = 0) -> Array:
