@@ -20,7 +20,7 @@ _SHORT = {
     "latency_s": "latency",
     "unmodelled_inertia.inertia_kgm2": "inertia left out",
 }
-_STRUCTURED = 2.0
+ABOVE_NOISE = 2.0
 """Residuals above so many times the noise have something in them."""
 _MATERIAL = 0.05
 """Share of the stated inertia below which a difference is left to scales and rulers."""
@@ -106,7 +106,7 @@ def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
     white, time = figures.get("whiteness"), figures.get("correlation_time_s")
     if not train or noise is None or white is None or time is None:
         return []
-    if train < _STRUCTURED * noise or white < 0.5:
+    if train < ABOVE_NOISE * noise or white < 0.5:
         return []
     times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise shows"
     return [

@@ -30,7 +30,7 @@ LATENCY_S = (0.0, 0.3)
 def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
     """All parameters of a servo that roughly does what was recorded, and of very different rivals.
 
-    Simulates a low-discrepancy set of servos over the liveliest stretch in one batch, then, in a
+    Simulates a low-discrepancy set of servos over the liveliest segment in one batch, then, in a
     few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
     Methodology and Computing in Applied Probability 1 (1999) 127-190).
 

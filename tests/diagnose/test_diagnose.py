@@ -14,6 +14,7 @@ from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
@@ -239,3 +240,16 @@ def test_no_motion_is_refused():
     flat = Recording(**{**vars(still), "position": np.zeros_like(still.position)})
     with pytest.raises(InputError, match=r"still.csv.*no motion"):
         diagnose([flat], robot("j1"))
+
+
+@pytest.mark.parametrize("effects", [{}, FRICTION], ids=["plain", "rubbing"])
+def test_the_baseline_is_what_identify_finds(effects):
+    """One estimator: the same recordings and the same model have one pair of gains."""
+    shown, other = two(**effects)
+    (found,) = diagnose_all([Case([shown], robot("j1"))])
+    known = identify([shown, other], robot("j1"), held_out="b").joints["j1"]
+    assert bool(found.mismatch) == bool(effects)
+    baseline = found.baseline.joints["j1"]
+    for name in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
+        width = np.diff(known.interval[name])[0]
+        assert getattr(baseline, name) == pytest.approx(getattr(known, name), abs=2e-3 * width)

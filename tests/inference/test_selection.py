@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim2real.inference.evidence import log_evidence
-from sim2real.inference.selection import Breadth, Hypothesis, Ledger, select
+from sim2real.inference.selection import Breadth, Hypothesis, Ledger, prune, select
 
 NAMES = "abcdef"
 WEIGHT = {"c": 0.5}
@@ -108,3 +108,12 @@ def test_the_better_fit_of_a_set_is_kept():
     for evidence in (1.0, 3.0, 2.0):
         ledger.keep(Hypothesis(frozenset("x"), evidence, evidence))
     assert ledger.best.fit == 3.0
+
+
+def test_what_is_not_needed_is_pruned():
+    given = problem("bdf")
+    found, adds = prune(lambda members: given.hypothesis(0, members), frozenset(NAMES))
+    assert found.members == frozenset("bdf")
+    assert set(adds) == set("bdf") and min(adds.values()) > 10
+    nothing, adds = prune(lambda members: problem("").hypothesis(0, members), frozenset("ab"))
+    assert nothing.members == frozenset() and adds == {}
