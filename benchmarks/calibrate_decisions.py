@@ -243,7 +243,7 @@ def readings(rows: Sequence[Row]) -> dict[str, Reading]:
     found["clean"] = quantile(
         [row["excess_plain"] for row in nothing], 0.9, "90 % of joints that miss nothing"
     )
-    structured, few = found["structured"][0], _few(inside)
+    structured, few = BOUNDS["structured"](found["structured"][0]), _few(inside)
     found["few"] = few
     sure = [g["right"] for row in inside for g in row["groups"][:1] if g["p"] > 0.97]
     found["most_certain"] = frequency(sure, "greatest effects of probability above 0.97: there")

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 from sim2real.diagnose.decision import DECISION
 from sim2real.inference.noise import Wander
 from sim2real.processes import shared
-from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.problem import Fits, minimise
+from sim2real.servo.batch import Batch
+from sim2real.servo.problem import Fits, minimise, residual_angles
 from sim2real.servo.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.trace import Trace
 
@@ -87,14 +87,6 @@ def unmodelled(
     return [
         Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
     ]
-
-
-def residual_angles(batch: Batch, fits: Fits) -> Array:
-    """Simulated minus measured angles of one fit a joint, 0 where missing, shape (N, R, T)."""
-    theta = fits.servos.theta[:, None]
-    seen = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
-    assert seen.residual is not None
-    return seen.residual
 
 
 def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:

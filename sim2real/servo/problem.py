@@ -184,3 +184,11 @@ def variants(servos: Servos) -> Problems:
     scale = np.zeros((N, 1 + F))
     scale[row, 1 + place] = servos.unit[row, place] / size
     return Problems(servos.joint, theta, scale)
+
+
+def residual_angles(batch: Batch, fits: Fits) -> Array:
+    """Simulated minus measured angles of one fit a joint, 0 where missing, shape (N, R, T)."""
+    theta = fits.servos.theta[:, None]
+    seen = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
+    assert seen.residual is not None
+    return seen.residual

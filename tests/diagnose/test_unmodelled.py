@@ -8,8 +8,9 @@ from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
 from sim2real.diagnose.search import baselines
-from sim2real.diagnose.unmodelled import WANDER, excess, residual_angles, unmodelled
+from sim2real.diagnose.unmodelled import WANDER, excess, unmodelled
 from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.problem import residual_angles
 
 
 def wander(seed, size, share=WANDER.share):
