@@ -90,6 +90,8 @@ def collect(path: Path, cases: int, processes: int, seconds: float) -> None:
 
 def drawn(k: int) -> tuple[Any, str]:
     """Case ``k`` of the development seeds, and its kind."""
+    # Numba imports a ``coverage`` that is not the script of that name beside this one.
+    sys.path[:] = [path for path in sys.path if Path(path) != ROOT / "benchmarks"]
     sys.path.insert(0, str(ROOT / "datasets" / "concealed"))
     from cases import draw_case
     from catalogue import EFFECTS
