@@ -27,13 +27,13 @@ from sim2real.diagnose.per_recording import (
     linearised,
 )
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.screen import candidate
 from sim2real.diagnose.search import LOG_PRIOR
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.problem import Fits, Servos, minimise
+from sim2real.servo.screen import candidate
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

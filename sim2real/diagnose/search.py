@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import Fits, Servos, minimise
+from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S, natural_units
 
 Array = NDArray[np.float64]

@@ -180,6 +180,15 @@ def test_robots_together_equal_one_at_a_time(rubbing, clean):
     assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
 
 
+def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(rubbing):
+    """Asked to neglect what takes away less than nearly all of the error, friction is neglected."""
+    assert rubbing.negligible == ()
+    (found,) = diagnose_all([Case(two(**FRICTION), robot("j1"))], negligible=0.999)
+    assert found.verdict == "consistent"
+    assert found.effects == ()
+    assert [e.effect for e in found.negligible] == [e.effect for e in rubbing.effects]
+
+
 def test_robots_sampled_alike_share_a_batch():
     fast, slow = two(), [thinned(one, 5) for one in two()]
     done = []
