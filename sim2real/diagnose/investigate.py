@@ -250,7 +250,9 @@ def _pass(
     after = _excesses(batch, known.joints, best)
     progress(1.0)
     return [
-        _finding(one, problem, posteriors[j], left[j], after[j], known.steps and known.steps[j])
+        _finding(
+            one, problem, posteriors[j], left[j], after[j], known.steps[j] if known.steps else None
+        )
         for j, one in enumerate(found)
     ]
 
