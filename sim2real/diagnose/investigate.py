@@ -20,14 +20,13 @@ from sim2real.diagnose.search import (
     joined,
     search,
 )
-from sim2real.diagnose.unmodelled import Unmodelled, excess, unmodelled
+from sim2real.diagnose.unmodelled import Unmodelled, excess, residual_angles, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import residual_angles
 from sim2real.servo.screen import FITTED
 from sim2real.servo.trace import Trace
 
@@ -213,10 +212,6 @@ class _Known:
     models: Array | None
     bases: Sequence[Set] | None
 
-    def step(self, joint: int) -> float | None:
-        """Step of a joint's sensor where it is coarser than stated."""
-        return None if self.steps is None else self.steps[joint]
-
     def of(self, some: Sequence[int]) -> _Known:
         """What is given of some of the joints."""
         place = {j: k for k, j in enumerate(some)}
@@ -255,7 +250,9 @@ def _pass(
     after = _excesses(batch, known.joints, best)
     progress(1.0)
     return [
-        _finding(one, problem, posteriors[j], left[j], after[j], known.step(j))
+        _finding(
+            one, problem, posteriors[j], left[j], after[j], known.steps[j] if known.steps else None
+        )
         for j, one in enumerate(found)
     ]
 

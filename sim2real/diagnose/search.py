@@ -65,8 +65,8 @@ def baselines(batch: Batch, models: Array | None = None) -> Fits:
         starts = np.concatenate([starts, given[:, None]], axis=1)
         starts[:, :, 5:] = given[:, None, 5:]
     K = starts.shape[1]
-    joint = np.repeat(np.arange(J), K)
-    many = plain_servos(joint, starts.reshape(J * K, -1), np.repeat(inertia, K), batch.period)
+    starting = np.repeat(np.arange(J), K)
+    many = plain_servos(starting, starts.reshape(J * K, -1), inertia[starting], batch.period)
     rough = minimise(batch, many, iterations=12, white=True)
     order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :_REFINED]
     pick = (np.arange(J)[:, None] * K + order).ravel()

@@ -80,10 +80,3 @@ def _parameters(points: Array, trace: Trace) -> Array:
     return np.stack(
         [frequency**2 * inertia, 2 * damping * frequency * inertia, scaled[:, 2]], axis=1
     )
-
-
-def natural_units(parameters: Array, inertia: float) -> Array:
-    """A size of each parameter at which a change of one such unit would matter, shape (4,)."""
-    kp = max(float(parameters[0]), 1e-9)
-    total = inertia + float(parameters[3])
-    return np.array([kp, max(float(parameters[1]), 0.4 * np.sqrt(kp * total)), 0.05, total])
