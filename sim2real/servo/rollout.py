@@ -167,14 +167,16 @@ class Simulator:
         if np.isinf(substep_s) and not self.is_linear(theta):
             raise ValueError("no exact solution of servos with effects or a pendulum")
         S = len(self.traces)
-        rows = np.repeat(theta, S, axis=0)
+        exact = np.isinf(substep_s)
+        rows = np.repeat(theta[:, : len(BASE)] if exact else theta, S, axis=0)
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
-        given = (rows, active_effects(rows), np.zeros((len(rows), CELLS)), signal)
-        longest = np.full(len(rows), substep_s)
+        active = np.zeros(len(rows), dtype=np.int32) if exact else active_effects(rows)
+        given = (rows, active, np.zeros((len(rows), 1 if exact else CELLS)), signal)
+        longest = to_warp(np.full(len(rows), substep_s), "cpu")
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, to_warp(longest, "cpu")]
+        inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, longest]
         wp.launch(simulate_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         return angle
 
