@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -116,9 +115,3 @@ def make_sac(
     told.joint_low = world.low.cpu().numpy()
     told.joint_high = world.high.cpu().numpy()
     return model
-
-
-def joint_range(model: SAC) -> tuple[Sequence[str], NDArray[Any], NDArray[Any]]:
-    """Names of a saved model's joints, and the angles in rad that -1 and 1 stand for."""
-    told: Any = model
-    return told.joints, told.joint_low, told.joint_high

@@ -195,7 +195,7 @@ def _evidence(score2: Array, size: Array, known: float) -> Array:
     return np.asarray(0.5 * (known + 1) * (nothing - rest) - 0.5 * np.log1p(score2))
 
 
-def sharpened(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
+def refined(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
     """The contrast with its likeliest changes fitted, references and case together.
 
     Args:
@@ -351,7 +351,7 @@ def what_changed(
     """
     linear = linearised(before, case, servos, device)
     first = contrast(linear)
-    found = change(sharpened(first, linear, device))
+    found = change(refined(first, linear, device))
     load = misstated(before, case, servos, device)
     wrong = min(float(expit(load.gain / first.common)), DECISION.most_certain) if load else 0.0
     if load and wrong >= DECISION.named:  # a change seen through a wrong load is none

@@ -20,13 +20,14 @@ from sim2real.diagnose.search import (
     joined,
     search,
 )
-from sim2real.diagnose.unmodelled import Unmodelled, excess, residual_angles, unmodelled
+from sim2real.diagnose.unmodelled import Unmodelled, excess, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import residual_angles
 from sim2real.servo.screen import FITTED
 from sim2real.servo.trace import Trace
 

@@ -8,7 +8,7 @@ from simulated import INERTIA, NOISE, column, recording, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import change, contrast, misstated, sharpened
+from sim2real.diagnose.change import change, contrast, misstated, refined
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose_all
 from sim2real.diagnose.per_recording import (
@@ -144,7 +144,7 @@ def weighed(case, references):
     """The contrast of one joint, all as traces."""
     plain = baselines(Batch([[*references, *case]]))
     given = linearised(references, case, [plain.servos])
-    return sharpened(contrast(given), given)
+    return refined(contrast(given), given)
 
 
 def test_friction_that_was_there_before_is_no_change():
