@@ -84,7 +84,7 @@ def try_all(
 ) -> list[Tried]:
     """Each effect, fitted with the law from where the law alone ended; most gain first."""
     swims = [one.swim for one in train]
-    warm = [replace(p, start=float(v)) for p, v in zip(law.free, law.best, strict=True)]
+    warm = [replace(p, nominal=float(v)) for p, v in zip(law.free, law.best, strict=True)]
     out = []
     for name, free in effects:
         fit = calibrate(
