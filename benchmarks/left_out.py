@@ -88,7 +88,7 @@ def try_all(
     out = []
     for name, free in effects:
         fit = calibrate(
-            swims, place.model, [*warm, *free], place.simulator, held_out=_SEEN, evaluations=4
+            swims, place.model, [*warm, *free], place.simulator, held_out=_SEEN, evaluations=10
         )
         out.append(Tried(name, free, gain(law, fit, len(free), swims), fit))
     return sorted(out, key=lambda one: -one.gain)
