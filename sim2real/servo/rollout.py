@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.kernel import simulate_servos
+from sim2real.servo.kernel import simulate_servos, solve_servos
 from sim2real.servo.parameters import BASE, CELLS, COLUMNS, FIRST_COLUMN, INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
 
@@ -167,17 +167,20 @@ class Simulator:
         if np.isinf(substep_s) and not self.is_linear(theta):
             raise ValueError("no exact solution of servos with effects or a pendulum")
         S = len(self.traces)
-        exact = np.isinf(substep_s)
-        rows = np.repeat(theta[:, : len(BASE)] if exact else theta, S, axis=0)
+        rows = np.repeat(theta, S, axis=0)
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
-        signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
-        active = np.zeros(len(rows), dtype=np.int32) if exact else active_effects(rows)
-        given = (rows, active, np.zeros((len(rows), 1 if exact else CELLS)), signal)
-        longest = to_warp(np.full(len(rows), substep_s), "cpu")
+        signal = to_warp(np.tile(np.arange(S, dtype=np.int32), theta.shape[0]), "cpu")
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, longest]
-        wp.launch(simulate_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
+        servos, inputs = to_warp(rows, "cpu"), [signal, *self._signals]
+        if np.isinf(substep_s):
+            given, kernel = [servos, *inputs], solve_servos
+        else:
+            own = (active_effects(rows), np.zeros((len(rows), CELLS)))
+            longest = to_warp(np.full(len(rows), substep_s), "cpu")
+            given = [servos, *(to_warp(x, "cpu") for x in own), *inputs, longest]
+            kernel = simulate_servos
+        wp.launch(kernel, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
         return angle
 
 
