@@ -13,7 +13,7 @@ from sim2real.robot import read_robot
 
 def run(options: argparse.Namespace) -> int:
     """Print the table; write the model and the plot where they are asked for."""
-    for path in (options.out, options.png):
+    for path in (options.out, options.plot):
         if path is not None:
             check_writable(path)
     if (options.model is None) != (options.out is None):
@@ -22,9 +22,10 @@ def run(options: argparse.Namespace) -> int:
     density = normalised_density(read_robot(options.robot))
     if options.out is not None:
         write_model(with_density(read_model(options.model), density), options.out)
-    if options.png is not None:
+    if options.plot is not None:
         from sim2real.report.drawing import save_png
 
-        save_png(density.plot(), options.png)
+        save_png(density.plot(), options.plot)
+    options.result = density
     print(density)
     return 0
