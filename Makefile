@@ -20,7 +20,7 @@ test-all: test   ## the slow tests too
 
 docs: .venv/installed   ## the documentation, in build/site; a warning is an error
 	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/mkdocs build --strict --quiet
 
 validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for the fluid's resolution too
 	$(BIN)/python benchmarks/recovery.py
@@ -36,5 +36,5 @@ bench: .venv/installed   ## speed and memory, as ratios
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,hardware,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,hardware,arviz,completion,dev]'
 	touch $@
