@@ -20,7 +20,7 @@ test-all: test   ## the slow tests too
 
 docs: .venv/installed   ## the documentation, in build/site; a warning is an error
 	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for the fluid's resolution too
 	$(BIN)/python benchmarks/recovery.py

@@ -239,6 +239,8 @@ def test_demo_ends_in_a_page(tmp_path, capsys):
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
     assert "<script" not in page
+    assert "data:image/gif;base64," in page, "it ends in a swim to watch"
+    assert (tmp_path / "demo" / "swim.gif").read_bytes()[:6] == b"GIF89a"
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == f"report: {tmp_path / 'demo' / 'index.html'}"
     assert [line.split()[0] for line in lines[:5]] == [
