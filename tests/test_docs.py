@@ -12,6 +12,8 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -127,6 +129,28 @@ def test_a_block_that_fails_is_noticed(folder, tmp_path):
                 loads(block.text)
             else:
                 run(next(calls(block.text)), "", parsed=False)
+
+
+def test_the_effect_of_the_tutorial_is_one(tmp_path):
+    """A copy of the package with that file more lets a servo rest where stop and spring balance."""
+    (source,) = [
+        b.text for b in blocks(ROOT / "docs/tutorial/your-own-effect.md") if "EFFECT" in b.text
+    ]
+    shutil.copytree(ROOT / "sim2real", tmp_path / "sim2real")
+    (tmp_path / "sim2real" / "effects" / "soft_stop.py").write_text(source)
+    program = """
+import numpy as np
+from sim2real.model import FittedEffect, JointModel
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.rollout import rollout
+stop = FittedEffect("soft_stop", {"stiffness_Nm_per_rad": 5.0, "angle_rad": 0.2})
+row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(stop,)), None)
+t = 0.02 * np.arange(150)
+rest = rollout(row[None], t, np.where(t > 0.2, 0.4, 0.0)[:, None])[0, -1, 0]
+assert abs(rest - (2.2 * 0.4 + 5.0 * 0.2) / 7.2) < 1e-4, rest
+"""
+    given = os.environ | {"PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=given, check=True, cwd=tmp_path)
 
 
 def test_links_lead_somewhere():
