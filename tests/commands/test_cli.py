@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -234,7 +235,14 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-def test_demo_ends_in_a_page(tmp_path, capsys):
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
+    """With a training that is too short to learn anything, and as it is."""
+    demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+    if not whole:
+        short = replace(demo.QUICK, steps=4000, segment=2000)
+        monkeypatch.setattr(demo, "QUICK", short)
+        monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
     assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
