@@ -46,6 +46,15 @@ class Mismatch:
     where: str
     dependence: Mapping[str, float] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        """The error beside the noise, in mrad of a joint, in m/s or rad/s of a body."""
+        if self.signal.startswith("body."):
+            name = self.signal.removeprefix("body.").replace("_", " ")
+            unit = "rad/s" if name == "yaw rate" else "m/s"
+            return f"{name}: {self.rmse:.4f} {unit} against {self.noise:.4f} {unit} of noise"
+        error, noise = 1e3 * self.rmse, 1e3 * self.noise
+        return f"{self.component}: {error:.2f} mrad against {noise:.2f} mrad of noise; {self.where}"
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -235,10 +244,7 @@ class Diagnosis:
         for effect in self.effects:
             lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
         for entry in self.mismatch:
-            lines.append(
-                f"  {entry.component}: {1e3 * entry.rmse:.2f} mrad against "
-                f"{1e3 * entry.noise:.2f} mrad of noise; {entry.where}"
-            )
+            lines.append(f"  {entry}")
         for joint, formula in self.hypothesis.items():
             lines.append(f"  {joint}, a guess: {formula}")
         if self.next_experiment is not None:
