@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from sim2real.ranges.spread import Spread, spread
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.trace import split, traces
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STRUCTURED = 2.0
 """Errors above so many times the noise have something in them."""
@@ -50,6 +54,18 @@ class Gathered:
     latencies: Latencies | None
     spread: Spread | None
     density: Density
+
+    def __str__(self) -> str:
+        """A line a range, and what a user must know."""
+        return str(self.ranges)
+
+    def plot(self) -> Figure:
+        """Latencies and their range; without any, how the mass is spread along the robot."""
+        from sim2real.report.range_plots import latency_figure
+
+        if self.latencies is None or self.spread is None:
+            return self.density.plot()
+        return latency_figure(self.latencies, self.spread)
 
 
 @dataclass(frozen=True)
@@ -93,7 +109,7 @@ def gather(
     sampling = sampling or Sampling()
     _check(recordings, robot, model)
     bench = [recording for recording in recordings if recording.kind == "servo"]
-    posteriors, checks = _posteriors(bench, model, sampling)
+    posteriors, checks = sample_joints(bench, model, sampling)
     found = latencies(recordings, model)
     drawn = spread(found.seconds, found.sd) if found is not None else None
     density, labels = normalised_density(robot), labelled(recordings)
@@ -125,10 +141,14 @@ def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
             raise InputError("model", f"joints.{joint}", "a joint not of the robot", known)
 
 
-def _posteriors(
+def sample_joints(
     bench: Sequence[Recording], model: Model, sampling: Sampling
 ) -> tuple[dict[str, ServoPosterior], dict[str, Check]]:
-    """Sample every joint that moves on the bench; refuse chains that are too short."""
+    """Posteriors of every joint that moves on the bench, and what they predict of what they miss.
+
+    Raises:
+        InputError: If a chain is too short to be believed, or no recording has the name held out.
+    """
     names = [recording.name for recording in bench]
     if sampling.held_out is not None and sampling.held_out not in names:
         known = ", ".join(names) or "no bench recording"
