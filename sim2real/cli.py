@@ -12,9 +12,15 @@ import sys
 from collections.abc import Sequence
 
 from sim2real.errors import InputError
-from sim2real.options import hardware, learning, servos, water
+from sim2real.options import exchange, hardware, learning, servos, water
 
-COMMANDS = (*servos.COMMANDS, *water.COMMANDS, *learning.COMMANDS, *hardware.COMMANDS)
+COMMANDS = (
+    *servos.COMMANDS,
+    *exchange.COMMANDS,
+    *water.COMMANDS,
+    *learning.COMMANDS,
+    *hardware.COMMANDS,
+)
 
 _COMMON = argparse.ArgumentParser(add_help=False)
 _COMMON.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")

@@ -167,8 +167,8 @@ def shared_left_out(model: Model) -> list[LeftOut]:
 
 
 def comment(lines: Sequence[str], mark: str = "# ") -> str:
-    """Lines as comments of a program."""
-    return "".join(f"{mark}{line}".rstrip() + "\n" for line in lines)
+    """Lines as comments of a program; a line break inside one (in a name) does not end it."""
+    return "".join(f"{mark}{' '.join(line.splitlines())}".rstrip() + "\n" for line in lines)
 
 
 def listed(lines: Sequence[LeftOut]) -> list[str]:

@@ -272,5 +272,3 @@ def _sum(section: Element, name: str, joints: dict[str, float]) -> None:
 
 def _text(*values: float) -> str:
     return " ".join(f"{value:.9g}" for value in values)
-
-

@@ -14,8 +14,8 @@ from sim2real.exporters.mujoco import HAS, LACKS, mujoco
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load, read_recording
-from sim2real.servo.identify import identify
 from sim2real.robot import read_robot
+from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 SERVO_STEPS = Path("datasets/servo_steps")
@@ -28,7 +28,9 @@ ROUGH = {"stribeck_friction"}  # expressed, but not within a milliradian at this
 def servo(load: Load | None = None, **effects: dict[str, float]) -> Model:
     load = load or Load(0.002)
     fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
-    return Model({"j1": JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=fitted)})
+    return Model(
+        {"j1": JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=fitted)}
+    )
 
 
 def commands() -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -150,7 +152,9 @@ def test_what_no_combination_has_is_listed() -> None:
 
 
 def test_effects_of_the_whole_robot_are_listed() -> None:
-    model = Model(servo().joints, effects=(FittedEffect("voltage_sag", {"loss_at_full_load": 0.2}),))
+    model = Model(
+        servo().joints, effects=(FittedEffect("voltage_sag", {"loss_at_full_load": 0.2}),)
+    )
     assert "robot: voltage_sag" in str(*mujoco(model).left_out)
 
 
@@ -177,4 +181,3 @@ def test_bench_names_a_joint_that_is_not_there() -> None:
     pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     with pytest.raises(InputError, match="j7.*one of j1"):
         simulate(mujoco(servo()).text, np.array([0.0, 1.0]), {"j7": np.zeros(2)})
-

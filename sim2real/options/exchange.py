@@ -1,0 +1,47 @@
+"""Commands that hand over to other tools, and take over from them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sim2real.options.command import Command
+
+
+def _export_servo(command: argparse.ArgumentParser) -> None:
+    command.add_argument("model", type=Path, metavar="MODEL", help="MODEL.json")
+    command.add_argument(
+        "--to",
+        required=True,
+        choices=("mujoco", "isaaclab", "genesis", "urdf", "json"),
+        help="the simulator, or the format",
+    )
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
+    command.add_argument("--robot", type=Path, help="robot.toml, for limits and data sheets")
+
+
+def _export_ranges(command: argparse.ArgumentParser) -> None:
+    command.add_argument("ranges", type=Path, metavar="RANGES", help="ranges.json")
+    command.add_argument(
+        "--to", required=True, choices=("isaaclab", "mujoco-playground"), help="the simulator"
+    )
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="Python to write")
+
+
+COMMANDS = (
+    Command(
+        "export-servo",
+        "sim2real.commands.export_servo",
+        _export_servo,
+        "write the identified actuators for another simulator, and list what it lacks",
+        "sim2real export-servo model.json --to mujoco --out servos.xml",
+    ),
+    Command(
+        "export-ranges",
+        "sim2real.commands.export_ranges",
+        _export_ranges,
+        "write randomization ranges for another simulator, and list what it lacks",
+        "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
+    ),
+)
+"""In the order in which help lists them."""
