@@ -53,5 +53,6 @@ def _content(given: Actuator) -> dict[str, Any]:
     }
     if given.sheet is not None:
         content["limits_rad"] = list(given.sheet.limits_rad)
-        content["data_sheet"] = vars(given.sheet.servo)
+        sheet = vars(given.sheet.servo)
+        content["data_sheet"] = {name: sheet[name] for name in sheet if name != "where"}
     return content

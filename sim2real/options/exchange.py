@@ -28,7 +28,23 @@ def _export_ranges(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help="Python to write")
 
 
+def _robot(command: argparse.ArgumentParser) -> None:
+    command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="what to read")
+    command.add_argument("source", type=Path, metavar="FILE", help="the robot's URDF or MJCF")
+    command.add_argument("--out", type=Path, required=True, metavar="TOML", help="robot.toml")
+    command.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"
+    )
+
+
 COMMANDS = (
+    Command(
+        "robot",
+        "sim2real.commands.robot",
+        _robot,
+        "make a robot.toml from a robot's URDF or MJCF, and list what it lacks",
+        "sim2real robot from-urdf arm.urdf --out robot.toml",
+    ),
     Command(
         "export-servo",
         "sim2real.commands.export_servo",
