@@ -90,6 +90,12 @@ class Robot:
     joints: tuple[Joint, ...]
     path: Path | None = None
 
+    @property
+    def weighed(self) -> bool:
+        """Whether every link states its mass and its length."""
+        stated = [vars(link)[name] for link in self.links for name in ("mass_kg", "length_m")]
+        return None not in stated
+
     def joint(self, name: str) -> Joint | None:
         """The joint called ``name``, or None."""
         return next((joint for joint in self.joints if joint.name == name), None)
