@@ -7,6 +7,7 @@ the load that the recordings were made with. Terms: https://mujoco.readthedocs.i
 from __future__ import annotations
 
 import math
+from importlib.metadata import PackageNotFoundError, version
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -64,8 +65,9 @@ LACKS = {
 def mujoco(model: Model, robot: Robot | None = None) -> Export:
     """An MJCF model of a fitted model's actuators.
 
-    ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5;
-    `mujoco_bench.simulate` delays commands itself where the version does not.
+    ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. Where
+    an older one is installed the model has no delays; `mujoco_bench.simulate` then holds commands
+    back itself, and shows how.
 
     Args:
         model: The fitted model.
@@ -92,6 +94,7 @@ def mujoco(model: Model, robot: Robot | None = None) -> Export:
         SubElement(custom, "numeric", numeric)
         _shaft(actuator, parts["worldbody"], parts["tendon"])
         lines += _motor(actuator, parts["actuator"])
+        lines += _late(actuator, parts["actuator"][-1])
         lines += _passive(actuator, parts["actuator"])
         _sensor(actuator, parts["sensor"])
         lines += left_out(actuator, HAS, LACKS, "MuJoCo")
@@ -168,9 +171,6 @@ def _motor(given: Actuator, section: Element) -> list[LeftOut]:
         at["tendon"] = f"{given.joint}_motor"
     else:
         at["joint"] = given.joint
-    if given.latency > 0:
-        at["delay"] = _text(given.latency)
-        at["nsample"] = str(math.ceil(given.latency / TIMESTEP_S) + 2)
     # Dry friction that differs by direction is an even one and a constant torque.
     torque, uneven = (
         given.value("asymmetric_friction", name) for name in ("torque_Nm", "asymmetry")
@@ -200,6 +200,24 @@ def _motor(given: Actuator, section: Element) -> list[LeftOut]:
     if bias:
         lines.append(LeftOut(given.joint, f"a constant torque of {bias:.6g} N m", why))
     return lines
+
+
+def _late(given: Actuator, motor: Element) -> list[LeftOut]:
+    """Delay the commands of a motor, if this version of MuJoCo does."""
+    if given.latency <= 0:
+        return []
+    try:
+        installed = version("mujoco")
+    except PackageNotFoundError:
+        installed = ""
+    if installed and tuple(int(part) for part in installed.split(".")[:2]) < (3, 5):
+        why = (
+            f"MuJoCo {installed} has no delays; sim2real.exporters.mujoco_bench holds commands back"
+        )
+        return [LeftOut(given.joint, f"latency ({given.latency:.6g} s)", why)]
+    motor.set("delay", _text(given.latency))
+    motor.set("nsample", str(math.ceil(given.latency / TIMESTEP_S) + 2))
+    return []
 
 
 def _passive(given: Actuator, section: Element) -> list[LeftOut]:
