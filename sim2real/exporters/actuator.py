@@ -16,19 +16,22 @@ class Actuator:
     """One servo: a drive behind a delay, the shaft it turns, and what else was found on it.
 
     The drive's torque is ``clip(kp (command - position) - kd velocity, -limit, limit) -
-    back_emf velocity``.
+    back_emf velocity``, of which the linear law has neither limit nor back-EMF.
 
     Attributes:
         joint: Name of the joint.
         kp: Proportional gain, N m/rad.
         kd: Derivative gain inside the drive's limit, N m s/rad.
-        back_emf: Damping outside the limit, N m s/rad; 0 under the law ``pd``.
+        back_emf: Damping outside the limit, N m s/rad; 0 under the law ``pd``. Under ``motor`` it
+            is the slope of the torque-speed line, and ``kd`` what is left of the gain, less than 0
+            where the line damps more than the servo does.
         limit: Largest torque of the drive in N m, None if no limit was identified.
         latency: From sending a set-point to its taking effect, s.
         inertia: On the output shaft, kg m2.
         gravity: Torque of the stated load held level, N m; position 0 hangs straight down.
         per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
         effects: Parameters of the other effects by name, in the catalogue's units.
+        motor: Parameters of the law ``motor`` that are none of these.
         sheet: The joint's limits and data sheet, if a robot was given.
     """
 
@@ -42,6 +45,7 @@ class Actuator:
     gravity: float = 0.0
     per_inertia: bool = False
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    motor: Mapping[str, float] = field(default_factory=dict)
     sheet: Joint | None = None
 
     def value(self, effect: str, parameter: str) -> float:
@@ -103,11 +107,12 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
 
 
 def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
-    # Another law of the drive maps onto limit and back_emf here; every exporter has both.
+    # Another law of the drive maps onto kd, limit and back_emf, which every exporter knows.
     law = getattr(joint, "law", "pd")
-    if law != "pd":
-        raise InputError("model", f"joints.{name}.law", repr(law), "the law 'pd'")
-    effects = {}
+    if law not in ("pd", "motor"):
+        raise InputError("model", f"joints.{name}.law", repr(law), "the law 'pd' or 'motor'")
+    motor = {key: value for key, value in getattr(joint, "motor", {}).items() if value}
+    effects: dict[str, dict[str, float]] = {}
     for fitted in joint.effects:
         known = {parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters}
         if unknown := set(fitted.parameters) - known:
@@ -117,21 +122,44 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
             )
         if any(fitted.parameters.values()):
             effects[fitted.effect] = dict(fitted.parameters)
-    limit = effects.pop("torque_saturation", {}).get("limit_Nm")
+    for key, effect, parameter in MOTOR_TERMS:
+        if key in motor:
+            values = effects.setdefault(effect, {})
+            values[parameter] = values.get(parameter, 0.0) + motor.pop(key)
+    limit, back_emf = motor.pop("stall_torque_Nm", None), 0.0
+    speed = motor.pop("no_load_speed_rad_s", None)
+    if limit is not None:
+        back_emf = limit / speed if speed else joint.kd_Nms_per_rad
+    else:
+        limit = effects.pop("torque_saturation", {}).get("limit_Nm")
     load = None if joint.per_inertia else joint.load
     return Actuator(
         joint=name,
         kp=joint.kp_Nm_per_rad,
-        kd=joint.kd_Nms_per_rad,
+        kd=joint.kd_Nms_per_rad - back_emf,
+        back_emf=back_emf,
         latency=joint.latency_s,
         inertia=load.inertia_kgm2 if load else joint.inertia_kgm2,
         gravity=load.gravity_Nm if load else 0.0,
         limit=limit,
         per_inertia=joint.per_inertia,
         effects=effects,
+        motor=motor,
         sheet=sheet,
     )
 
+
+MOTOR_TERMS = (
+    ("rotor_inertia_kgm2", "unmodelled_inertia", "inertia_kgm2"),
+    ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
+)
+"""Parameters of the law ``motor`` that an effect of the catalogue has too."""
+
+MOTOR_LACKS = {
+    "resistance_rise": "it weakens the motor as its current grows",
+    "loop_period_s": "it holds the drive between two looks of the controller",
+}
+"""What a parameter of the law ``motor`` does; the others are friction that grows with load."""
 
 PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of what the shaft turns"
 
@@ -154,6 +182,10 @@ def left_out(
             shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
             why = lacks.get(effect, f"{target} has nothing like it")
             lines.append(LeftOut(given.joint, f"{effect} ({shown})", why))
+    for name, value in given.motor.items():
+        does = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
+        why = f"{target} has nothing like it: {does}"
+        lines.append(LeftOut(given.joint, f"motor.{name} ({value:.6g})", why))
     return lines
 
 

@@ -72,7 +72,9 @@ def _entry(given: Actuator) -> str:
     fields["stiffness"] = f"{given.kp:.9g}"
     fields["damping"] = f"{given.kd + given.back_emf:.9g}"
     if _kind(given) == "DCMotorCfg":
-        fields["saturation_effort"] = fields["effort_limit"] = f"{given.limit:.9g}"
+        fields["saturation_effort"] = f"{given.limit:.9g}"
+        # Braking adds the back-EMF: up to twice the stall torque, which effort_limit must not cut.
+        fields["effort_limit"] = f"{2 * (given.limit or 0):.9g}"
         fields["velocity_limit"] = f"{given.no_load_speed:.9g}"
     else:
         if given.stall_torque is not None:

@@ -7,6 +7,7 @@ the load that the recordings were made with. Terms: https://mujoco.readthedocs.i
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -46,6 +47,7 @@ HAS = (
 """Effects of the catalogue that an MJCF file expresses."""
 
 LACKS = {
+    "torque_saturation": "the motor's own limit is the actuator's forcerange",
     "backlash": "a loose body within stops crosses the play otherwise where torques are small",
     "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
@@ -89,7 +91,9 @@ def mujoco(model: Model, robot: Robot | None = None) -> Export:
     parts = {name: Element(name) for name in ("worldbody", "tendon", "actuator", "sensor")}
     custom = SubElement(root, "custom")
     lines: list[LeftOut] = []
-    for actuator in given:
+    for whole in given:
+        actuator, moved = _within_a_pid(whole)
+        lines += moved
         numeric = {"name": f"{actuator.joint}_latency_s", "data": _text(actuator.latency)}
         SubElement(custom, "numeric", numeric)
         _shaft(actuator, parts["worldbody"], parts["tendon"])
@@ -147,6 +151,15 @@ def _shaft(given: Actuator, world: Element, tendons: Element) -> None:
         _sum(tendons, f"{given.joint}_seen", chain)
 
 
+def _within_a_pid(given: Actuator) -> tuple[Actuator, list[LeftOut]]:
+    """The actuator with its back-EMF within the limit, where a ``pid`` needs it there."""
+    if given.kd >= 0 or not given.effects.keys() & {"integral_action", "rate_limit"}:
+        return given, []
+    why = "a pid's velocity gain is not negative: the limit holds for drive and back-EMF together"
+    moved = replace(given, kd=given.kd + given.back_emf, back_emf=0.0)
+    return moved, [LeftOut(given.joint, "a drive that clips before the back-EMF", why)]
+
+
 def _losses(given: Actuator) -> dict[str, str]:
     """Attributes of dry friction and damping of a joint."""
     friction = given.value("coulomb_friction", "torque_Nm")
@@ -184,7 +197,9 @@ def _motor(given: Actuator, section: Element) -> list[LeftOut]:
     bias = constant + given.kp * _offset(given)
     if not ki and not slew:
         at |= {"gaintype": "fixed", "gainprm": _text(given.kp), "biastype": "affine"}
-        at["biasprm"] = _text(bias, -given.kp, -given.kd)
+        # A velocity gain above 0 would be taken for a damping ratio, were kp the same in both.
+        stiff = given.kp * (1 + 1e-7) if given.kd < 0 else given.kp
+        at["biasprm"] = _text(bias, -stiff, -given.kd)
         if smooth:
             at |= {"dyntype": "filterexact", "dynprm": _text(smooth), "actearly": "true"}
         SubElement(section, "general", at)

@@ -47,6 +47,7 @@ def _content(given: Actuator) -> dict[str, Any]:
         "inertia_kgm2": given.inertia,
         "gravity_Nm": given.gravity,
         "per_inertia": given.per_inertia,
+        "motor": dict(given.motor),
         "effects": [
             {"effect": name, "parameters": dict(values)} for name, values in given.effects.items()
         ],

@@ -88,7 +88,7 @@ def test_isaaclab_jitter_is_drawn_between_two_delays(monkeypatch: pytest.MonkeyP
 def test_a_drive_that_clips_before_the_back_emf_is_a_dc_motor() -> None:
     motor = Actuator("j1", kp=2.0, kd=0.0, latency=0.02, inertia=0.002, back_emf=0.1, limit=0.8)
     text = _entry(motor)
-    fields = ("damping=0.1", "saturation_effort=0.8", "effort_limit=0.8", "velocity_limit=8")
+    fields = ("damping=0.1", "saturation_effort=0.8", "effort_limit=1.6", "velocity_limit=8")
     for field in ("DCMotorCfg", *fields):
         assert field in text
     assert "delay" not in text
