@@ -18,6 +18,7 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.out)
     export = TARGETS[options.to](read_ranges(options.ranges))
     write_whole(options.out, export.text)
+    options.result = {"file": str(options.out), "not_expressed": [*map(str, export.left_out)]}
     print(f"{options.out}: for {options.to}")
     if export.left_out:
         print("not expressed there (the file says so too):")

@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
     robot = read_robot(options.robot) if options.robot else None
     export = TARGETS[options.to](read_model(options.model), robot)
     write_whole(options.out, export.text)
+    options.result = {"file": str(options.out), "not_expressed": [*map(str, export.left_out)]}
     print(f"{options.out}: for {options.to}")
     if export.left_out:
         print("not expressed there (the file says so too):")

@@ -32,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
             options.source, "", f"names that TOML can't hold ({error})", expected
         ) from None
     write_whole(out, text)
+    options.result = {"file": str(out), "not_in_it": lines}
     print(out)
     if lines:
         print("not in it, to be filled in where a command asks for it:")
