@@ -16,6 +16,7 @@ from sim2real.commands.command import Command
 from sim2real.errors import InputError
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
+_EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
@@ -34,6 +35,15 @@ COMMANDS = {
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "let a policy drive the robot, or a virtual one, to a target"),
     "import": (_SERVOS, "turn logs of other projects into recordings"),
+    "robot": (_EXCHANGE, "make a robot.toml from a robot's URDF or MJCF, and list what it lacks"),
+    "export-servo": (
+        _EXCHANGE,
+        "write the identified actuators for another simulator, and list what it lacks",
+    ),
+    "export-ranges": (
+        _EXCHANGE,
+        "write randomization ranges for another simulator, and list what it lacks",
+    ),
     "record": (_HARDWARE, "play a signal on real servos and record what they do"),
     "scan": (_HARDWARE, "list the servos on a bus: position, supply, temperature, errors"),
     "virtual-servo": (_HARDWARE, "be servos on a bus, for those who have none"),

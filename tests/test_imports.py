@@ -29,6 +29,8 @@ ONLY_IN = {
     "stable_baselines3": ("rl/",),
     "gymnasium": ("rl/",),
     "ray": ("rl/executor/",),
+    "mujoco": ("sim2real/exporters/mujoco_bench.py", "sim2real/importers/mjcf.py"),
+    "pyarrow": ("sim2real/importers/lerobot.py",),
     "datasets": (),
     "benchmarks": (),
     "tests": (),

@@ -60,7 +60,12 @@ def _predict(command: argparse.ArgumentParser) -> None:
 
 
 def _import(command: argparse.ArgumentParser) -> None:
-    command.add_argument("source", type=Path, help="a log (.json), or a ROS 1 or 2 bag")
+    command.add_argument(
+        "source",
+        type=Path,
+        help="a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), or a table "
+        "(.csv; .npz of MuJoCo's time, qpos, ctrl)",
+    )
     command.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="recording to write"
     )
@@ -71,7 +76,27 @@ def _import(command: argparse.ArgumentParser) -> None:
         action="append",
         help="bag: set-points; once, or once for each joint",
     )
-    command.add_argument("--joints", nargs="+", metavar="JOINT", help="bag: joints, in order")
+    command.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="bag, dataset: joints, in order"
+    )
+    command.add_argument(
+        "--units",
+        nargs="+",
+        metavar="UNIT",
+        help="dataset, table: of the angles: rad, deg, turns, counts, range_m100_100 or "
+        "range_0_100; JOINT=UNIT for one joint",
+    )
+    command.add_argument("--calibration", type=Path, metavar="JSON", help="LeRobot calibration")
+    command.add_argument("--counts-per-turn", type=int, metavar="N", help="of the encoder")
+    command.add_argument("--zero-count", type=float, metavar="N", help="count at angle 0")
+    command.add_argument("--episode", type=int, metavar="K", help="dataset: which one, from 0")
+    command.add_argument(
+        "--columns",
+        nargs="+",
+        metavar="OURS=THEIRS",
+        help="table: t=COLUMN J.command=COLUMN J.position=COLUMN ..., of arrays 'qpos[0]'",
+    )
+    command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: of t")
 
 
 def _completion(command: argparse.ArgumentParser) -> None:

@@ -45,7 +45,7 @@ class Gathered:
         checks: What each predicts of the recording held out, if there is one.
         latencies: Latency of every episode; None where no joint moves.
         spread: What they were drawn from, likewise.
-        density: Of the robot's links.
+        density: Of the robot's links, where they state mass and length.
     """
 
     ranges: Ranges
@@ -53,7 +53,7 @@ class Gathered:
     checks: Mapping[str, Check]
     latencies: Latencies | None
     spread: Spread | None
-    density: Density
+    density: Density | None
 
     def __str__(self) -> str:
         """A line a range, and what a user must know."""
@@ -112,7 +112,8 @@ def gather(
     posteriors, checks = sample_joints(bench, model, sampling)
     found = latencies(recordings, model)
     drawn = spread(found.seconds, found.sd) if found is not None else None
-    density, labels = normalised_density(robot), labelled(recordings)
+    density = normalised_density(robot) if robot.weighed else None
+    labels = labelled(recordings)
     entries = _latency_ranges(found, drawn, model)
     entries += camera_noise(recordings)
     noises = [joint_noise(recordings, joint) for joint in model.joints]
@@ -123,7 +124,8 @@ def gather(
             fitted = [labels[one.file] for one in posteriors[joint].data.traces]
             mine = from_posterior(joint, posteriors[joint], listed(fitted))
         entries += mine + from_model(joint, one, [entry.parameter for entry in mine])
-    entries += density_ranges(density) + body_ranges(model) + shared_ranges(model)
+    entries += density_ranges(density) if density is not None else []
+    entries += body_ranges(model) + shared_ranges(model)
     notes = _notes(recordings, model, posteriors, checks, found, drawn)
     return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, found, drawn, density)
 
