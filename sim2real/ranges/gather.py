@@ -60,12 +60,18 @@ class Gathered:
         return str(self.ranges)
 
     def plot(self) -> Figure:
-        """Latencies and their range; without any, how the mass is spread along the robot."""
+        """Latencies and their range; without any, how the mass is spread along the robot.
+
+        Raises:
+            InputError: If there is neither.
+        """
         from sim2real.report.range_plots import latency_figure
 
-        if self.latencies is None or self.spread is None:
-            return self.density.plot()
-        return latency_figure(self.latencies, self.spread)
+        if self.latencies is not None and self.spread is not None:
+            return latency_figure(self.latencies, self.spread)
+        if self.density is None:
+            raise InputError("ranges", "plot", "no latencies and no masses", "one of them")
+        return self.density.plot()
 
 
 @dataclass(frozen=True)
