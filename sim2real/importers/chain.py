@@ -104,6 +104,8 @@ def _chosen(tree: Tree, joints: Sequence[str] | None) -> list[Hinge]:
     known = {hinge.name: hinge for hinge in tree.hinges}
     if not known:
         raise InputError(tree.file, "joints", "no hinge", "at least one joint that turns")
+    if joints and len(set(joints)) != len(joints):
+        raise InputError("--joints", "", ", ".join(joints), "each joint once")
     for name in joints or ():
         if name not in known:
             raise InputError(tree.file, "joints", f"no hinge {name}", f"one of {', '.join(known)}")

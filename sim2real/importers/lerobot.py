@@ -59,6 +59,8 @@ def read_lerobot(
     frames = _frames(file, index)
     names = {feature: _names(info, feature, joints) for feature in (STATE, ACTION)}
     chosen = tuple(joints) if joints else tuple(n for n in names[STATE] if n in names[ACTION])
+    if len(set(chosen)) != len(chosen):
+        raise InputError("--joints", "", ", ".join(chosen), "each joint once")
     for feature, known in names.items():
         for joint in chosen or known[:1]:
             if joint not in known or not chosen:
@@ -112,7 +114,7 @@ def _data_file(root: Path, info: Fields, episode: int) -> Path:
     """The file that the episode stands in."""
     version = info.text("codebase_version")
     if version in ("v2.0", "v2.1"):
-        chunk = episode // int(info.number("chunks_size", 1000, above=0))
+        chunk = episode // int(info.number("chunks_size", 1000, low=1))
         fields = {"episode_chunk": chunk, "episode_index": episode}
     elif version.startswith("v3."):
         fields = _place(root, episode)

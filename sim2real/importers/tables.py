@@ -127,6 +127,8 @@ def _csv(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(file, "", f"no table ({reason})", "comma-separated rows") from None
+    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
+        raise InputError(file, "row 1 of the data", "more cells than columns", "as many")
     if len(table) < 2:
         raise InputError(file, "", f"{len(table)} rows", "a header and at least two rows")
     read = {}

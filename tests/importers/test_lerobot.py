@@ -109,6 +109,7 @@ def test_bad_input(tmp_path: Path, version: str) -> None:
     message(read(episode=None), "--episode", "one of the 2")
     message(read(episode=2), "--episode", "0 to 1")
     message(read(joints=["wrist"]), "no wrist", "shoulder_pan")
+    message(read(joints=["gripper", "gripper"]), "--joints", "each joint once")
     message(read(conversion(["elbow_flex=deg"])), "--units", "none for shoulder_pan")
     message(read(conversion(["rad"])), "if angles are rad", "at most 12.6 rad")
     message(read(conversion(["range_m100_100"])), "--calibration")

@@ -178,6 +178,11 @@ def test_bad_mjcf(tmp_path: Path) -> None:
     message(lambda: robot_toml(read_mjcf(written(tmp_path, "a.xml", MJCF)), ["wrist"]), "no hinge")
 
 
+def test_a_joint_twice(tmp_path: Path) -> None:
+    tree = read_urdf(written(tmp_path, "arm.urdf", URDF))
+    message(lambda: robot_toml(tree, ["elbow", "elbow"]), "--joints", "each joint once")
+
+
 def test_nothing_half_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = written(tmp_path, "arm.urdf", URDF[:-9])
     out = tmp_path / "robot.toml"

@@ -82,6 +82,7 @@ def test_bad_maps(pairs: list[str] | None, parts: tuple[str, ...]) -> None:
         ("", ("no table",)),
         ("time_ms\n1\n2\n", ("header", "no column Goal Position")),
         (DYNAMIXEL.splitlines()[0] + "\n", ("0 rows",)),
+        ("a,b,c\n1,2,3,4\n1,2,3,4\n", ("row 1 of the data", "more cells")),
         (DYNAMIXEL.replace("2049", "fast"), ("row 3 of the data", "'fast'")),
         (DYNAMIXEL.replace("1030", "1015"), ("row 4 of the data", "times that increase")),
         (DYNAMIXEL.replace("1030", ""), ("row 4 of the data", "times that increase")),
