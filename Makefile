@@ -1,37 +1,40 @@
 PYTHON ?= python3
+DEVICE ?= cpu
+JOBS ?= auto
+PIP_EXTRA ?=
 BIN = .venv/bin
 
-.PHONY: demo test validate validate-gpu bench lint
+.PHONY: demo test test-all docs validate bench
 
 demo: .venv/installed   ## the main job on the shipped data, ending in an HTML report
 	$(BIN)/sim2real demo --out reports/demo
 
-test: .venv/installed   ## lint and tests
+test: .venv/installed   ## lint, types and tests, in as many processes as there are cores
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not slow"
 
-validate: .venv/installed   ## accuracy: known servos recovered, real servos fitted
+test-all: test   ## the slow tests too
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m slow
+
+docs: .venv/installed   ## the documentation, in build/site; a warning is an error
+	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for the fluid's resolution too
 	$(BIN)/python benchmarks/recovery.py
 	$(BIN)/python benchmarks/real_servos.py
 	$(BIN)/python benchmarks/real_diagnosis.py
-	$(BIN)/sim2real validate
-
-validate-gpu: .venv/installed   ## the fluid's published cases and resolution, on a GPU
-	$(BIN)/sim2real validate --device cuda:0 --out reports/validation_gpu.html
-	$(BIN)/python benchmarks/resolution.py --device cuda:0 --cells 0.02 0.01 0.005
+	$(BIN)/sim2real validate --device $(DEVICE)
+	if [ $(DEVICE) != cpu ]; then $(BIN)/python benchmarks/resolution.py --device $(DEVICE) --cells 0.02 0.01 0.005; fi
 
 bench: .venv/installed   ## speed and memory, as ratios
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/fluid_speed.py
 	$(BIN)/python benchmarks/twin_speed.py
 
-lint: .venv/installed   ## format and fix what can be fixed
-	$(BIN)/ruff check --fix .
-	$(BIN)/ruff format .
-
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[report,ros,sim,rl,hardware,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,hardware,arviz,completion,dev]'
 	touch $@

@@ -1,1 +1,12 @@
-"""Learning to swim; see the README for what exists so far."""
+"""Learning to swim. Importing it registers ``sim2real/Fish-v0`` with Gymnasium."""
+
+from importlib.util import find_spec
+
+if find_spec("gymnasium") is not None:  # a policy runs without it, with NumPy alone
+    from gymnasium.envs.registration import register
+
+    register(
+        id="sim2real/Fish-v0",
+        entry_point="rl.registered:make_fish",
+        vector_entry_point="rl.registered:make_fish_vec",
+    )

@@ -1,6 +1,7 @@
-"""The command line: what each command takes stands in ``options``.
+"""The command line: which commands there are, where they live, and how they leave.
 
-A command lives in a file of its own that is imported only when it runs, so that help is instant.
+What a command takes stands in an ``options`` file beside its code, which is imported only when that
+command is called; its code only when it runs. So help is instant.
 """
 
 from __future__ import annotations
@@ -11,13 +12,53 @@ import os
 import sys
 from collections.abc import Sequence
 
+from sim2real.commands.command import Command
 from sim2real.errors import InputError
-from sim2real.options import hardware, learning, servos, water
 
-COMMANDS = (*servos.COMMANDS, *water.COMMANDS, *learning.COMMANDS, *hardware.COMMANDS)
+_SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
+_EXCHANGE = "sim2real.commands.exchange"
+_WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
+
+COMMANDS = {
+    "check": (_SERVOS, "say what recordings are like, and what they can identify"),
+    "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
+    "diagnose": (_WATER, "say which physics the fitted model leaves out, and model it"),
+    "predict": (_SERVOS, "simulate a model from rest on the commands of a CSV"),
+    "density": (_SERVOS, "say how a robot's mass is spread along it, link by link"),
+    "calibrate": (_WATER, "fit the body in the water to swims in a pool"),
+    "ranges": (_SERVOS, "make randomization ranges, each from data, and a posterior sample"),
+    "simulate": (_WATER, "swim a recording's commands in the lattice-Boltzmann pool"),
+    "validate": (_WATER, "run the published cases that the fluid is measured against"),
+    "train": (_LEARNING, "train a policy by soft actor-critic, in the fluid or in its twin"),
+    "evaluate": (_LEARNING, "let policies and other controllers swim a task, and measure them"),
+    "ablate": (_LEARNING, "train with and without each technique, and compare"),
+    "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
+    "swim": (_LEARNING, "let a policy drive the robot, or a virtual one, to a target"),
+    "import": (_SERVOS, "turn logs of other projects into recordings"),
+    "robot": (_EXCHANGE, "make a robot.toml from a robot's URDF or MJCF, and list what it lacks"),
+    "export-servo": (
+        _EXCHANGE,
+        "write the identified actuators for another simulator, and list what it lacks",
+    ),
+    "export-ranges": (
+        _EXCHANGE,
+        "write randomization ranges for another simulator, and list what it lacks",
+    ),
+    "record": (_HARDWARE, "play a signal on real servos and record what they do"),
+    "scan": (_HARDWARE, "list the servos on a bus: position, supply, temperature, errors"),
+    "virtual-servo": (_HARDWARE, "be servos on a bus, for those who have none"),
+    "track": (_HARDWARE, "find the body's pose in every frame of an overhead video"),
+    "calibrate-camera": (_HARDWARE, "find a camera's lens and its place above the pool"),
+    "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
+    "completion": (_SERVOS, "print a script that completes commands and options in a shell"),
+}
+"""Each command's options and what it does in a line, in the order in which help lists them."""
 
 _COMMON = argparse.ArgumentParser(add_help=False)
 _COMMON.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+_COMMON.add_argument(
+    "--json", action="store_true", help="print the result as JSON, all else to standard error"
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,9 +67,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 if it is done, 2 if its input is at fault (said in one line), 1 for anything else.
     """
-    options = _parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser(only=given[:1]).parse_args(given)
     try:
-        status: int = importlib.import_module(options.module).run(options)
+        run = importlib.import_module(options.module).run
+        if options.json:
+            from sim2real.commands.as_json import run_as_json
+
+            run = run_as_json(run)
+        status: int = run(options)
         sys.stdout.flush()
         return status
     except InputError as error:
@@ -43,25 +90,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
+    """The parser; the options of all commands, or of these only."""
+    whole = argparse.ArgumentParser(
         prog="sim2real",
         description="Make a robot's simulator tell the truth.",
-        epilog="'sim2real COMMAND --help' shows what a command takes, with an example.",
+        epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
+        "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for one in COMMANDS:
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (home, said) in COMMANDS.items():
+        wanted = only is None or name in only
+        one = find(name, home) if wanted else None
         command = commands.add_parser(
-            one.name,
+            name,
             parents=[_COMMON],
-            help=one.help,
-            description=one.help[0].upper() + one.help[1:] + ".",
-            epilog=f"example:\n  {one.example}",
+            help=said,
+            description=said[0].upper() + said[1:] + ".",
+            epilog=f"example:\n  {one.example}" if one else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.set_defaults(module=one.module, resumes=one.resumes)
-        one.add(command)
-    return parser
+        if one:
+            command.set_defaults(module=one.module, resumes=one.resumes, result=None)
+            one.add(command)
+    return whole
+
+
+def find(name: str, home: str) -> Command:
+    """The command of that name in a file of options."""
+    listed: tuple[Command, ...] = importlib.import_module(home).COMMANDS
+    return next(command for command in listed if command.name == name)
 
 
 if __name__ == "__main__":

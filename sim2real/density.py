@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.model import Model
 from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -36,6 +40,27 @@ class Density:
     def interval(self) -> Array | None:
         """Ends of 90 % intervals, shape (2, L)."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
+
+    def __str__(self) -> str:
+        """Mass, length and normalised density of each link."""
+        width = max(len("link"), *(len(name) for name in self.links))
+        lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
+        for k, name in enumerate(self.links):
+            line = f"{name:<{width}}  {self.mass_kg[k]:8.3f}  {self.length_m[k]:9.3f}"
+            line += f"  {self.value[k]:7.3f}"
+            if self.interval is not None:
+                low, high = self.interval[:, k]
+                line += f"   {low:.3f} to {high:.3f}"
+            lines.append(line)
+        if self.interval is None:
+            lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """Each link as a block, as high as its normalised density."""
+        from sim2real.report.density_plot import density_figure
+
+        return density_figure(self)
 
 
 def normalised_density(robot: Robot) -> Density:

@@ -6,11 +6,14 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
 from sim2real.structured import Fields, finite_number, read_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.model/1"
 
@@ -72,6 +75,18 @@ class Model:
     fit: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """The fitted parameters of every joint, how well they are known and how well they fit."""
+        from sim2real.report.table import fit_report
+
+        return fit_report(self)
+
+    def plot(self) -> Figure:
+        """Gains and latency of every joint, with 90 % intervals."""
+        from sim2real.report.parameter_plot import parameter_figure
+
+        return parameter_figure(self)
 
 
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:

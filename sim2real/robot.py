@@ -1,62 +1,100 @@
-"""The robot as its owner knows it: links, joints and the data sheets of its servos."""
+"""The robot as its owner knows it: links, joints and the data sheets of its servos.
+
+A file needs only what is used: a number that it leaves out is missed where something uses it.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from sim2real.errors import InputError
 from sim2real.recording import Recording
+from sim2real.stated import Stated, alike, shown
 from sim2real.structured import Fields, finite_number, read_toml
 
+Place = tuple[str, str]
+"""A file and a table in it, for messages."""
 
-@dataclass(frozen=True)
+LIMITS = "two angles, the smaller first"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Link:
     """One rigid link, SI units; ``com_m`` is measured from its front end.
 
-    ``mass_sd_kg`` and ``length_sd_m`` say how sure scale and ruler are (standard deviations).
+    ``mass_sd_kg`` and ``length_sd_m`` say how sure scale and ruler are (standard deviations). Using
+    a mass, a length, a width or a height that was left out raises an InputError.
     """
 
     name: str
-    mass_kg: float
-    length_m: float
-    width_m: float
-    height_m: float
+    mass_kg: Stated[float] = Stated()
+    length_m: Stated[float] = Stated()
+    width_m: Stated[float] = Stated()
+    height_m: Stated[float] = Stated()
     material: str | None = None
     com_m: float | None = None
     inertia_kgm2: float | None = None
     mass_sd_kg: float | None = None
     length_sd_m: float | None = None
+    where: Place = ("robot", "link")
+
+    __eq__, __repr__ = alike, shown
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Servo:
-    """What the maker says of a servo; never fitted."""
+    """What the maker says of a servo; never fitted. Using what was left out is an InputError."""
 
     name: str
-    max_torque_Nm: float
-    no_load_speed_rad_s: float
-    position_step_rad: float
+    max_torque_Nm: Stated[float] = Stated()
+    no_load_speed_rad_s: Stated[float] = Stated()
+    position_step_rad: Stated[float] = Stated("a number of at least 0")
+    where: Place = ("robot", "servos")
+
+    __eq__, __repr__ = alike, shown
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Joint:
     """Joint k joins links k and k + 1 and is turned by ``servo`` within ``limits_rad``."""
 
     name: str
     servo: Servo
-    limits_rad: tuple[float, float]
+    limits_rad: Stated[tuple[float, float]] = Stated(LIMITS)
+    where: Place = ("robot", "joint")
+
+    __eq__, __repr__ = alike, shown
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A chain of links, one more than the joints, from head to tail."""
+    """A chain of links, one more than the joints, from head to tail.
+
+    Links of a file that has none are named after their number and state nothing.
+    """
 
     name: str
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     path: Path | None = None
+
+    @property
+    def weighed(self) -> bool:
+        """Whether every link states its mass and its length."""
+        stated = [vars(link)[name] for link in self.links for name in ("mass_kg", "length_m")]
+        return None not in stated
 
     def joint(self, name: str) -> Joint | None:
         """The joint called ``name``, or None."""
@@ -86,8 +124,11 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         name: _servo(name, Fields(path, f"servos.{name}", content))
         for name, content in top.table("servos").content.items()
     }
-    links = tuple(_link(fields) for fields in top.tables("links"))
     joints = tuple(_joint(fields, servos) for fields in top.tables("joints"))
+    unknown = (Link(f"link{k}", where=(str(path), f"links[{k}]")) for k in range(len(joints) + 1))
+    links = (
+        tuple(_link(fields) for fields in top.tables("links")) if "links" in top else (*unknown,)
+    )
     if len(links) != len(joints) + 1:
         found = f"{len(links)} links and {len(joints)} joints"
         raise InputError(path, "links", found, "one link more than joints")
@@ -98,29 +139,34 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
 
 
 def _servo(name: str, fields: Fields) -> Servo:
+    def optional(name: str, low: float = -math.inf, above: float = -math.inf) -> float | None:
+        return fields.number(name, low=low, above=above) if name in fields else None
+
     return Servo(
         name,
-        max_torque_Nm=fields.number("max_torque_Nm", above=0),
-        no_load_speed_rad_s=fields.number("no_load_speed_rad_s", above=0),
-        position_step_rad=fields.number("position_step_rad", low=0),
+        max_torque_Nm=optional("max_torque_Nm", above=0),
+        no_load_speed_rad_s=optional("no_load_speed_rad_s", above=0),
+        position_step_rad=optional("position_step_rad", low=0),
+        where=(str(fields.file), fields.where),
     )
 
 
 def _link(fields: Fields) -> Link:
-    def optional(name: str) -> float | None:
-        return fields.number(name, low=0) if name in fields else None
+    def optional(name: str, above: float = -math.inf) -> float | None:
+        return fields.number(name, low=0, above=above) if name in fields else None
 
     return Link(
         name=fields.text("name"),
-        mass_kg=fields.number("mass_kg", above=0),
-        length_m=fields.number("length_m", above=0),
-        width_m=fields.number("width_m", above=0),
-        height_m=fields.number("height_m", above=0),
+        mass_kg=optional("mass_kg", above=0),
+        length_m=optional("length_m", above=0),
+        width_m=optional("width_m", above=0),
+        height_m=optional("height_m", above=0),
         material=fields.text("material") if "material" in fields else None,
         com_m=optional("com_m"),
         inertia_kgm2=optional("inertia_kgm2"),
         mass_sd_kg=optional("mass_sd_kg"),
         length_sd_m=optional("length_sd_m"),
+        where=(str(fields.file), fields.where),
     )
 
 
@@ -128,8 +174,11 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     servo = fields.text("servo")
     if servo not in servos:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
-    limits = fields.content.get("limits_rad")
+    place = (str(fields.file), fields.where)
+    if "limits_rad" not in fields:
+        return Joint(fields.text("name"), servos[servo], where=place)
+    limits = fields.content["limits_rad"]
     ends = [finite_number(end) for end in limits] if isinstance(limits, list) else []
     if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
-        raise fields.error("limits_rad", "two angles, the smaller first")
-    return Joint(fields.text("name"), servos[servo], (ends[0], ends[1]))
+        raise fields.error("limits_rad", LIMITS)
+    return Joint(fields.text("name"), servos[servo], (ends[0], ends[1]), place)

@@ -31,7 +31,6 @@ from sim2real.robot import read_robot
         ("mass_kg = 0.5", "mass_kg = -0.5", ("links[0].mass_kg", "-0.5", "above 0")),
         ("mass_kg = 0.5", 'mass_kg = "0.5"', ("links[0].mass_kg", "'0.5'", "a number")),
         ("mass_kg = 0.5", "mass_kg = 2026-01-01", ("links[0].mass_kg", "2026", "a number")),
-        ("mass_kg = 0.5", "", ("links[0].mass_kg", "nothing", "above 0")),
         ("max_torque_Nm = 1.67", "max_torque_Nm = 0", ("servos.lx824.max_torque_Nm", "above 0")),
         ("[servos.lx824]", "[[servos.lx824]]", ("servos.lx824", "a table")),
         ("[servos.lx824]", "[servo.lx824]", ("joints[0].servo", "none")),
@@ -54,7 +53,7 @@ def test_robot_counts(tmp_path: Path) -> None:
     path.write_text(ROBOT + joint + link)
     message(lambda: read_robot(path), "joints", "j1, j1", "each name once")
     path.write_text('name = "fish"')
-    message(lambda: read_robot(path), "links", "nothing", "at least one [[links]]")
+    message(lambda: read_robot(path), "joints", "nothing", "at least one [[joints]]")
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_command(weighed, tmp_path, capsys):
     model, out, png = (tmp_path / name for name in ("model.json", "out.json", "density.png"))
     write_model(Model({"j1": JointModel(2.0, 0.05, 0.06, 0.002)}), model)
     arguments = ["density", str(weighed), "--model", str(model), "--out", str(out)]
-    assert main([*arguments, "--png", str(png)]) == 0
+    assert main([*arguments, "--plot", str(png)]) == 0
     table = capsys.readouterr().out
     assert "head" in table and "1.229" in table and " to " in table
     assert read_model(out).body["normalised_density"][0] == pytest.approx(1.2291, abs=1e-4)

@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import pickle
+import re
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
 
+from sim2real.errors import InputError
 from sim2real.robot import Link, Servo, read_robot
 
 FISH = """
@@ -92,3 +96,39 @@ def test_real_robots(realdata: Path) -> None:
     for path in files:
         robot = read_robot(path)
         assert len(robot.links) == len(robot.joints) + 1
+
+
+BENCH = """
+[[joints]]
+name = "j1"
+servo = "small"
+[servos.small]
+max_torque_Nm = 0.5
+"""
+
+
+def test_a_bench_states_only_what_is_used(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(BENCH)
+    robot = read_robot(path)
+    assert robot.joints[0].servo.max_torque_Nm == 0.5
+    assert [link.name for link in robot.links] == ["link0", "link1"]
+    for use, place in (
+        (lambda: robot.links[1].mass_kg, "links[1].mass_kg: found nothing, expected a number"),
+        (lambda: robot.joints[0].limits_rad, "joints[0].limits_rad: found nothing, expected two"),
+        (lambda: robot.joints[0].servo.position_step_rad, "servos.small.position_step_rad: found"),
+    ):
+        with pytest.raises(InputError, match=re.escape(f"{path}: {place}")):
+            use()
+
+
+def test_robots_compare_and_travel(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(BENCH)
+    robot = read_robot(path)
+    assert pickle.loads(pickle.dumps(robot)) == robot
+    assert Link("a") != robot.links[0] == Link("link0") != Link("link0", mass_kg=1.0)
+    assert repr(robot.links[0]) == "Link(name='link0')"
+    assert len({*robot.links, Link("link1")}) == 2
+    with pytest.raises(FrozenInstanceError):
+        robot.links[0].mass_kg = 1.0

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from rl.commands.ablate import tried_in
+from rl.commands.demo_swim import swim_section
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import (
     keeps,
@@ -50,7 +51,7 @@ from sim2real.robot import Robot, read_robot
 from sim2real.servo.identify import identify
 from sim2real.servo.replay import Replay, replay
 
-STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate")
+STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")
 _TELLING = ("chirp", "steps")
 _SHOWN = "square"
 """Recording that the page shows beside the one held out: the paper's own test signal."""
@@ -133,6 +134,7 @@ def _pool(options: argparse.Namespace) -> list[Section]:
         _calibration(swim, model, fitted, twin, robot),
         ranges_section(found),
         _ablation(options, robot, fitted.model, found),
+        _swim(options, robot, fitted.model),
     ]
 
 
@@ -178,6 +180,14 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
     figures = [Figure(svg(reward_figure(rows(told)))), Figure(svg(way_figure(told)))]
     lead = keeps({row["arm"]: row for row in rows(told)})
     return Section("A quick ablation", lead, [Note("warn", note), *figures])
+
+
+def _swim(options: argparse.Namespace, robot: Robot, model: Model) -> Section:
+    """What the first agent with all techniques has learned, to watch."""
+    policy = sorted((options.out / "ablation").glob("train/all-*/policy.zip"))[0]
+    film = check_writable(options.out / "swim.gif")
+    with _stage("swim", "the policy with all techniques, in the fluid"):
+        return swim_section(policy, robot, model, film, options.seed)
 
 
 def _two(recordings: Sequence[Recording]) -> list[Recording]:

@@ -59,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
                 with Film(video, world, shown(name)) if video else nullcontext() as film:
                     swims[name] = run_episodes(world, controller, name=name, watch=film)
     table = {name: summary(episodes) for name, episodes in swims.items()}
+    options.result = {"task": options.task, "fidelity": options.fidelity, "results": table}
     for name, row in table.items():
         print(said(name, row))
     if out is not None:

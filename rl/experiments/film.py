@@ -31,23 +31,31 @@ _HELD_S = 1.0
 """For which the last picture of a policy stays."""
 
 
+def still(world: World, *, width: int = 480) -> Image:
+    """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
+    live: Any = world.simulator.live()
+    return Film(None, world, "", width=width)._picture(float(live.clock.numpy()[0]))
+
+
 class Film:
     """The part of a video that shows one policy; call it after every step of the world.
 
     Inside a ``with`` block, whose end keeps the last picture for a second.
     """
 
-    def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
+    def __init__(
+        self, video: Video | None, world: World, name: str, *, width: int | None = None
+    ) -> None:
         """Set up the camera.
 
         Args:
-            video: What the pictures go to, open.
+            video: What the pictures go to, open; None only where they go nowhere.
             world: The robots; the first is filmed, from its next start on.
             name: The policy's, to be shown.
             width: Of a picture in pixels, even; what suits the video's format where None.
         """
         self._video, self._world, self._name = video, world, name
-        wide = width or 2 * round(_SHARE * video.width / 2)
+        wide = width or 2 * round(_SHARE * (_DRAWN_FOR if video is None else video.width) / 2)
         length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
         self._pixels = wide / length
         high = 2 * round(breadth * self._pixels / 2)
@@ -69,7 +77,7 @@ class Film:
         clock = float(live.clock.numpy()[0])
         if clock + 1e-6 >= self._taken / FRAMES_PER_S:
             self._image = self._picture(clock)
-            self._video.add(self._image)
+            self._add(self._image)
             self._taken += 1
 
     def __enter__(self) -> Self:
@@ -85,9 +93,14 @@ class Film:
         """Keep the last picture."""
         if kind is None and self._image is not None:
             for _ in range(round(_HELD_S * FRAMES_PER_S)):
-                self._video.add(self._image)
+                self._add(self._image)
+
+    def _add(self, image: Image) -> None:
+        if self._video is not None:
+            self._video.add(image)
 
     def _picture(self, clock: float) -> Image:
+        """What the camera sees now."""
         world, x, y = self._world, self._x, self._y
         simulator: Any = world.simulator
         seen: Plane | None = None

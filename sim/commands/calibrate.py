@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         print(table(found, f"fluid, cells of {options.cell_m:g} m", robot))
     inputs = [*options.recordings, options.robot, options.model]
     written = replace(
-        _with_figures(found, robot, options.cell_m), provenance=provenance(inputs, options.seed)
+        with_figures(found, robot, options.cell_m), provenance=provenance(inputs, options.seed)
     )
     write_model(written, out)
     print(f"\nmodel: {out}")
@@ -138,7 +138,8 @@ def _fall(before: float, after: float) -> str:
     return f"{100 * (after / before - 1):+.0f} %" if before > 0 else "-"
 
 
-def _with_figures(found: Calibrated | InFluid, robot: Robot, cell_m: float) -> Model:
+def with_figures(found: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:
+    """The calibrated model with intervals of what was fitted, and errors, beside it."""
     names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
     names += [f"{joint.name}.position_rad" for joint in robot.joints]
     figures = {
@@ -166,4 +167,4 @@ def _with_figures(found: Calibrated | InFluid, robot: Robot, cell_m: float) -> M
     return replace(found.model, body=body, fit={**found.model.fit, **figures})
 
 
-__all__ = ["run", "table"]
+__all__ = ["run", "table", "with_figures"]

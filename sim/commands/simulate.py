@@ -27,11 +27,11 @@ _EVERY = round(1 / CONTROL_S / FRAMES_PER_S)
 def run(options: argparse.Namespace) -> int:
     """Swim, and write what a camera and the servos would have seen, as a pool recording."""
     check_writable(options.out)
-    if options.picture:
-        check_picture(options.picture)
+    if options.plot:
+        check_picture(options.plot)
     if options.video:
         check_video(options.video)
-    others = (options.commands, options.model, options.robot, options.picture, options.video)
+    others = (options.commands, options.model, options.robot, options.plot, options.video)
     if options.out.resolve() in {other.resolve() for other in others if other}:
         raise InputError(options.out, "--out", "a file that is named twice", "one of its own")
     robot, model = read_robot(options.robot), read_model(options.model)
@@ -55,8 +55,8 @@ def run(options: argparse.Namespace) -> int:
                 return _stopped(options, swimmer, states)
             if video and swimmer.step_count % _EVERY == 0:
                 video.add(picture(swimmer, width=video.width))
-    if options.picture:
-        print(f"{save_picture(picture(swimmer), options.picture)}: the water at the end")
+    if options.plot:
+        print(f"{save_picture(picture(swimmer), options.plot)}: the water at the end")
     write_recording(_recording(options, robot, t, command, states), options.out)
     size = f"{swimmer.units.cell_m:g} m cells, {options.dimensions} dimensions"
     print(f"{options.out}: {t.size} rows at {1 / CONTROL_S:.0f} Hz, {size}")

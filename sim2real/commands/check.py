@@ -16,5 +16,6 @@ def run(options: argparse.Namespace) -> int:
     robot = read_robot(options.robot) if options.robot else None
     paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
     checks = [check(read_recording(path), robot, seed=options.seed) for path in paths]
+    options.result = checks
     print("\n\n".join(format_check(one) for one in checks))
     return 0

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
-    print(spoken(found))
+    print(found)
     write(found, out)
     if not options.no_page:
         title = f"Diagnosis of {robot.name}"
@@ -53,22 +53,3 @@ def write(found: Diagnosis, out: Path) -> None:
     if found.next_experiment is not None:
         found = write_commands(found, out)
     write_diagnosis(found, out, enriched.name)
-
-
-def spoken(found: Diagnosis) -> str:
-    """The diagnosis in a few lines for a terminal."""
-    lines = [f"verdict: {found.verdict.replace('_', ' ')}"]
-    for effect in found.effects:
-        lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
-    for effect in found.negligible:
-        lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement} (negligible)")
-    for entry in found.mismatch:
-        lines.append(
-            f"  {entry.component}: {1e3 * entry.rmse:.2f} mrad against "
-            f"{1e3 * entry.noise:.2f} mrad of noise; {entry.where}"
-        )
-    for joint, formula in found.hypothesis.items():
-        lines.append(f"  {joint}, a guess: {formula}")
-    if found.next_experiment is not None:
-        lines.append(f"next: {found.next_experiment.statement}")
-    return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The command ``sim2real import``: a public log in, a recording out."""
+"""The command ``sim2real import``: a log in, a recording out."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ import numpy as np
 
 from sim2real.errors import InputError
 from sim2real.importers.bam import read_bam
+from sim2real.importers.lerobot import is_lerobot, read_lerobot
 from sim2real.importers.rosbag import read_bag
+from sim2real.importers.tables import column_map, read_table
+from sim2real.importers.units import Conversion, conversion
 from sim2real.output import check_writable
 from sim2real.recording import Recording, write_recording
 
 BAGS = (".bag", ".db3", ".mcap")
+TABLES = (".csv", ".npz")
+KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
+KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
 STATE_TOPIC = "/joint_states"
 LARGEST_START_RAD = 0.1  # further off than this, a joint was not at rest on its first command
 
@@ -22,11 +28,12 @@ def run(args: argparse.Namespace) -> int:
     """Import one log and say in one line what was written.
 
     Args:
-        args: ``source``: a BAM log (``.json``) or a ROS bag (a folder, ``.bag``, ``.db3`` or
-            ``.mcap``). ``out``: the CSV to write; its JSON stands beside it. For bags also
-            ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one topic
-            for all joints or one for each; ``joints``: list of names in the order of the
-            set-points, or None.
+        args: ``source``: the log. ``out``: the CSV to write; its JSON stands beside it. For bags
+            also ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
+            topic for all joints or one for each; ``joints``: list of names in the order of the
+            set-points, or None. For LeRobot datasets ``units``, ``calibration``,
+            ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
+            ``columns``, ``time_unit`` and the units.
 
     Returns:
         0, the exit status.
@@ -49,16 +56,24 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
     if source.suffix == ".json" and not source.is_dir():
         return read_bam(source)
     if not source.exists():
-        raise InputError(source, "", "no such file", "a BAM log (.json) or a ROS bag")
+        raise InputError(source, "", "no such file", KINDS)
+    if is_lerobot(source):
+        return read_lerobot(source, _units(args), episode=args.episode, joints=args.joints)
+    if source.suffix in TABLES:
+        columns = column_map(args.columns)
+        return read_table(source, columns, _units(args), time_unit=args.time_unit)
     if not source.is_dir() and source.suffix not in BAGS:
-        expected = f"a BAM log (.json) or a ROS bag (a folder, {', '.join(BAGS)})"
-        raise InputError(source, "", f"the ending {source.suffix!r}", expected)
+        raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
     if not args.command_topic:
         raise InputError(source, "--command-topic", "nothing", "the topic of the set-points")
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
         source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
     )
+
+
+def _units(args: argparse.Namespace) -> Conversion:
+    return conversion(args.units, args.counts_per_turn, args.zero_count, args.calibration)
 
 
 def _summary(recording: Recording) -> str:

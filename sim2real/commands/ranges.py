@@ -13,7 +13,7 @@ from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, provenance
 from sim2real.posterior.sample import joint_sample, write_sample
-from sim2real.ranges.entry import Ranges, write_ranges
+from sim2real.ranges.entry import write_ranges
 from sim2real.ranges.gather import Gathered, Sampling, gather
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         sample = joint_sample(found.posteriors, np.random.default_rng(options.seed))
         write_sample(sample, out.with_name(POSTERIOR))
     write_ranges(ranges, out)
-    print(table(ranges))
+    print(ranges)
     if not options.no_page:
         _write_page(found, robot.name, out.with_suffix(".html"))
     return 0
@@ -63,18 +63,6 @@ def run(options: argparse.Namespace) -> int:
 def chain_file(out: Path, joint: str) -> Path:
     """Where the chain of a joint lives."""
     return out.with_name(f"{out.stem}.chain.{joint}.npz")
-
-
-def table(ranges: Ranges) -> str:
-    """The ranges, a line each, and what a user must know."""
-    width = max(len(entry.parameter) for entry in ranges.entries)
-    lines = []
-    for entry in ranges.entries:
-        between = " to " if entry.distribution == "uniform" else " ± "
-        numbers = f"{entry.first:.4g}{between}{entry.second:.4g} {entry.unit}".rstrip()
-        kind = f"{entry.distribution:<7}  {entry.period:<7}"
-        lines.append(f"{entry.parameter:<{width}}  {kind}  {numbers}")
-    return "\n".join([*lines, *(f"  ! {note}" for note in ranges.notes)])
 
 
 def _write_page(found: Gathered, robot: str, page: Path) -> None:

@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
         for servo_id in garbled:
             print(f"id {servo_id}: an answer, but spoilt: do two servos share the id?")
         if found:
+            options.result = found
             print(_table(found))
             if baud != BAUD_RATES[0]:
                 print(f"They answer at {baud} baud: switch their supply off and on again.")

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.model import Model
 from sim2real.output import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.diagnosis/1"
 
@@ -44,6 +47,15 @@ class Mismatch:
     windows_s: Mapping[str, tuple[tuple[float, float], ...]]
     where: str
     dependence: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """The error beside the noise, in mrad of a joint, in m/s or rad/s of a body."""
+        if self.signal.startswith("body."):
+            name = self.signal.removeprefix("body.").replace("_", " ")
+            unit = "rad/s" if name == "yaw rate" else "m/s"
+            return f"{name}: {self.rmse:.4f} {unit} against {self.noise:.4f} {unit} of noise"
+        error, noise = 1e3 * self.rmse, 1e3 * self.noise
+        return f"{self.component}: {error:.2f} mrad against {noise:.2f} mrad of noise; {self.where}"
 
 
 @dataclass(frozen=True)
@@ -229,6 +241,27 @@ class Diagnosis:
     evidence: tuple[Evidence, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """The diagnosis in a few lines."""
+        lines = [f"verdict: {self.verdict.replace('_', ' ')}"]
+        for effect in self.effects:
+            lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
+        for effect in self.negligible:
+            lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement} (negligible)")
+        for entry in self.mismatch:
+            lines.append(f"  {entry}")
+        for joint, formula in self.hypothesis.items():
+            lines.append(f"  {joint}, a guess: {formula}")
+        if self.next_experiment is not None:
+            lines.append(f"next: {self.next_experiment.statement}")
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """How probable what was named is, and what was considered beside it."""
+        from sim2real.report.diagnosis_what import candidate_figure
+
+        return candidate_figure(self)
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: str) -> None:

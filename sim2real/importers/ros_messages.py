@@ -16,8 +16,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FLOAT = "std_msgs/msg/Float64"
-STATE_TYPES = (JOINT_STATE,)
-COMMAND_TYPES = (JOINT_STATE, TRAJECTORY, ARRAY, FLOAT)
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+STATE_TYPES = (JOINT_STATE, CONTROLLER)
+COMMAND_TYPES = (JOINT_STATE, TRAJECTORY, CONTROLLER, ARRAY, FLOAT)
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Message:
         """The joints it names; none in the types that name none."""
         if self.type == JOINT_STATE:
             return tuple(self.content.name)
-        return tuple(self.content.joint_names) if self.type == TRAJECTORY else ()
+        return tuple(self.content.joint_names) if self.type in (TRAJECTORY, CONTROLLER) else ()
 
 
 def read_messages(
@@ -88,10 +89,16 @@ def read_messages(
 def measured(message: Message, field: str) -> dict[str, float]:
     """``field`` of a JointState by joint name; any field may be left empty.
 
+    Of a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
+
     Raises:
         ValueError: If names and values do not match: what was found, what was expected.
     """
-    values = getattr(message.content, field)
+    content, name = message.content, field
+    if message.type == CONTROLLER:
+        content = _point(content, "feedback", "actual")
+        name = {"position": "positions", "velocity": "velocities"}.get(field, field)
+    values = getattr(content, name)
     return _by_name(message.joints, values, field) if len(values) else {}
 
 
@@ -100,8 +107,8 @@ def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
 
     Of a trajectory it is the point that lies ahead (``time_from_start`` above 0, or the only
     point), sent when the trajectory starts: how the controller gets there counts as the servo's
-    doing. With several points ahead it is the controller that makes the set-points, and the bag
-    doesn't hold them.
+    doing. With several points ahead it is the controller that makes the set-points: they are in the
+    ``reference`` (``desired`` before ROS 2 Humble) of its own state.
 
     Raises:
         ValueError: If names and values do not match, or there are several points ahead.
@@ -110,13 +117,22 @@ def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
         return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")
     if message.type == JOINT_STATE:
         return _by_name(message.joints, message.content.position, "position")
+    if message.type == CONTROLLER:
+        wanted = _point(message.content, "reference", "desired")
+        return _by_name(message.joints, wanted.positions, "positions")
     points = message.content.points
     ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
     chosen = ahead or points
     if len(chosen) != 1:
-        expected = "one in each message (or the topic of the controller's own set-points)"
+        expected = "one in each message (or the topic of the controller's own state)"
         raise ValueError(f"{len(chosen)} trajectory points ahead", expected)
     return _by_name(message.joints, chosen[0].positions, "positions")
+
+
+def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
+    """A point of a controller's state by its name now, or its name before if that is empty."""
+    point = getattr(content, name, None)
+    return point if point is not None and len(point.positions) else getattr(content, before, point)
 
 
 def _check_topics(

@@ -48,10 +48,12 @@ def read_bag(
 
     Args:
         path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        state_topic: Topic of the ``JointState`` messages.
-        command_topic: Topic of ``JointState``, ``JointTrajectory`` or ``Float64MultiArray``
-            messages (an array is in the order of ``joints``); or a topic for each joint, of
-            ``Float64`` for example, in the order of ``joints`` or by joint name.
+        state_topic: Topic of ``JointState`` messages, or of a controller's state
+            (``JointTrajectoryControllerState``).
+        command_topic: Topic of ``JointState``, ``JointTrajectory``,
+            ``JointTrajectoryControllerState`` (its reference) or ``Float64MultiArray`` messages
+            (an array is in the order of ``joints``); or a topic for each joint, of ``Float64``
+            for example, in the order of ``joints`` or by joint name.
         joints: The J joints to read. Without them it is those that the first command names.
 
     Returns:

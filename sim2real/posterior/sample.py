@@ -86,17 +86,30 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
         raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None
 
 
-def to_arviz(found: ServoPosterior) -> Any:  # noqa: ANN401 - ArviZ is not a dependency
-    """The posterior of one servo for ArviZ, a chain a walker.
+def to_inference_data(found: Mapping[str, ServoPosterior]) -> Any:  # noqa: ANN401 - ArviZ's
+    """Posteriors of servos as ArviZ's ``InferenceData``: a chain a walker.
+
+    Variables are named ``J.PARAMETER`` and have their unit as an attribute. Joints are sampled by
+    themselves; of each the last draws are taken, as many as the shortest chain has.
 
     Raises:
         ModuleNotFoundError: If ArviZ is not installed.
+        ValueError: If the joints were sampled with different numbers of walkers.
     """
-    import arviz  # type: ignore[import-not-found]
+    import arviz  # an extra: pip install sim2real[arviz]
 
-    walkers = found.chain.accepted.size
-    values = found.values.reshape(-1, walkers, len(found.names))
-    by_name = {name: values[:, :, k].T for k, name in enumerate(found.names)}
-    if arviz.__version__.startswith("0."):
-        return arviz.from_dict(posterior=by_name)
-    return arviz.from_dict({"posterior": by_name})
+    columns, units = {}, {}
+    for joint, one in found.items():
+        values = one.values.reshape(-1, one.chain.accepted.size, len(one.names))
+        for k, prior in enumerate(one.priors.each):
+            columns[f"{joint}.{prior.name}"] = values[:, :, k].T
+            units[f"{joint}.{prior.name}"] = prior.unit
+    if len({column.shape[0] for column in columns.values()}) > 1:
+        raise ValueError("the joints were sampled with different numbers of walkers")
+    draws = min(column.shape[1] for column in columns.values())
+    drawn = {name: column[:, -draws:] for name, column in columns.items()}
+    old = arviz.__version__.startswith("0.")
+    data = arviz.from_dict(posterior=drawn) if old else arviz.from_dict({"posterior": drawn})
+    for name, unit in units.items():
+        data.posterior[name].attrs["units"] = unit
+    return data

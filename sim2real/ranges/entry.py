@@ -90,6 +90,17 @@ class Ranges:
         """The range of a parameter, or None."""
         return next((entry for entry in self.entries if entry.parameter == parameter), None)
 
+    def __str__(self) -> str:
+        """The ranges, a line each, and what a user must know."""
+        width = max((len(entry.parameter) for entry in self.entries), default=0)
+        lines = []
+        for entry in self.entries:
+            between = " to " if entry.distribution == "uniform" else " ± "
+            numbers = f"{entry.first:.4g}{between}{entry.second:.4g} {entry.unit}".rstrip()
+            kind = f"{entry.distribution:<7}  {entry.period:<7}"
+            lines.append(f"{entry.parameter:<{width}}  {kind}  {numbers}")
+        return "\n".join([*lines, *(f"  ! {note}" for note in self.notes)])
+
 
 def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
     """Write ``ranges.json``.

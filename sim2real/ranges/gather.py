@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from sim2real.robot import Robot, match_joints
 from sim2real.servo.advice import ABOVE_NOISE
 from sim2real.servo.trace import split, traces
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _CLEAR = 3.0
 """Standard deviations from which an offset between joints, or a spread, is taken for real."""
 
@@ -40,7 +44,7 @@ class Gathered:
         checks: What each predicts of the recording held out, if there is one.
         latencies: Latency of every episode; None where no joint moves.
         spread: What they were drawn from, likewise.
-        density: Of the robot's links.
+        density: Of the robot's links, where they state mass and length.
     """
 
     ranges: Ranges
@@ -48,7 +52,25 @@ class Gathered:
     checks: Mapping[str, Check]
     latencies: Latencies | None
     spread: Spread | None
-    density: Density
+    density: Density | None
+
+    def __str__(self) -> str:
+        """A line a range, and what a user must know."""
+        return str(self.ranges)
+
+    def plot(self) -> Figure:
+        """Latencies and their range; without any, how the mass is spread along the robot.
+
+        Raises:
+            InputError: If there is neither.
+        """
+        from sim2real.report.range_plots import latency_figure
+
+        if self.latencies is not None and self.spread is not None:
+            return latency_figure(self.latencies, self.spread)
+        if self.density is None:
+            raise InputError("ranges", "plot", "no latencies and no masses", "one of them")
+        return self.density.plot()
 
 
 @dataclass(frozen=True)
@@ -92,10 +114,11 @@ def gather(
     sampling = sampling or Sampling()
     _check(recordings, robot, model)
     bench = [recording for recording in recordings if recording.kind == "servo"]
-    posteriors, checks = _posteriors(bench, model, sampling)
+    posteriors, checks = sample_joints(bench, model, sampling)
     found = latencies(recordings, model)
     drawn = spread(found.seconds, found.sd) if found is not None else None
-    density, labels = normalised_density(robot), labelled(recordings)
+    density = normalised_density(robot) if robot.weighed else None
+    labels = labelled(recordings)
     entries = _latency_ranges(found, drawn, model)
     entries += camera_noise(recordings)
     noises = [joint_noise(recordings, joint) for joint in model.joints]
@@ -106,7 +129,8 @@ def gather(
             fitted = [labels[one.file] for one in posteriors[joint].data.traces]
             mine = from_posterior(joint, posteriors[joint], listed(fitted))
         entries += mine + from_model(joint, one, [entry.parameter for entry in mine])
-    entries += density_ranges(density) + body_ranges(model) + shared_ranges(model)
+    entries += density_ranges(density) if density is not None else []
+    entries += body_ranges(model) + shared_ranges(model)
     notes = _notes(recordings, model, posteriors, checks, found, drawn)
     return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, found, drawn, density)
 
@@ -124,10 +148,14 @@ def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
             raise InputError("model", f"joints.{joint}", "a joint not of the robot", known)
 
 
-def _posteriors(
+def sample_joints(
     bench: Sequence[Recording], model: Model, sampling: Sampling
 ) -> tuple[dict[str, ServoPosterior], dict[str, Check]]:
-    """Sample every joint that moves on the bench; refuse chains that are too short."""
+    """Posteriors of every joint that moves on the bench, and what they predict of what they miss.
+
+    Raises:
+        InputError: If a chain is too short to be believed, or no recording has the name held out.
+    """
     names = [recording.name for recording in bench]
     if sampling.held_out is not None and sampling.held_out not in names:
         known = ", ".join(names) or "no bench recording"

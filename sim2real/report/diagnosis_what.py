@@ -50,13 +50,19 @@ _SHIFTS = (
 )
 
 
+def candidate_figure(diagnosis: Diagnosis) -> Drawing:
+    """How sure we are of each candidate; the verdict alone where there is none."""
+    bars = _candidates(diagnosis) or [Bar(diagnosis.verdict.replace("_", " "), 0.0, "")]
+    return bar_figure({"": bars}, "how sure we are of each candidate", full=1.0)
+
+
 def what_blocks(diagnosis: Diagnosis) -> list[Block]:
     """Probabilities, held-out errors, sizes, and what the plain fit had been hiding."""
     blocks: list[Block] = []
     candidates = _candidates(diagnosis)
     if candidates:
         blocks.append(Text(_removed(diagnosis), heading="What is missing"))
-        drawing = bar_figure({"": candidates}, "how sure we are of each candidate", full=1.0)
+        drawing = candidate_figure(diagnosis)
         named = _COLOURS if diagnosis.effects else ""
         shared = _SHARED if any(bar.members for bar in candidates) else ""
         blocks.append(figure(drawing, _PROBABILITIES.format(named=named, shared=shared)))

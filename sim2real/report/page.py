@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -69,7 +70,27 @@ class Figure:
     narrow: str = ""
 
 
-Block = Text | Note | Table | Figure
+@dataclass(frozen=True)
+class Film:
+    """A short film, as a GIF that the page has inside.
+
+    Attributes:
+        gif: The file's bytes.
+        alt: What is seen, for who cannot see it.
+        caption: What it shows.
+    """
+
+    gif: bytes
+    alt: str
+    caption: str = ""
+
+    @property
+    def source(self) -> str:
+        """What an ``<img>`` takes."""
+        return "data:image/gif;base64," + base64.b64encode(self.gif).decode()
+
+
+Block = Text | Note | Table | Figure | Film
 
 
 @dataclass(frozen=True)

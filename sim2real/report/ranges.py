@@ -71,10 +71,11 @@ def ranges_section(found: Gathered) -> Section:
         what = "window" if found.latencies.windows else "recording"
         caption = _LATENCY.format(what=what)
         blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
-    drawn = density_figure(found.density)
-    whiskers = "" if found.density.sd is None else "; whiskers are 90 % intervals"
-    caption = _DENSITY.format(whiskers=whiskers)
-    blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
+    if found.density is not None:
+        drawn = density_figure(found.density)
+        whiskers = "" if found.density.sd is None else "; whiskers are 90 % intervals"
+        caption = _DENSITY.format(whiskers=whiskers)
+        blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
     return Section("Ranges", _LEAD, blocks)
 
 

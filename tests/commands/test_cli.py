@@ -1,7 +1,11 @@
 """The command line: what it writes, what it says, and how it leaves."""
 
+import importlib
 import json
 import shutil
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +19,7 @@ from sim2real.recording import read_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
-COMMANDS = [one.name for one in cli.COMMANDS]
+COMMANDS = list(cli.COMMANDS)
 
 
 @pytest.fixture
@@ -50,6 +54,62 @@ def test_help_has_an_example(command, capsys):
     text = capsys.readouterr().out
     assert f"sim2real {command} " in text.split("example:")[1]
     assert "--seed" in text
+
+
+def test_every_command_of_a_file_of_options_is_listed():
+    listed = {home for home, _ in cli.COMMANDS.values()}
+    found = {one.name: home for home in listed for one in importlib.import_module(home).COMMANDS}
+    assert found == {name: home for name, (home, _) in cli.COMMANDS.items()}
+
+
+def test_help_imports_no_other_floor():
+    """Nor the options of a command that was not called."""
+    program = (
+        "import sys\nfrom sim2real.cli import main\n"
+        "try:\n    main(['identify', '--help'])\nexcept SystemExit:\n    pass\n"
+        "print([m for m in sys.modules if m.split('.')[0] in ('sim', 'rl', 'numpy')])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.splitlines()[-1] == "[]", run.stderr
+
+
+def test_names_that_options_had_before_still_work(tmp_path, capsys):
+    robot = str(DATA / "robot.toml")
+    for name in ("--png", "--plot"):
+        picture = tmp_path / f"{name[2:]}.png"
+        assert main(["density", robot, name, str(picture)]) == 0
+        assert picture.exists()
+    with pytest.raises(SystemExit):
+        main(["density", "--help"])
+    assert "--png" not in capsys.readouterr().out.split("example:")[0]
+
+
+def test_json_is_all_of_standard_output(bench, capsys):
+    assert identify(bench, "--no-plots", "--json") == 0
+    output = capsys.readouterr()
+    written = json.loads((bench / "model.json").read_text())
+    assert json.loads(output.out) == written
+    assert "RMSE" in output.err
+    assert main(["check", str(bench / "steps.csv"), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["recording"] == "steps"
+    assert found["joints"][0]["moves"] > 3
+    assert main(["density", str(bench / "robot.toml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["links"][0] == "head"
+    run = ["predict", str(bench / "model.json"), str(bench / "steps.csv"), "--json", "--out"]
+    assert main([*run, str(bench / "p.csv")]) == 0
+    assert json.loads(capsys.readouterr().out) == {"out": str(bench / "p.csv")}
+    refused(capsys, main([*run, str(bench / "steps.csv")]), "another file")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_a_shell_completes_commands_and_options(shell, capsys):
+    pytest.importorskip("shtab")
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for word in ("identify", "calibrate-camera", "--held-out", "--fidelity"):
+        assert word in script
+    assert "--png" not in script
 
 
 def test_no_command_is_bad_input():
@@ -175,11 +235,20 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-def test_demo_ends_in_a_page(tmp_path, capsys):
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
+    """With a training that is too short to learn anything, and as it is."""
+    demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+    if not whole:
+        short = replace(demo.QUICK, steps=4000, segment=2000)
+        monkeypatch.setattr(demo, "QUICK", short)
+        monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
     assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
     assert "<script" not in page
+    assert "data:image/gif;base64," in page, "it ends in a swim to watch"
+    assert (tmp_path / "demo" / "swim.gif").read_bytes()[:6] == b"GIF89a"
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == f"report: {tmp_path / 'demo' / 'index.html'}"
     assert [line.split()[0] for line in lines[:5]] == [

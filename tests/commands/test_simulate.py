@@ -105,7 +105,7 @@ def test_validate_prints_its_figures_and_writes_a_page(tmp_path, capsys):
 
 def test_a_picture_and_a_video_of_the_swim(files):
     folder = files.folder
-    given = ["--picture", str(folder / "end.png"), "--video", str(folder / "swim.mp4")]
+    given = ["--plot", str(folder / "end.png"), "--video", str(folder / "swim.mp4")]
     assert files(*given) == 0
     assert (folder / "end.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "swim.mp4").stat().st_size > 1000

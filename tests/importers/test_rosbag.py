@@ -318,3 +318,52 @@ def test_without_rosbags_the_error_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(InputError, match=r"pip install 'sim2real\[ros\]'"):
         read_bag(tmp_path, state_topic=STATE, command_topic=COMMAND)
+
+
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+DEFINITION = "std_msgs/Header header\nstring[] joint_names\n"
+POINT = "trajectory_msgs/JointTrajectoryPoint"
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+@pytest.mark.parametrize(
+    "fields", [("reference", "feedback"), ("desired", "actual")], ids=["humble", "foxy"]
+)
+def test_a_trajectory_controllers_own_set_points(tmp_path, suffix, fields):
+    """What the controller sends between the points of a trajectory stands in its state."""
+    from rosbags.typesys import get_types_from_msg
+
+    ros = Ros(tmp_path / f"ros2{suffix}")
+    wanted, seen = fields
+    text = DEFINITION + f"{POINT} {wanted}\n{POINT} {seen}\n"
+    ros.store.register(get_types_from_msg(text, CONTROLLER))
+
+    def point(*positions):
+        none, after = np.array([]), ros.make("builtin_interfaces/msg/Duration", 0, 0)
+        kind = "trajectory_msgs/msg/JointTrajectoryPoint"
+        return ros.make(kind, np.array(positions, dtype=float), none, none, none, after)
+
+    def state(k):
+        header = ros.header(stamp(10 * k))
+        points = point(0.1 * k, -0.1 * k), point(0.09 * k, -0.09 * k)
+        return ros.make(CONTROLLER, header, ["j1", "j2"], *points)
+
+    states = [(10 * k, ros.state(["j1", "j2"], [k, -k], (), (), stamp(10 * k))) for k in range(5)]
+    own = [(10 * k, state(k)) for k in range(5)]
+    bag = ros.write(
+        *[(STATE, ms, m) for ms, m in states], *[("/controller_state", ms, m) for ms, m in own]
+    )
+    recording = read_bag(bag, state_topic=STATE, command_topic="/controller_state")
+    assert recording.joints == ("j1", "j2")
+    assert recording.command[:, 0] == pytest.approx(0.1 * np.arange(5))
+    assert recording.position[:, 1] == pytest.approx(-np.arange(5.0))
+    sent = [(10 * k, ros.array(0.3 * k, 0.4 * k)) for k in range(5)]
+    bag = Ros(tmp_path / f"other{suffix}")
+    bag.store = ros.store
+    path = bag.write(
+        *[("/controller_state", ms, m) for ms, m in own], *[(COMMAND, ms, m) for ms, m in sent]
+    )
+    recording = read_bag(
+        path, state_topic="/controller_state", command_topic=COMMAND, joints=["j1", "j2"]
+    )
+    assert recording.position[:, 0] == pytest.approx(0.09 * np.arange(5))

@@ -57,6 +57,14 @@ def test_what_is_held_out_is_not_sampled(bench, found):
     assert other.checks["j1"].recording == "r0"
 
 
+def test_a_bench_needs_no_links(bench, found):
+    bare = Robot("one", (Link("a"), Link("b")), (Joint("j1", Servo("s")),))
+    again = gather(bench, bare, Model({"j1": JOINT}), SAMPLING)
+    assert again.density is None
+    kept = [e for e in found.ranges.entries if "density" not in e.parameter]
+    assert list(again.ranges.entries) == kept
+
+
 def test_density_has_a_range_where_scales_have_errors(found):
     head = found.ranges.named("body.normalised_density.head")
     assert head.first == pytest.approx(1.0) and head.second == pytest.approx(0.01 * np.sqrt(2))

@@ -1,3 +1,4 @@
+import base64
 import math
 import re
 from dataclasses import replace
@@ -10,7 +11,7 @@ from scipy.signal import lti, step
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.report import Figure, Note, Section, Table, Text, identification_section, write_page
-from sim2real.report.page import render_page
+from sim2real.report.page import Film, render_page
 from sim2real.report.response import describe_response, step_response
 
 EVIL = "<script>alert(1)</script>"
@@ -94,6 +95,15 @@ def test_stages_say_which_are_done(html):
         ("done", "identify"),
         ("ahead", "diagnose"),
     ]
+
+
+def test_a_film_is_inside_the_page():
+    film = Film(b"GIF89a and so on", EVIL, "what it shows")
+    page = render_page("t", "", [Section("s", "", [film])], {})
+    (source,) = re.findall(r'<img src="data:image/gif;base64,([^"]+)"', page)
+    assert base64.b64decode(source) == film.gif
+    assert EVIL not in page
+    assert "what it shows" in page
 
 
 def test_everything_is_escaped():

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import warnings
 
+import gymnasium
 import gymnasium.utils.env_checker
 import numpy as np
 import pytest
+import stable_baselines3
 import stable_baselines3.common.env_checker
 import torch
 
+import rl  # noqa: F401 - it registers sim2real/Fish-v0
 from rl.env import FishEnv
 from rl.randomize import Noise
+from rl.registered import FISH
 from rl.task import TASKS, Task, shortened
 from rl.vec_env import FishVecEnv
 from rl.world import Draws
+from sim2real.errors import InputError
 
 
 def test_both_checkers_pass_without_a_warning(world_of):
@@ -23,6 +28,67 @@ def test_both_checkers_pass_without_a_warning(world_of):
         warnings.simplefilter("error")
         gymnasium.utils.env_checker.check_env(env, skip_render_check=True)
         stable_baselines3.common.env_checker.check_env(env)
+
+
+def test_the_registered_environment_passes_too():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make("sim2real/Fish-v0", render_mode="rgb_array")
+        gymnasium.utils.env_checker.check_env(env.unwrapped)
+        stable_baselines3.common.env_checker.check_env(env)
+    picture = env.render()
+    assert picture.shape[2] == 3 and picture.dtype == np.uint8
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10, "there is something to see"
+
+
+def test_an_episode_begins_once(world_of):
+    """The step that ends one draws no other: that is for ``reset`` to do."""
+    env = FishEnv(world_of(1, shortened(TASKS["near"], 3)))
+    env.reset(seed=5)
+    target = env.world.targets.clone()
+    ends = [env.step(np.zeros(3, dtype=np.float32))[3] for _ in range(3)]
+    assert ends == [False, False, True]
+    assert torch.equal(env.world.targets, target)
+    env.reset()
+    assert not torch.equal(env.world.targets, target)
+
+
+def test_a_batch_by_make_vec_is_gymnasiums_vector_environment():
+    envs = gymnasium.make_vec("sim2real/Fish-v0", num_envs=3, task="near")
+    assert envs.unwrapped.world.n_envs == 3
+    first, _ = envs.reset(seed=1)
+    again, _ = envs.reset(seed=1)
+    assert envs.observation_space.contains(first)
+    assert np.array_equal(first, again)
+    envs.unwrapped.world.elapsed[1] = TASKS["near"].steps - 1
+    seen, reward, _, truncated, infos = envs.step(envs.action_space.sample())
+    assert truncated.tolist() == [False, True, False]
+    assert infos["_final_obs"].tolist() == [False, True, False]
+    assert reward.shape == (3,)
+    assert not np.array_equal(infos["final_obs"][1], seen[1])
+    with pytest.raises(InputError, match="pentagram"):
+        gymnasium.make_vec("sim2real/Fish-v0", num_envs=2, task="somersault")
+
+
+def test_sac_learns_on_it_as_on_any_other():
+    env = gymnasium.make("sim2real/Fish-v0", task="near")
+    agent = stable_baselines3.SAC(
+        "MlpPolicy", env, learning_starts=50, batch_size=32, policy_kwargs={"net_arch": [16]}
+    )
+    before = [value.clone() for value in agent.actor.parameters()]
+    agent.learn(120)
+    assert agent.num_timesteps == 120
+    assert any(not torch.equal(a, b) for a, b in zip(before, agent.actor.parameters(), strict=True))
+
+
+def test_the_fish_of_the_package_is_that_of_the_shipped_swims():
+    data = FISH.parents[1] / "datasets" / "pool"
+    for ours, theirs in (
+        ("robot.toml",) * 2,
+        ("ranges.json",) * 2,
+        ("model.json", "calibrated.json"),
+    ):
+        assert (FISH / ours).read_bytes() == (data / theirs).read_bytes()
 
 
 def marked(rng: np.random.Generator, n: int, J: int):

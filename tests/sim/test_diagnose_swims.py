@@ -41,6 +41,7 @@ def test_a_swim_with_nothing_missing_is_consistent(few):
     assert all(np.isfinite(rival.probability) for rival in found.rivals)
 
 
+@pytest.mark.slow
 def test_what_a_reference_shows_too_is_not_named(few):
     swim, other = ({"skin_elasticity.stiffness_Nm_per_rad": 0.6} for _ in range(2))
     given = [swum(swim)], servos(), FISH, by_twin(FISH)

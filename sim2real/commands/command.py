@@ -13,9 +13,9 @@ class Command(NamedTuple):
 
     Attributes:
         name: As it is typed.
-        module: Imported when it runs; its ``run(options)`` gives the exit status.
+        module: Imported when it runs; its ``run(options)`` gives the exit status, and may set
+            ``options.result``: what ``--json`` prints where no JSON file is written.
         add: Adds its options to a parser.
-        help: What it does, in a line.
         example: One call of it.
         resumes: Whether the same call goes on where an interrupt left it.
     """
@@ -23,7 +23,6 @@ class Command(NamedTuple):
     name: str
     module: str
     add: Callable[[argparse.ArgumentParser], None]
-    help: str
     example: str
     resumes: bool = False
 
@@ -36,4 +35,11 @@ def add_recordings(command: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="RECORDING",
         help="NAME.csv, NAME.json beside it",
+    )
+
+
+def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:
+    """A name that an option had before; it still works, and help does not show it."""
+    command.add_argument(
+        name, dest=stands_for, type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.options.command import Command
+from sim2real.commands.command import Command
 
 
 def _record(command: argparse.ArgumentParser) -> None:
@@ -122,37 +122,31 @@ COMMANDS = (
         "record",
         "sim2real.commands.record",
         _record,
-        "play a signal on real servos and record what they do",
         "sim2real record steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
     ),
     Command(
         "scan",
         "sim2real.commands.scan",
         _scan,
-        "list the servos on a bus: position, supply, temperature, errors",
         "sim2real scan --port /dev/ttyUSB0",
     ),
     Command(
         "virtual-servo",
         "sim2real.commands.virtual_servo",
         _virtual_servo,
-        "be servos on a bus, for those who have none",
         "sim2real virtual-servo --ids 1,2,3 --loss 0.02 --noise 0.001",
     ),
     Command(
         "track",
         "sim2real.commands.track",
         _track,
-        "find the body's pose in every frame of an overhead video",
         "sim2real track swim.mp4 --camera camera.toml --servo servos.csv --out swim.csv",
     ),
     Command(
         "calibrate-camera",
         "sim2real.commands.calibrate_camera",
         _calibrate_camera,
-        "find a camera's lens and its place above the pool",
         "sim2real calibrate-camera board.mp4 --corners 98,429 516,441 529,22 110,8 "
         "--out camera.toml",
     ),
 )
-"""In the order in which help lists them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.options.command import Command, add_recordings
+from sim2real.commands.command import Command, add_former, add_recordings
 
 
 def _check(command: argparse.ArgumentParser) -> None:
@@ -36,7 +36,8 @@ def _density(command: argparse.ArgumentParser) -> None:
     command.add_argument("robot", type=Path, metavar="ROBOT", help="robot.toml")
     command.add_argument("--model", type=Path, help="MODEL.json to put the densities into")
     command.add_argument("--out", type=Path, metavar="MODEL", help="the model with them")
-    command.add_argument("--png", type=Path, metavar="PNG", help="how the mass is spread")
+    command.add_argument("--plot", type=Path, metavar="PNG", help="how the mass is spread")
+    add_former(command, "--png", "plot")
 
 
 def _ranges(command: argparse.ArgumentParser) -> None:
@@ -58,43 +59,13 @@ def _predict(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="CSV", help="predicted.csv")
 
 
-def _diagnose(command: argparse.ArgumentParser) -> None:
-    add_recordings(command)
-    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
-    command.add_argument("--model", type=Path, help="MODEL.json to start from")
-    command.add_argument(
-        "--references",
-        type=Path,
-        nargs="+",
-        metavar="RECORDING",
-        help="recordings from before: name only what has changed since",
-    )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json"
-    )
-    command.add_argument(
-        "--water",
-        type=Path,
-        metavar="MODEL",
-        help="swims: go on in the fluid, with the water of MODEL.json by calibrate --fluid",
-    )
-    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
-    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
-    command.add_argument(
-        "--rollouts", type=int, default=48, metavar="N", help="of a batch in the fluid (default 48)"
-    )
-    command.add_argument(
-        "--negligible",
-        type=float,
-        default=0.05,
-        metavar="SHARE",
-        help="what changes the held-out error by less is listed, no verdict (default 0.05)",
-    )
-    command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
-
-
 def _import(command: argparse.ArgumentParser) -> None:
-    command.add_argument("source", type=Path, help="a log (.json), or a ROS 1 or 2 bag")
+    command.add_argument(
+        "source",
+        type=Path,
+        help="a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), or a table "
+        "(.csv; .npz of MuJoCo's time, qpos, ctrl)",
+    )
     command.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="recording to write"
     )
@@ -105,15 +76,31 @@ def _import(command: argparse.ArgumentParser) -> None:
         action="append",
         help="bag: set-points; once, or once for each joint",
     )
-    command.add_argument("--joints", nargs="+", metavar="JOINT", help="bag: joints, in order")
-
-
-def _demo(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--data", type=Path, default=Path("datasets/servo_steps"), metavar="FOLDER"
+        "--joints", nargs="+", metavar="JOINT", help="bag, dataset: joints, in order"
     )
-    command.add_argument("--pool", type=Path, default=Path("datasets/pool"), metavar="FOLDER")
-    command.add_argument("--out", type=Path, default=Path("reports/demo"), metavar="FOLDER")
+    command.add_argument(
+        "--units",
+        nargs="+",
+        metavar="UNIT",
+        help="dataset, table: of the angles: rad, deg, turns, counts, range_m100_100 or "
+        "range_0_100; JOINT=UNIT for one joint",
+    )
+    command.add_argument("--calibration", type=Path, metavar="JSON", help="LeRobot calibration")
+    command.add_argument("--counts-per-turn", type=int, metavar="N", help="of the encoder")
+    command.add_argument("--zero-count", type=float, metavar="N", help="count at angle 0")
+    command.add_argument("--episode", type=int, metavar="K", help="dataset: which one, from 0")
+    command.add_argument(
+        "--columns",
+        nargs="+",
+        metavar="OURS=THEIRS",
+        help="table: t=COLUMN J.command=COLUMN J.position=COLUMN ..., of arrays 'qpos[0]'",
+    )
+    command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: of t")
+
+
+def _completion(command: argparse.ArgumentParser) -> None:
+    command.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="which shell")
 
 
 COMMANDS = (
@@ -121,28 +108,24 @@ COMMANDS = (
         "check",
         "sim2real.commands.check",
         _check,
-        "say what recordings are like, and what they can identify, before anyone fits",
         "sim2real check steps.csv sine.csv --robot robot.toml",
     ),
     Command(
         "identify",
         "sim2real.commands.identify",
         _identify,
-        "identify the gains and latency of each servo from recorded steps",
         "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
     ),
     Command(
         "density",
         "sim2real.commands.density",
         _density,
-        "say how a robot's mass is spread along it, link by link",
         "sim2real density robot.toml --model model.json --out weighed.json",
     ),
     Command(
         "ranges",
         "sim2real.commands.ranges",
         _ranges,
-        "make randomization ranges, each from data, and a posterior sample",
         "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
         "--out ranges.json",
         resumes=True,
@@ -151,29 +134,18 @@ COMMANDS = (
         "predict",
         "sim2real.commands.predict",
         _predict,
-        "simulate a model from rest on the commands of a CSV",
         "sim2real predict model.json chirp.csv --out predicted.csv",
-    ),
-    Command(
-        "diagnose",
-        "sim.commands.diagnose",
-        _diagnose,
-        "say which physics the fitted servos leave out, model it and show the fit improve",
-        "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
     ),
     Command(
         "import",
         "sim2real.commands.import_logs",
         _import,
-        "turn logs of other projects into recordings",
         "sim2real import run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
     ),
     Command(
-        "demo",
-        "rl.commands.demo",
-        _demo,
-        "run the whole chain on the shipped data and write an HTML report",
-        "sim2real demo --out reports/demo",
+        "completion",
+        "sim2real.commands.completion",
+        _completion,
+        "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
     ),
 )
-"""In the order in which help lists them."""

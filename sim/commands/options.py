@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.options.command import Command
+from sim2real.commands.command import Command, add_former, add_recordings
 
 
 def _simulate(command: argparse.ArgumentParser) -> None:
@@ -19,7 +19,8 @@ def _simulate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
     command.add_argument("--dimensions", type=int, choices=(2, 3), default=3)
     command.add_argument("--walls", action="store_true", help="a closed box, not one that follows")
-    command.add_argument("--picture", type=Path, metavar="PNG", help="the water at the end")
+    command.add_argument("--plot", type=Path, metavar="PNG", help="the water at the end")
+    add_former(command, "--picture", "plot")
     command.add_argument("--video", type=Path, metavar="MP4", help="the swim; or .avi, .gif")
 
 
@@ -48,27 +49,64 @@ def _validate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, default=Path("reports/validation.html"))
 
 
+def _diagnose(command: argparse.ArgumentParser) -> None:
+    add_recordings(command)
+    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
+    command.add_argument("--model", type=Path, help="MODEL.json to start from")
+    command.add_argument(
+        "--references",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING",
+        help="recordings from before: name only what has changed since",
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json"
+    )
+    command.add_argument(
+        "--water",
+        type=Path,
+        metavar="MODEL",
+        help="swims: go on in the fluid, with the water of MODEL.json by calibrate --fluid",
+    )
+    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
+    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
+    command.add_argument(
+        "--rollouts", type=int, default=48, metavar="N", help="of a batch in the fluid (default 48)"
+    )
+    command.add_argument(
+        "--negligible",
+        type=float,
+        default=0.05,
+        metavar="SHARE",
+        help="what changes the held-out error by less is listed, no verdict (default 0.05)",
+    )
+    command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
+
+
 COMMANDS = (
+    Command(
+        "diagnose",
+        "sim.commands.diagnose",
+        _diagnose,
+        "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
+    ),
     Command(
         "simulate",
         "sim.commands.simulate",
         _simulate,
-        "swim a recording's commands in the lattice-Boltzmann pool",
         "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
     ),
     Command(
         "calibrate",
         "sim.commands.calibrate",
         _calibrate,
-        "fit the body in the water to swims in a pool",
         "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
     ),
     Command(
         "validate",
         "sim.commands.validate",
         _validate,
-        "run the published cases that the fluid is measured against",
         "sim2real validate --only cavity --out reports/validation.html",
     ),
 )
-"""In the order in which help lists them."""

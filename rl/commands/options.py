@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.options.command import Command
+from sim2real.commands.command import Command
 
 _TASKS = ("point", "near", "mixed", "turn", "pentagram")
 _ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects")
@@ -148,12 +148,25 @@ def _swim(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, metavar="CSV", help="recording of the swim to write")
 
 
+def _demo(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--data", type=Path, default=Path("datasets/servo_steps"), metavar="FOLDER"
+    )
+    command.add_argument("--pool", type=Path, default=Path("datasets/pool"), metavar="FOLDER")
+    command.add_argument("--out", type=Path, default=Path("reports/demo"), metavar="FOLDER")
+
+
 COMMANDS = (
+    Command(
+        "demo",
+        "rl.commands.demo",
+        _demo,
+        "sim2real demo --out reports/demo",
+    ),
     Command(
         "train",
         "rl.commands.train",
         _train,
-        "train a policy by soft actor-critic, in the fluid or in its twin",
         "sim2real train --quick --robot fish.toml --model model.json --out runs/quick",
         resumes=True,
     ),
@@ -161,14 +174,12 @@ COMMANDS = (
         "evaluate",
         "rl.commands.evaluate",
         _evaluate,
-        "let policies and other controllers swim a task, and measure them",
         "sim2real evaluate policy.zip pnl --task turn --robot fish.toml --model model.json",
     ),
     Command(
         "ablate",
         "rl.commands.ablate",
         _ablate,
-        "train with and without each technique, and compare in simulation and in reality",
         "sim2real ablate --robot fish.toml --model model.json --ranges ranges.json "
         "--reality reality.py --out runs/ablation",
         resumes=True,
@@ -177,15 +188,12 @@ COMMANDS = (
         "export",
         "rl.commands.export",
         _export,
-        "write a trained policy for NumPy, a microcontroller or ONNX",
         "sim2real export policy.zip --out policy.npz --format npz c",
     ),
     Command(
         "swim",
         "rl.commands.swim",
         _swim,
-        "let a policy drive the robot, or a virtual one, to a target",
         "sim2real swim policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv",
     ),
 )
-"""In the order in which help lists them."""

@@ -1,0 +1,62 @@
+"""How far an exported MuJoCo model is from ``predict``, effect by effect.
+
+Run: ``python -m benchmarks.mujoco_agreement``. Random steps and a sine that quickens to 2.6 Hz,
+12 s each at 50 Hz with jitter, on a servo of 2.2 N m/rad; each effect at its typical size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.effects import CATALOGUE
+from sim2real.exporters.mujoco import HAS, mujoco
+from sim2real.exporters.mujoco_bench import simulate
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.recording import Load
+from sim2real.servo.predict import predict
+
+Array = NDArray[np.float64]
+
+
+def signals() -> tuple[Array, dict[str, Array]]:
+    """Times in s, shape (T,), and set-points in rad by name."""
+    rng = np.random.default_rng(3)
+    t = 0.02 * np.arange(600)
+    t[1:] += rng.uniform(-0.002, 0.002, t.size - 1)
+    levels = np.concatenate([[0.0], rng.uniform(-0.6, 0.6, 40)])
+    moves = 0.5 + np.cumsum(rng.uniform(0.3, 0.9, 40))
+    sine = 0.5 * np.sin(2 * np.pi * (0.2 + 0.1 * t) * t)
+    return t, {"steps": levels[np.searchsorted(moves, t, side="right")], "sine": sine}
+
+
+def servo(load: Load, *effects: str) -> Model:
+    """The servo with effects at their typical sizes."""
+    typical = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
+    fitted = tuple(FittedEffect(name, typical[name]) for name in effects)
+    joint = JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=fitted)
+    return Model({"j1": joint})
+
+
+def main() -> None:
+    """Print a table of RMS differences in mrad."""
+    t, sent = signals()
+    print(f"{'servo':<22}{'steps':>8}{'sine':>8}   effect itself, steps  (mrad RMS)")
+    rows = [("plain", Load(0.002)), ("pendulum", Load(0.004, 0.1, 0.1))]
+    rows += [(name, Load(0.002)) for name in sorted((*HAS, "torque_saturation"))]
+    for name, load in rows:
+        effects = (name,) if name not in ("plain", "pendulum") else ()
+        model, bare = servo(load, *effects), servo(load)
+        xml, apart, plain = mujoco(model).text, {}, {}
+        for signal, command in sent.items():
+            expected = predict(model, t, {"j1": command})["j1"]
+            plain[signal] = predict(bare, t, {"j1": command})["j1"] - expected
+            start = {"j1": float(predict(bare, t[:2], {"j1": command[:2]})["j1"][0])}
+            seen = simulate(xml, t, {"j1": command}, start)["j1"]
+            apart[signal] = 1e3 * np.sqrt(np.mean((seen - expected) ** 2))
+        own = 1e3 * np.sqrt(np.mean(plain["steps"] ** 2))
+        print(f"{name:<22}{apart['steps']:8.2f}{apart['sine']:8.2f}{own:12.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""What MkDocs runs while it builds: equations become MathML, which needs no script to be shown.
+
+Two pages are written from the code: the command line and the catalogue of effects.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+
+ROOT = Path(__file__).resolve().parents[1]
+_EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_page_content(content: str, **_: Any) -> str:  # noqa: ANN401 - MkDocs'
+    """Equations as MathML."""
+    return _EQUATION.sub(_mathml, content)
+
+
+def _mathml(found: re.Match[str]) -> str:
+    display = "block" if found[2] == "[" else "inline"
+    return str(convert(html.unescape(found[3]), display=display))
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:  # noqa: ANN401 - MkDocs'
+    """``{{commands}}`` and ``{{effects}}``, where a page asks for them."""
+    if "{{commands}}" in markdown:
+        markdown = markdown.replace("{{commands}}", commands())
+    if "{{effects}}" in markdown:
+        listed = (ROOT / "sim2real" / "effects" / "README.md").read_text(encoding="utf-8")
+        markdown = markdown.replace("{{effects}}", listed.partition("\n")[2])
+    return markdown
+
+
+def commands() -> str:
+    """The help of every command, as the terminal shows it at 88 columns."""
+    import os
+
+    from sim2real.cli import COMMANDS, parser
+
+    os.environ["COLUMNS"] = "88"
+    (several,) = (a for a in parser()._actions if a.dest == "command")
+    shown = []
+    for name, (_home, said) in COMMANDS.items():
+        text = several.choices[name].format_help()  # type: ignore[index, call-overload]
+        shown.append(f"## {name}\n\n{said[0].upper()}{said[1:]}.\n\n```text\n{text}```\n")
+    return "\n".join(shown)

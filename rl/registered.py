@@ -1,0 +1,78 @@
+"""What ``gymnasium.make("sim2real/Fish-v0")`` and ``gymnasium.make_vec`` make.
+
+    env = gymnasium.make("sim2real/Fish-v0", task="turn")
+    envs = gymnasium.make_vec("sim2real/Fish-v0", num_envs=64, fidelity="fluid")
+
+Without files of one's own it is the three-joint fish of Lin, Liu and Wang (IEEE RA-L 2025), its
+body calibrated to the first shipped swim (``datasets/pool``), in the twin.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from rl.env import FishEnv, FishVectorEnv
+from rl.pool import Fidelity, draws_of, make_world
+from rl.task import TASKS
+from rl.world import World
+from sim2real.errors import InputError
+from sim2real.model import Model, read_model
+from sim2real.ranges.entry import Ranges, read_ranges
+from sim2real.robot import Robot, read_robot
+
+File = str | os.PathLike[str]
+FISH = Path(__file__).parent / "fish"
+"""The robot, its calibrated model and its ranges that ship with the package."""
+
+
+def make_fish(*, render_mode: str | None = None, **options: Any) -> FishEnv:  # noqa: ANN401
+    """One robot; options as for ``world_of``."""
+    return FishEnv(world_of(1, **options), render_mode=render_mode)
+
+
+def make_fish_vec(num_envs: int = 1, **options: Any) -> FishVectorEnv:  # noqa: ANN401
+    """Robots in one batch; options as for ``world_of``."""
+    return FishVectorEnv(world_of(num_envs, **options))
+
+
+def world_of(
+    n_envs: int,
+    *,
+    robot: Robot | File = FISH / "robot.toml",
+    model: Model | File = FISH / "model.json",
+    ranges: Ranges | File | None = None,
+    task: str = "point",
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    seed: int = 0,
+) -> World:
+    """The robots at their task.
+
+    Args:
+        n_envs: Number of robots.
+        robot: The robot, or its ``robot.toml``.
+        model: Its servos and body, or ``MODEL.json``.
+        ranges: What episodes are drawn from, or ``ranges.json``; every episode the same robot
+            without noise where None.
+        task: ``point``, ``near``, ``mixed``, ``turn`` or ``pentagram``; see ``rl.task``.
+        fidelity: ``twin`` or ``fluid``.
+        device: ``cpu`` or ``cuda:0``.
+        cell_m: Side of a cell of the fluid, in m.
+        seed: Of what is drawn before the first ``reset(seed=...)``.
+
+    Raises:
+        InputError: If a file is not as its format says, or there is no such task.
+    """
+    if task not in TASKS:
+        raise InputError("sim2real/Fish-v0", "task", repr(task), f"one of {', '.join(TASKS)}")
+    fish = robot if isinstance(robot, Robot) else read_robot(robot)
+    fitted = model if isinstance(model, Model) else read_model(model)
+    drawn = ranges if ranges is None or isinstance(ranges, Ranges) else read_ranges(ranges)
+    draws = draws_of(fitted, drawn, fish, seed)
+    return make_world(
+        fish, TASKS[task], draws, n_envs=n_envs, fidelity=fidelity, device=device, cell_m=cell_m,
+        seed=seed,
+    )  # fmt: skip

@@ -1,0 +1,56 @@
+"""``--json``: the result alone on standard output, for scripts."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Run = Callable[[argparse.Namespace], int]
+
+
+def run_as_json(run: Run) -> Run:
+    """The same command; what it prints goes to standard error, its result to standard output.
+
+    The result is what the command left in ``options.result``, else the JSON file that it wrote,
+    else the name of what it wrote.
+    """
+
+    def quietly(options: argparse.Namespace) -> int:
+        with contextlib.redirect_stdout(sys.stderr):
+            status = run(options)
+        if status == 0:
+            print(json.dumps(plain(_result(options)), allow_nan=False))
+        return status
+
+    return quietly
+
+
+def _result(options: argparse.Namespace) -> Any:  # noqa: ANN401 - any JSON
+    out: Path | None = getattr(options, "out", None)
+    if options.result is not None or out is None:
+        return options.result
+    if out.suffix == ".json":
+        return json.loads(out.read_text(encoding="utf-8"))
+    return {"out": str(out)}
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
+    """A value as JSON has it: dataclasses as objects, arrays as lists, NaN and infinity null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set):
+        return [plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

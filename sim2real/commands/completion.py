@@ -1,0 +1,30 @@
+"""``sim2real completion``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sim2real.cli import parser
+from sim2real.errors import InputError
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the shell's script; files are offered where a command takes one."""
+    try:
+        import shtab
+    except ModuleNotFoundError:
+        found, expected = "no module shtab", "pip install sim2real[completion]"
+        raise InputError("completion", "", found, expected) from None
+    whole = parser()
+    for command in _commands(whole):
+        for action in command._actions:
+            if action.type is Path:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+    print(shtab.complete(whole, shell=options.shell))
+    return 0
+
+
+def _commands(whole: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    several = [a for a in whole._actions if isinstance(a, argparse._SubParsersAction)]
+    return [command for action in several for command in action.choices.values()]

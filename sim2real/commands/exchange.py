@@ -1,0 +1,60 @@
+"""Commands that hand over to other tools, and take over from them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sim2real.commands.command import Command
+
+
+def _export_servo(command: argparse.ArgumentParser) -> None:
+    command.add_argument("model", type=Path, metavar="MODEL", help="MODEL.json")
+    command.add_argument(
+        "--to",
+        required=True,
+        choices=("mujoco", "isaaclab", "genesis", "urdf", "json"),
+        help="the simulator, or the format",
+    )
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
+    command.add_argument("--robot", type=Path, help="robot.toml, for limits and data sheets")
+
+
+def _export_ranges(command: argparse.ArgumentParser) -> None:
+    command.add_argument("ranges", type=Path, metavar="RANGES", help="ranges.json")
+    command.add_argument(
+        "--to", required=True, choices=("isaaclab", "mujoco-playground"), help="the simulator"
+    )
+    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="Python to write")
+
+
+def _robot(command: argparse.ArgumentParser) -> None:
+    command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="what to read")
+    command.add_argument("source", type=Path, metavar="FILE", help="the robot's URDF or MJCF")
+    command.add_argument("--out", type=Path, required=True, metavar="TOML", help="robot.toml")
+    command.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"
+    )
+
+
+COMMANDS = (
+    Command(
+        "robot",
+        "sim2real.commands.robot",
+        _robot,
+        "sim2real robot from-urdf arm.urdf --out robot.toml",
+    ),
+    Command(
+        "export-servo",
+        "sim2real.commands.export_servo",
+        _export_servo,
+        "sim2real export-servo model.json --to mujoco --out servos.xml",
+    ),
+    Command(
+        "export-ranges",
+        "sim2real.commands.export_ranges",
+        _export_ranges,
+        "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
+    ),
+)
+"""In the order in which help lists them."""

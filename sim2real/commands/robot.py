@@ -1,0 +1,40 @@
+"""``sim2real robot``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+
+from sim2real.errors import InputError
+from sim2real.importers.chain import robot_toml
+from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.urdf import read_urdf
+from sim2real.output import check_writable, write_whole
+
+READERS = {"from-urdf": read_urdf, "from-mjcf": read_mjcf}
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write a robot file; print what its owner must fill in, which it says too."""
+    out = check_writable(options.out)
+    if out.resolve() == options.source.resolve():
+        raise InputError(out, "--out", "the file to read", "another file")
+    text, notes = robot_toml(READERS[options.action](options.source), options.joints)
+    head = f"# From {' '.join(options.source.name.splitlines())}."
+    lines = [" ".join(note.splitlines()) for note in notes]
+    text = "\n".join([head, *(f"# not here: {line}" for line in lines), text])
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        expected = "names without control characters"
+        raise InputError(
+            options.source, "", f"names that TOML can't hold ({error})", expected
+        ) from None
+    write_whole(out, text)
+    options.result = {"file": str(out), "not_in_it": lines}
+    print(out)
+    if lines:
+        print("not in it, to be filled in where a command asks for it:")
+        sys.stdout.writelines(f"  {line}\n" for line in lines)
+    return 0

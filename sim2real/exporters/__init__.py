@@ -1,0 +1,1 @@
+"""What was identified, written for other simulators: actuators and randomization ranges."""

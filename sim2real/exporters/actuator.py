@@ -1,0 +1,210 @@
+"""The identified actuator in the terms that simulators share, and the list of what one lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from sim2real.effects import named
+from sim2real.errors import InputError
+from sim2real.model import JointModel, Model
+from sim2real.robot import Joint, Robot
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """One servo: a drive behind a delay, the shaft it turns, and what else was found on it.
+
+    The drive's torque is ``clip(kp (command - position) - kd velocity, -limit, limit) -
+    back_emf velocity``, of which the linear law has neither limit nor back-EMF.
+
+    Attributes:
+        joint: Name of the joint.
+        kp: Proportional gain, N m/rad.
+        kd: Derivative gain inside the drive's limit, N m s/rad.
+        back_emf: Damping outside the limit, N m s/rad; 0 under the law ``pd``. Under ``motor`` it
+            is the slope of the torque-speed line, and ``kd`` what is left of the gain, less than 0
+            where the line damps more than the servo does.
+        limit: Largest torque of the drive in N m, None if no limit was identified.
+        latency: From sending a set-point to its taking effect, s.
+        inertia: On the output shaft, kg m2.
+        gravity: Torque of the stated load held level, N m; position 0 hangs straight down.
+        per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
+        effects: Parameters of the other effects by name, in the catalogue's units.
+        motor: Parameters of the law ``motor`` that are none of these.
+        sheet: The joint's limits and data sheet, if a robot was given.
+    """
+
+    joint: str
+    kp: float
+    kd: float
+    latency: float
+    inertia: float
+    back_emf: float = 0.0
+    limit: float | None = None
+    gravity: float = 0.0
+    per_inertia: bool = False
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    motor: Mapping[str, float] = field(default_factory=dict)
+    sheet: Joint | None = None
+
+    def value(self, effect: str, parameter: str) -> float:
+        """A parameter of an effect, 0 where the joint does not have it."""
+        return self.effects.get(effect, {}).get(parameter, 0.0)
+
+    @property
+    def stall_torque(self) -> float | None:
+        """Largest torque that was identified, else the data sheet's, N m."""
+        if self.limit is not None:
+            return self.limit
+        return self.sheet.servo.max_torque_Nm if self.sheet else None
+
+    @property
+    def no_load_speed(self) -> float | None:
+        """Where the torque-speed line meets zero torque, else the data sheet's, rad/s."""
+        if self.limit is not None and self.back_emf > 0:
+            return self.limit / self.back_emf
+        return self.sheet.servo.no_load_speed_rad_s if self.sheet else None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Something of the model that the target does not have, or has only in part."""
+
+    component: str
+    what: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.component}: {self.what}: {self.why}"
+
+
+@dataclass(frozen=True)
+class Export:
+    """A text for another simulator, and what it leaves out (the text lists that too)."""
+
+    text: str
+    left_out: tuple[LeftOut, ...]
+
+
+def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
+    """The servos of a model, in its order.
+
+    Args:
+        model: The fitted model.
+        robot: Gives limits and data sheets where there is no identified value.
+
+    Raises:
+        InputError: If the model has no joint, an effect that the catalogue lacks or a law that is
+            not known here.
+    """
+    if not model.joints:
+        raise InputError("model", "joints", "none", "at least one identified joint")
+    return tuple(
+        _actuator(name, joint, robot.joint(name) if robot else None)
+        for name, joint in model.joints.items()
+    )
+
+
+def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
+    # Another law of the drive maps onto kd, limit and back_emf, which every exporter knows.
+    law = getattr(joint, "law", "pd")
+    if law not in ("pd", "motor"):
+        raise InputError("model", f"joints.{name}.law", repr(law), "the law 'pd' or 'motor'")
+    motor = {key: value for key, value in getattr(joint, "motor", {}).items() if value}
+    effects: dict[str, dict[str, float]] = {}
+    for fitted in joint.effects:
+        known = {parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters}
+        if unknown := set(fitted.parameters) - known:
+            expected = f"one of {', '.join(sorted(known))}"
+            raise InputError(
+                "model", f"joints.{name}.{fitted.effect}", ", ".join(sorted(unknown)), expected
+            )
+        if any(fitted.parameters.values()):
+            effects[fitted.effect] = dict(fitted.parameters)
+    for key, effect, parameter in MOTOR_TERMS:
+        if key in motor:
+            values = effects.setdefault(effect, {})
+            values[parameter] = values.get(parameter, 0.0) + motor.pop(key)
+    limit, back_emf = motor.pop("stall_torque_Nm", None), 0.0
+    speed = motor.pop("no_load_speed_rad_s", None)
+    if limit is not None:
+        back_emf = limit / speed if speed else joint.kd_Nms_per_rad
+    else:
+        limit = effects.pop("torque_saturation", {}).get("limit_Nm")
+    load = None if joint.per_inertia else joint.load
+    return Actuator(
+        joint=name,
+        kp=joint.kp_Nm_per_rad,
+        kd=joint.kd_Nms_per_rad - back_emf,
+        back_emf=back_emf,
+        latency=joint.latency_s,
+        inertia=load.inertia_kgm2 if load else joint.inertia_kgm2,
+        gravity=load.gravity_Nm if load else 0.0,
+        limit=limit,
+        per_inertia=joint.per_inertia,
+        effects=effects,
+        motor=motor,
+        sheet=sheet,
+    )
+
+
+MOTOR_TERMS = (
+    ("rotor_inertia_kgm2", "unmodelled_inertia", "inertia_kgm2"),
+    ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
+)
+"""Parameters of the law ``motor`` that an effect of the catalogue has too."""
+
+MOTOR_LACKS = {
+    "resistance_rise": "it weakens the motor as its current grows",
+    "loop_period_s": "it holds the drive between two looks of the controller",
+}
+"""What a parameter of the law ``motor`` does; the others are friction that grows with load."""
+
+PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of what the shaft turns"
+
+
+def left_out(
+    given: Actuator, has: Iterable[str], lacks: Mapping[str, str], target: str
+) -> list[LeftOut]:
+    """What a target leaves out of one actuator.
+
+    Args:
+        given: The actuator.
+        has: The effects that it expresses.
+        lacks: Why it lacks an effect, or anything else, where there is something to say.
+        target: Its name.
+    """
+    known = set(has)
+    lines = [LeftOut(given.joint, "unit of the gains", PER_INERTIA)] if given.per_inertia else []
+    for effect, values in given.effects.items():
+        if effect not in known:
+            shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+            why = lacks.get(effect, f"{target} has nothing like it")
+            lines.append(LeftOut(given.joint, f"{effect} ({shown})", why))
+    for name, value in given.motor.items():
+        does = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
+        why = f"{target} has nothing like it: {does}"
+        lines.append(LeftOut(given.joint, f"motor.{name} ({value:.6g})", why))
+    return lines
+
+
+def shared_left_out(model: Model) -> list[LeftOut]:
+    """The effects on supply, link and body, which no actuator of one joint can express."""
+    why = "it belongs to no single joint, and predict leaves it out too"
+    shared = [LeftOut("robot", fitted.effect, why) for fitted in model.effects]
+    if any(model.body.values()):
+        shared.append(LeftOut("robot", "body", "only the actuators are exported"))
+    return shared
+
+
+def comment(lines: Sequence[str], mark: str = "# ") -> str:
+    """Lines as comments of a program; a line break inside one (in a name) does not end it."""
+    return "".join(f"{mark}{' '.join(line.splitlines())}".rstrip() + "\n" for line in lines)
+
+
+def listed(lines: Sequence[LeftOut]) -> list[str]:
+    """What the head of an exported file says of what is not in it."""
+    if not lines:
+        return ["Everything that was identified is expressed."]
+    return ["Not expressed here:", *(f"  {line}" for line in lines)]

@@ -1,0 +1,180 @@
+"""A tree of bodies and hinges, as URDF and MJCF describe robots, made into a ``robot.toml``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim2real.errors import InputError
+from sim2real.recording import Array
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body, in the frame of the base with every joint at 0.
+
+    Attributes:
+        name: Its name.
+        parent: Name of the body that it hangs on; empty for the base.
+        mass: kg; 0 where none is stated.
+        com: Centre of mass in m, shape (3,).
+        inertia: About the centre of mass in kg m2, shape (3, 3).
+    """
+
+    name: str
+    parent: str
+    mass: float
+    com: Array
+    inertia: Array
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A joint that turns ``body`` about ``axis`` through ``origin``, both of shape (3,)."""
+
+    name: str
+    body: str
+    axis: Array
+    origin: Array
+    limits: tuple[float, float] | None = None
+    torque: float | None = None
+    speed: float | None = None
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A robot as another format has it; ``left_out`` says what of it has no place here."""
+
+    file: str
+    name: str
+    bodies: dict[str, Body]
+    hinges: list[Hinge]
+    left_out: tuple[str, ...] = ()
+
+
+def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, list[str]]:
+    """A robot file, and what it leaves out or what its owner must fill in.
+
+    Bodies between two joints become one link, as stiff as at angle 0; joints that are not chosen
+    are stiff too. A link's length is from its joint to the next one's axis, its inertia about an
+    axis through its centre of mass along that of its joint (the head: of its first joint). Joints
+    that branch get no links, as a robot here is a chain.
+
+    Args:
+        tree: The robot.
+        joints: The joints to take, in order; all hinges if None.
+
+    Raises:
+        InputError: If there is no hinge, or a joint is not one.
+    """
+    chosen = _chosen(tree, joints)
+    notes = list(tree.left_out)
+    text = f"name = {_quoted(tree.name)}\n"
+    groups = _groups(tree, chosen)
+    if groups is None:
+        notes.append("links: the joints branch, and a robot here is a chain: choose by --joints")
+    else:
+        for k, group in enumerate(groups):
+            text += _link(tree, chosen, k, group, notes)
+    servos: dict[tuple[float | None, float | None], str] = {}
+    for hinge in chosen:
+        servo = servos.setdefault((hinge.torque, hinge.speed), f"servo{len(servos) + 1}")
+        text += f"\n[[joints]]\nname = {_quoted(hinge.name)}\nservo = {_quoted(servo)}\n"
+        if hinge.limits is not None:
+            text += f"limits_rad = [{hinge.limits[0]:.9g}, {hinge.limits[1]:.9g}]\n"
+        else:
+            notes.append(f"{hinge.name}: limits_rad: not stated")
+    for (torque, speed), name in servos.items():
+        text += f"\n[servos.{name}]\n"
+        for field, value in (("max_torque_Nm", torque), ("no_load_speed_rad_s", speed)):
+            if value is not None and value > 0:
+                text += f"{field} = {value:.9g}\n"
+            else:
+                notes.append(f"{name}: {field}: not stated")
+        notes.append(f"{name}: position_step_rad: take it from the data sheet")
+    if groups is not None:
+        notes.append("links: width_m and height_m: measure them, if the robot is to swim")
+    return text, notes
+
+
+def _chosen(tree: Tree, joints: Sequence[str] | None) -> list[Hinge]:
+    known = {hinge.name: hinge for hinge in tree.hinges}
+    if not known:
+        raise InputError(tree.file, "joints", "no hinge", "at least one joint that turns")
+    if joints and len(set(joints)) != len(joints):
+        raise InputError("--joints", "", ", ".join(joints), "each joint once")
+    for name in joints or ():
+        if name not in known:
+            raise InputError(tree.file, "joints", f"no hinge {name}", f"one of {', '.join(known)}")
+    return [known[name] for name in joints or known]
+
+
+def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]] | None:
+    """The bodies of each link, from head to tail; None where the joints branch."""
+    number = {hinge.body: k + 1 for k, hinge in enumerate(chosen)}
+
+    def link_of(body: str) -> int:
+        while body not in number and tree.bodies[body].parent:
+            body = tree.bodies[body].parent
+        return number.get(body, 0)
+
+    if len(number) != len(chosen):  # two hinges on one body: nothing between them
+        return None
+    for k, hinge in enumerate(chosen):
+        if link_of(tree.bodies[hinge.body].parent) != k:
+            return None
+    groups: list[list[Body]] = [[] for _ in range(len(chosen) + 1)]
+    for body in tree.bodies.values():
+        groups[link_of(body.name)].append(body)
+    return groups
+
+
+def _link(tree: Tree, chosen: Sequence[Hinge], k: int, group: list[Body], notes: list[str]) -> str:
+    """The table of link k; its bodies together, by the parallel axis theorem."""
+    name = tree.bodies[chosen[k - 1].body].name if k else (group[0].name if group else "base")
+    text = f"\n[[links]]\nname = {_quoted(name)}\n"
+    mass = sum(body.mass for body in group)
+    front = chosen[k - 1].origin if k else None
+    back = chosen[k].origin if k < len(chosen) else None
+    length, along = 0.0, np.zeros(3)
+    if front is not None and back is not None:
+        axis = chosen[k - 1].axis
+        along = back - front - axis * float(axis @ (back - front))
+        length = float(np.linalg.norm(along))
+    if mass > 0:
+        text += f"mass_kg = {mass:.9g}\n"
+    else:
+        notes.append(f"{name}: mass_kg: not stated")
+    if length > 1e-9:
+        text += f"length_m = {length:.9g}\n"
+    else:
+        notes.append(f"{name}: length_m: not stated")
+    if mass > 0:
+        com = sum((body.mass * body.com for body in group), np.zeros(3)) / mass
+        if length > 1e-9 and front is not None:
+            place = float(along / length @ (com - front))
+            if place >= 0:
+                text += f"com_m = {place:.9g}\n"
+            else:
+                notes.append(f"{name}: com_m: {place:.3g}, in front of its joint")
+        turned = chosen[max(k - 1, 0)].axis
+        inertia = float(turned @ _about(com, group) @ turned)
+        if inertia > 0:
+            text += f"inertia_kgm2 = {inertia:.9g}\n"
+    return text
+
+
+def _about(com: Array, group: Sequence[Body]) -> Array:
+    """Inertia of bodies together about a point, shape (3, 3)."""
+    total = np.zeros((3, 3))
+    for body in group:
+        arm = body.com - com
+        total += body.inertia + body.mass * (float(arm @ arm) * np.eye(3) - np.outer(arm, arm))
+    return total
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

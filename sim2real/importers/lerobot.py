@@ -1,0 +1,206 @@
+"""LeRobot datasets, formats 2.0, 2.1 and 3.0: what was measured and commanded in one episode.
+
+Layout: https://huggingface.co/docs/lerobot, "LeRobotDataset v3.0". Tables are Parquet, read with
+pyarrow: a file for each episode (2.x), or files of many episodes that ``meta/episodes`` indexes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim2real.errors import InputError
+from sim2real.importers.units import Conversion
+from sim2real.recording import Array, Recording
+from sim2real.structured import Fields, read_json
+
+STATE, ACTION = "observation.state", "action"
+SOURCE = (
+    "LeRobot dataset; its licence is in its README. Set-points stand at the time of their frame, "
+    "as they were sent right after its observation. Loads are unknown."
+)
+
+
+def is_lerobot(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is the folder of a LeRobot dataset."""
+    return (Path(path) / "meta" / "info.json").is_file()
+
+
+def read_lerobot(
+    path: str | os.PathLike[str],
+    conversion: Conversion,
+    *,
+    episode: int | None = None,
+    joints: Sequence[str] | None = None,
+) -> Recording:
+    """Read one episode of a dataset as a recording with unknown loads.
+
+    Args:
+        path: The dataset's folder, with ``meta/info.json`` in it.
+        conversion: Units of the angles, by joint.
+        episode: Its index; may be None where there is only one.
+        joints: The joints to read, all of them if None. Where the dataset does not name its
+            joints: names for all of them, in order. A ``.pos`` at the end of a name is left away.
+
+    Returns:
+        A ``servo`` recording of T rows at the frames' times, from 0.
+
+    Raises:
+        InputError: If the dataset, the episode or a joint is not as expected.
+    """
+    root = Path(path)
+    info = Fields(root / "meta" / "info.json", "", read_json(root / "meta" / "info.json"))
+    index = _episode(info, episode)
+    file = _data_file(root, info, index)
+    frames = _frames(file, index)
+    names = {feature: _names(info, feature, joints) for feature in (STATE, ACTION)}
+    chosen = tuple(joints) if joints else tuple(n for n in names[STATE] if n in names[ACTION])
+    if len(set(chosen)) != len(chosen):
+        raise InputError("--joints", "", ", ".join(chosen), "each joint once")
+    for feature, known in names.items():
+        for joint in chosen or known[:1]:
+            if joint not in known or not chosen:
+                raise InputError(info.file, feature, f"no {joint}", f"one of {', '.join(known)}")
+    t = frames["timestamp"] - frames["timestamp"][0]
+    back = np.flatnonzero(~(np.diff(t) > 0))
+    if back.size:
+        found = f"{t[back[0] + 1]:g} after {t[back[0]]:g}"
+        raise InputError(file, f"timestamp, frame {back[0] + 1}", found, "times that increase")
+    angles = {
+        feature: np.stack(
+            [
+                conversion.radians(joint, _column(frames[feature], k, file, feature), file)
+                for joint in chosen
+                for k in [known.index(joint)]
+            ],
+            axis=1,
+        )
+        for feature, known in names.items()
+    }
+    if not np.isfinite(angles[ACTION]).all():
+        raise InputError(file, ACTION, "a missing value", "a set-point at every frame")
+    return Recording(
+        name=f"{root.resolve().name}_{index}",
+        kind="servo",
+        joints=chosen,
+        t=t,
+        command=angles[ACTION],
+        position=angles[STATE],
+        source=SOURCE,
+        metadata={
+            "original_file": f"{root.resolve().name}/{file.relative_to(root).as_posix()}",
+            "episode": index,
+            "robot_type": info.content.get("robot_type"),
+            "units": {joint or "all": unit for joint, unit in conversion.units.items()},
+        },
+    )
+
+
+def _episode(info: Fields, episode: int | None) -> int:
+    total = int(info.number("total_episodes", low=1))
+    if episode is None and total > 1:
+        raise InputError("--episode", "", "nothing", f"one of the {total} episodes, from 0")
+    index = episode or 0
+    if not 0 <= index < total:
+        raise InputError("--episode", "", str(index), f"0 to {total - 1}")
+    return index
+
+
+def _data_file(root: Path, info: Fields, episode: int) -> Path:
+    """The file that the episode stands in."""
+    version = info.text("codebase_version")
+    if version in ("v2.0", "v2.1"):
+        chunk = episode // int(info.number("chunks_size", 1000, low=1))
+        fields = {"episode_chunk": chunk, "episode_index": episode}
+    elif version.startswith("v3."):
+        fields = _place(root, episode)
+    else:
+        raise info.error("codebase_version", "v2.0, v2.1 or v3.0")
+    try:
+        return root / info.text("data_path").format(**fields)
+    except (LookupError, ValueError, AttributeError):
+        raise info.error("data_path", f"a path with {' and '.join(fields)} in it") from None
+
+
+def _place(root: Path, episode: int) -> dict[str, int]:
+    """Where format 3 says that an episode is: numbers of the chunk and the file in it."""
+    columns = {"chunk_index": "data/chunk_index", "file_index": "data/file_index"}
+    for file in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
+        table = _read(file, ["episode_index", *columns.values()])
+        rows = np.flatnonzero(table["episode_index"] == episode)
+        if rows.size:
+            return {name: int(table[column][rows[0]]) for name, column in columns.items()}
+    folder = root / "meta" / "episodes"
+    raise InputError(folder, "episode_index", f"no episode {episode}", "a row for it")
+
+
+def _frames(file: Path, episode: int) -> dict[str, Array]:
+    table = _read(file, ["timestamp", "episode_index", STATE, ACTION])
+    mine = table.pop("episode_index") == episode
+    if mine.sum() < 2:
+        found = f"{mine.sum()} frames of episode {episode}"
+        raise InputError(file, "episode_index", found, "at least two")
+    return {name: values[mine].astype(np.float64) for name, values in table.items()}
+
+
+def _read(file: Path, columns: list[str]) -> dict[str, Any]:
+    """Columns of a Parquet file, numbers of shape (rows,) and lists of shape (rows, length)."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        expected = "pyarrow: pip install 'sim2real[lerobot]'"
+        raise InputError(file, "", "no package that reads Parquet", expected) from None
+    if not file.is_file():
+        raise InputError(file, "", "no such file", "a Parquet file")
+    try:
+        there = parquet.read_schema(file).names
+        for name in columns:
+            if name not in there:
+                expected = f"one of {', '.join(there)}"
+                raise InputError(file, "columns", f"no {name}", expected)
+        table = parquet.read_table(file, columns=columns)
+    except (pyarrow.ArrowException, OSError) as error:
+        reason = str(error).splitlines()[0][:80]
+        raise InputError(file, "", f"no Parquet ({reason})", "a Parquet file") from None
+    read = {}
+    for name in columns:
+        try:
+            read[name] = np.array(table[name].to_pylist(), dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(file, name, "values of unlike kinds", "numbers throughout") from None
+    return read
+
+
+def _names(info: Fields, feature: str, given: Sequence[str] | None) -> list[str]:
+    """Joints of a feature: as the dataset names them, in a list or a table of one list."""
+    fields = info.table("features").table(feature)
+    names = fields.content.get("names")
+    if isinstance(names, dict) and len(names) == 1:
+        names = next(iter(names.values()))
+    shape = fields.content.get("shape")
+    length = shape[0] if isinstance(shape, list) and len(shape) == 1 else None
+    if not isinstance(length, int) or length < 1:
+        raise fields.error("shape", "the number of joints, in a list")
+    if isinstance(names, list) and len(names) == length:
+        return [str(name).removesuffix(".pos") for name in names]
+    if given is None or len(given) != length:
+        raise InputError(
+            "--joints",
+            "",
+            "none" if given is None else str(len(given)),
+            f"{length} names, as {info.file} has none for {feature}",
+        )
+    return list(given)
+
+
+def _column(values: Array, k: int, file: Path, feature: str) -> Array:
+    if values.ndim != 2 or values.shape[1] <= k:
+        shape = " x ".join(str(n) for n in values.shape)
+        raise InputError(file, feature, f"values of shape {shape}", f"more than {k} in each frame")
+    column: Array = values[:, k]
+    return column

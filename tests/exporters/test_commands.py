@@ -1,0 +1,74 @@
+"""``export-servo`` and ``export-ranges``: what they print, and that nothing is half-written."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+from good_input import MODEL, ROBOT
+
+from sim2real.cli import main
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(MODEL))
+    return path
+
+
+@pytest.mark.parametrize("target", ["mujoco", "isaaclab", "genesis", "urdf", "json"])
+def test_what_is_lacking_is_printed_and_written(
+    model: Path, target: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, robot = model.with_name("out.txt"), model.with_name("robot.toml")
+    robot.write_text(ROBOT)
+    call = ["export-servo", str(model), "--to", target, "--out", str(out), "--robot", str(robot)]
+    assert main(call) == 0
+    first, *listed = capsys.readouterr().out.splitlines()
+    assert first == f"{out}: for {target}"
+    text = out.read_text()
+    if target == "json":
+        assert not listed
+        assert json.loads(text)["joints"]["j1"]["effects"][0]["effect"] == "backlash"
+    else:
+        assert any("backlash (gap_rad = 0.03)" in line for line in listed[1:])
+        assert all(line.strip() in text for line in listed[1:])
+
+
+@pytest.mark.parametrize("target", ["isaaclab", "mujoco-playground"])
+def test_ranges(tmp_path: Path, target: str, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ranges.py"
+    assert (
+        main(["export-ranges", "datasets/pool/ranges.json", "--to", target, "--out", str(out)]) == 0
+    )
+    text = out.read_text()
+    ast.parse(text)
+    assert "position_noise_m" in capsys.readouterr().out
+    assert "position_noise_m" in text
+
+
+def test_refused(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def refused(*call: str, parts: tuple[str, ...]) -> None:
+        assert main([*call]) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        for part in parts:
+            assert part in line
+
+    out = str(model.with_name("out.xml"))
+    refused("export-servo", "no.json", "--to", "urdf", "--out", out, parts=("no such file",))
+    refused(
+        "export-servo", str(model), "--to", "urdf", "--out", str(model.parent), parts=("a folder",)
+    )
+    refused("export-ranges", str(model), "--to", "isaaclab", "--out", out, parts=("schema",))
+    content = json.loads(model.read_text())
+    content["joints"]["j1"]["effects"][0]["parameters"] = {"width": 1}
+    model.write_text(json.dumps(content))
+    refused("export-servo", str(model), "--to", "mujoco", "--out", out, parts=("width", "gap_rad"))
+    assert not Path(out).exists()
+    with pytest.raises(SystemExit) as stop:
+        main(["export-servo", str(model), "--to", "gazebo", "--out", out])
+    assert stop.value.code == 2

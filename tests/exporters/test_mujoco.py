@@ -1,0 +1,254 @@
+"""The exported MuJoCo model moves as `predict` says, and says what it cannot do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import steps
+
+from sim2real.effects import CATALOGUE
+from sim2real.errors import InputError
+from sim2real.exporters.mujoco import HAS, LACKS, mujoco
+from sim2real.exporters.mujoco_bench import simulate
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.recording import Load, read_recording
+from sim2real.robot import read_robot
+from sim2real.servo.identify import identify
+from sim2real.servo.predict import predict
+
+SERVO_STEPS = Path("datasets/servo_steps")
+WITHIN_RAD = 1e-3
+TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
+TYPICAL["cogging"]["phase_rad"] = 0.7
+ROUGH = {"stribeck_friction"}  # expressed, but not within a milliradian at this timestep
+
+
+def servo(load: Load | None = None, **effects: dict[str, float]) -> Model:
+    load = load or Load(0.002)
+    fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
+    return Model(
+        {"j1": JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=fitted)}
+    )
+
+
+def commands() -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Ten seconds at 50 Hz with jitter: random steps, and a sine that quickens to 1.2 Hz."""
+    rng = np.random.default_rng(3)
+    t = 0.02 * np.arange(500)
+    t[1:] += rng.uniform(-0.002, 0.002, t.size - 1)
+    return t, {"steps": steps(t, rng), "sine": 0.5 * np.sin(2 * np.pi * (0.2 + 0.1 * t) * t)}
+
+
+def apart(model: Model) -> float:
+    """RMS difference of MuJoCo and `predict` in rad, the larger of two signals."""
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    t, signals = commands()
+    xml, worst = mujoco(model).text, 0.0
+    bare = Model({"j1": JointModel(**(vars(model.joints["j1"]) | {"effects": ()}))})
+    for sent in signals.values():
+        expected = predict(model, t, {"j1": sent})["j1"]
+        start = {"j1": float(predict(bare, t[:2], {"j1": sent[:2]})["j1"][0])}
+        seen = simulate(xml, t, {"j1": sent}, start)["j1"]
+        worst = max(worst, float(np.sqrt(np.mean((seen - expected) ** 2))))
+    return worst
+
+
+def moved_by(model: Model) -> float:
+    """RMS of what the effects of a model change in rad, the larger of two signals."""
+    t, signals = commands()
+    bare = Model({"j1": JointModel(**(vars(model.joints["j1"]) | {"effects": ()}))})
+    both = [[predict(m, t, {"j1": u})["j1"] for m in (model, bare)] for u in signals.values()]
+    return max(float(np.sqrt(np.mean((with_it - without) ** 2))) for with_it, without in both)
+
+
+@pytest.mark.parametrize("load", [Load(0.002), Load(0.004, 0.1, 0.1)], ids=["inertia", "pendulum"])
+def test_a_plain_servo(load: Load) -> None:
+    assert apart(servo(load)) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("effect", sorted({*HAS, "torque_saturation"} - ROUGH))
+def test_each_effect_that_maps(effect: str) -> None:
+    model = servo(**{effect: TYPICAL[effect]})
+    assert not mujoco(model).left_out
+    assert moved_by(model) > 3 * WITHIN_RAD  # else agreement would show nothing
+    assert apart(model) < WITHIN_RAD
+
+
+def test_rough_friction_is_mostly_there_and_said_to_be_rough() -> None:
+    model = servo(stribeck_friction=TYPICAL["stribeck_friction"])
+    assert "bristles" in str(*mujoco(model).left_out)
+    assert apart(model) < 0.25 * moved_by(model)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ("coulomb_friction", "torque_saturation", "compliance", "unmodelled_inertia"),
+        ("rate_limit", "quadratic_drag", "gravity_load", "sensor_gain"),
+        ("command_filter", "asymmetric_friction", "torque_saturation", "sensor_offset"),
+        ("integral_action", "cogging", "presliding_friction"),
+    ],
+)
+def test_several_effects_together(effects: tuple[str, ...]) -> None:
+    model = servo(Load(0.004, 0.1, 0.1), **{name: TYPICAL[name] for name in effects})
+    assert not mujoco(model).left_out
+    assert apart(model) < WITHIN_RAD
+
+
+def test_inertia_that_the_load_overstates() -> None:
+    assert apart(servo(unmodelled_inertia={"inertia_kgm2": -0.0005})) < WITHIN_RAD
+
+
+def test_a_weight_that_pulls_up() -> None:
+    assert apart(servo(gravity_load={"torque_Nm": -0.1})) < WITHIN_RAD
+
+
+def test_a_servo_identified_from_recordings_on_the_one_held_out() -> None:
+    robot = read_robot(SERVO_STEPS / "robot.toml")
+    names = ("steps", "square", "sine", "chirp")
+    recordings = [read_recording(SERVO_STEPS / f"{name}.csv") for name in names]
+    model = identify(recordings, robot)
+    chirp = recordings[-1]
+    sent = {joint: chirp.command[:, j] for j, joint in enumerate(chirp.joints)}
+    expected = predict(model, chirp.t, sent, chirp.loads)
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    seen = simulate(mujoco(model).text, chirp.t, sent)
+    for j, joint in enumerate(chirp.joints):
+        assert np.sqrt(np.mean((seen[joint] - expected[joint]) ** 2)) < WITHIN_RAD
+        error = [np.nanstd(chirp.position[:, j] - x[joint]) for x in (seen, expected)]
+        assert error[0] == pytest.approx(error[1], rel=0.05)  # as near to what was measured
+
+
+def test_without_delays_the_bench_holds_commands_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    t, signals = commands()
+    xml = mujoco(servo()).text
+    assert xml.count("delay") == 1
+    monkeypatch.setattr("sim2real.exporters.mujoco.version", lambda package: "3.4.0")
+    export = mujoco(servo())
+    assert "MuJoCo 3.4.0 has no delays" in str(*export.left_out)
+    old = export.text
+    assert "delay=" not in old
+    now, then = (simulate(x, t, {"j1": signals["steps"]})["j1"] for x in (xml, old))
+    assert np.sqrt(np.mean((now - then) ** 2)) < WITHIN_RAD
+
+
+def test_every_effect_is_expressed_or_listed_with_a_reason() -> None:
+    for effect in CATALOGUE:
+        export = mujoco(servo(**{effect.name: TYPICAL[effect.name]}))
+        if effect.name in {*HAS, "torque_saturation"} - ROUGH:
+            assert "Everything that was identified is expressed." in export.text
+        else:
+            (line,) = export.left_out
+            assert effect.name in str(line)
+            assert str(line) in export.text.replace("- -", "--")
+    assert not set(HAS) & set(LACKS)
+    assert {e.name for e in CATALOGUE} == {*HAS, *LACKS}
+
+
+def test_what_no_combination_has_is_listed() -> None:
+    model = servo(rate_limit=TYPICAL["rate_limit"], command_filter=TYPICAL["command_filter"])
+    assert "command_filter (0.03 s)" in str(*mujoco(model).left_out)
+    model = servo(rate_limit=TYPICAL["rate_limit"], sensor_offset=TYPICAL["sensor_offset"])
+    assert "constant torque" in str(*mujoco(model).left_out)
+
+
+def test_effects_of_the_whole_robot_are_listed() -> None:
+    model = Model(
+        servo().joints, effects=(FittedEffect("voltage_sag", {"loss_at_full_load": 0.2}),)
+    )
+    assert "robot: voltage_sag" in str(*mujoco(model).left_out)
+
+
+def test_limits_of_the_robot_become_ranges() -> None:
+    robot = read_robot(SERVO_STEPS / "robot.toml")
+    assert 'range="-0.8 0.8"' in mujoco(servo(), robot).text
+
+
+def test_gains_per_inertia_are_said_to_be() -> None:
+    model = Model({"j1": JointModel(1100, 30, 0.05, 1.0, per_inertia=True)})
+    assert "per kg m2" in str(*mujoco(model).left_out)
+
+
+def test_bad_models(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least one identified joint"):
+        mujoco(Model({}))
+    with pytest.raises(InputError, match="ghost"):
+        mujoco(servo(ghost={"x": 1.0}))
+    with pytest.raises(InputError, match="j1.backlash: found width, expected one of gap_rad"):
+        mujoco(servo(backlash={"width": 1.0}))
+
+
+def test_bench_names_a_joint_that_is_not_there() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    with pytest.raises(InputError, match="j7.*one of j1"):
+        simulate(mujoco(servo()).text, np.array([0.0, 1.0]), {"j7": np.zeros(2)})
+
+
+def motor(**parameters: float) -> Model:
+    """A servo whose drive clips before the back-EMF."""
+    joint = servo().joints["j1"]
+    object.__setattr__(joint, "law", "motor")
+    object.__setattr__(joint, "motor", parameters)
+    return Model({"j1": joint})
+
+
+def clipped(t: np.ndarray, command: np.ndarray, limit: float, speed: float) -> np.ndarray:
+    """The same by its equations: 2.2 e - 0.06 v within the torque-speed line, 50.7 ms late."""
+    step = 5e-5
+    angle = velocity = 0.0
+    ticks = np.arange(0, t[-1] + step, step)
+    sent = command[np.maximum(np.searchsorted(t + 0.0507, ticks, side="right") - 1, 0)]
+    angles = np.empty(ticks.size)
+    slope = limit / speed
+    for k, u in enumerate(sent.tolist()):
+        angles[k] = angle
+        drive = 2.2 * (u - angle - 0.5 * step * velocity) - (0.06 - slope) * velocity
+        torque = min(max(drive, -limit), limit) - slope * velocity
+        before = velocity
+        velocity += step * torque / 0.002
+        angle += step * 0.5 * (before + velocity)
+    return np.interp(t, ticks, angles)
+
+
+def test_a_drive_that_clips_before_the_back_emf() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    t, signals = commands()
+    model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
+    export = mujoco(model)
+    assert not export.left_out
+    for sent in signals.values():
+        expected = clipped(t, sent, 0.6, 4.0)
+        seen = simulate(export.text, t, {"j1": sent})["j1"]
+        assert np.sqrt(np.mean((seen - expected) ** 2)) < WITHIN_RAD
+    linear = simulate(mujoco(servo()).text, t, {"j1": signals["steps"]})["j1"]
+    seen = simulate(export.text, t, {"j1": signals["steps"]})["j1"]
+    assert np.sqrt(np.mean((seen - linear) ** 2)) > 10 * WITHIN_RAD
+
+
+def test_a_motor_that_a_pid_must_run_is_listed() -> None:
+    model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
+    effects = (FittedEffect("rate_limit", TYPICAL["rate_limit"]),)
+    object.__setattr__(model.joints["j1"], "effects", effects)
+    export = mujoco(model)
+    assert "clips before the back-EMF" in str(*export.left_out)
+    assert 'kv="0.06"' in export.text
+    assert "damping" not in export.text
+
+
+def test_what_else_the_motor_has_is_expressed_or_listed() -> None:
+    terms = {"stall_torque_Nm": 0.6, "rotor_inertia_kgm2": 0.001, "coulomb_Nm": 0.02}
+    export = mujoco(motor(**terms, resistance_rise=0.3, load_friction=0.1))
+    assert 'armature="0.001"' in export.text
+    assert 'frictionloss="0.02"' in export.text
+    assert 'damping="0.06"' in export.text  # no speed is known: the gain itself is the back-EMF
+    assert [line.what for line in export.left_out] == [
+        "motor.resistance_rise (0.3)",
+        "motor.load_friction (0.1)",
+    ]
+    joint = servo().joints["j1"]
+    object.__setattr__(joint, "law", "magic")
+    with pytest.raises(InputError, match="'magic'.*'pd' or 'motor'"):
+        mujoco(Model({"j1": joint}))

@@ -1,0 +1,195 @@
+"""Exported ranges compile, and draw what the ranges say."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim2real.exporters.ranges import terms
+from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
+from sim2real.exporters.ranges_playground import playground_ranges
+from sim2real.ranges.entry import Range, Ranges, normal, read_ranges, uniform
+
+EXPORTS = (isaaclab_ranges, playground_ranges)
+RANGES = Ranges(
+    (
+        uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
+        normal("j1.latency_offset_s", -0.01, 0.001, "s", "windows"),
+        normal("j1.kp_Nm_per_rad", 2.1, 0.05, "N m/rad", "posterior,\nof j1"),
+        uniform("j1.kd_Nms_per_rad", 0.05, 0.07, "N m s/rad", "posterior"),
+        uniform("arm.j2.kp_Nm_per_rad", 1.8, 1.9, "N m/rad", "posterior"),
+        normal("j1.coulomb_friction.torque_Nm", 0.03, 0.004, "N m", "posterior"),
+        uniform("arm.j2.unmodelled_inertia.inertia_kgm2", 0.001, 0.002, "kg m2", "posterior"),
+        normal("j1.backlash.gap_rad", 0.02, 0.001, "rad", "posterior"),
+        normal("j1.position_noise_rad", 0.0, 0.002, "rad", "noise", "step"),
+        uniform("arm.j2.position_noise_rad", -0.001, 0.001, "rad", "noise", "step"),
+        normal("body.yaw_noise_rad", 0.0, 0.01, "rad", "noise", "step"),
+        normal("body.normalised_density.tail", 1.0, 0.05, "", "scale"),
+        uniform("packet_loss.probability", 0.0, 0.05, "", "posterior"),
+    )
+)
+LACKED = {
+    "spread of latency_offset_s",
+    "backlash.gap_rad",
+    "position_noise_rad",  # a uniform one
+    "yaw_noise_rad",
+    "normalised_density.tail",
+    "packet_loss.probability",
+}
+
+
+def test_names_are_taken_apart() -> None:
+    found = {term.range.parameter: (term.joint, term.quantity) for term in terms(RANGES)}
+    assert found["command_latency_s"] == ("robot", "command_latency_s")
+    assert found["arm.j2.kp_Nm_per_rad"] == ("arm.j2", "kp_Nm_per_rad")
+    assert found["arm.j2.unmodelled_inertia.inertia_kgm2"][0] == "arm.j2"
+    assert found["body.normalised_density.tail"] == ("body", "normalised_density.tail")
+    assert found["packet_loss.probability"] == ("robot", "packet_loss.probability")
+
+
+@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
+def test_what_a_target_lacks_is_listed_there(export: Any) -> None:
+    made = export(RANGES)
+    assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED
+    head = [node for node in made.text.splitlines() if node.startswith("#")]
+    assert all(f"#   {line}" in head for line in made.left_out)
+
+
+@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
+def test_shipped_ranges_compile_and_keep_their_values(export: Any) -> None:
+    ranges = read_ranges("datasets/pool/ranges.json")
+    text = export(ranges).text
+    numbers = {
+        float(node.value)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Constant) and isinstance(node.value, float)
+    }
+    gains = [entry for entry in ranges.entries if re.search(r"\.k[pd]_", entry.parameter)]
+    assert len(gains) == 6
+    for entry in gains:
+        assert {entry.first, entry.second} <= numbers
+
+
+def test_isaaclab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    def kept(**fields: Any) -> SimpleNamespace:
+        return SimpleNamespace(**fields)
+
+    mdp = ModuleType("isaaclab.envs.mdp")
+    mdp.randomize_actuator_gains, mdp.randomize_joint_parameters = "gains", "joint"  # type: ignore[attr-defined]
+    managers, utils = ModuleType("isaaclab.managers"), ModuleType("isaaclab.utils")
+    managers.EventTermCfg = kept  # type: ignore[attr-defined]
+    managers.SceneEntityCfg = lambda name, joint_names: (name, joint_names)  # type: ignore[attr-defined]
+    utils.configclass = lambda cls: cls  # type: ignore[attr-defined]
+    envs = ModuleType("isaaclab.envs")
+    envs.mdp = mdp  # type: ignore[attr-defined]
+    package = ModuleType("isaaclab")
+    package.envs = envs  # type: ignore[attr-defined]
+    for module in (package, envs, mdp, managers, utils):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    space: dict[str, Any] = {}
+    exec(compile(isaaclab_ranges(RANGES).text, "exported.py", "exec"), space)
+    found = [
+        (one.func, *one.params["asset_cfg"][1], *list(one.params.items())[1], one.params)
+        for name, one in vars(space["RandomizationCfg"]).items()
+        if name.startswith("draw_")
+    ]
+    assert [line[:4] for line in found] == [
+        ("gains", "j1", "stiffness_distribution_params", (2.1, 0.05)),
+        ("gains", "j1", "damping_distribution_params", (0.05, 0.07)),
+        ("gains", r"arm\.j2", "stiffness_distribution_params", (1.8, 1.9)),
+        ("joint", "j1", "friction_distribution_params", (0.03, 0.004)),
+        ("joint", r"arm\.j2", "armature_distribution_params", (0.001, 0.002)),
+    ]
+    drawn = [line[4]["distribution"] for line in found]
+    assert drawn == ["gaussian", "uniform", "uniform", "gaussian", "uniform"]
+    assert space["DELAY_S"]["j1"] == pytest.approx((0.03, 0.07))
+    assert space["delay_steps"]("arm.j2", 0.005) == (8, 16)
+    assert space["JOINT_POS_NOISE_SD"] == {"j1": 0.002}
+
+
+class Values(np.ndarray):
+    """An array with JAX's way of setting values."""
+
+    @property
+    def at(self) -> Any:
+        whole = self
+
+        class At:
+            def __getitem__(self, where: Any) -> SimpleNamespace:
+                def put(value: float) -> Values:
+                    changed = whole.copy()
+                    changed[where] = value
+                    return changed
+
+                return SimpleNamespace(set=put)
+
+        return At()
+
+
+class Tree(SimpleNamespace):
+    def tree_replace(self, fields: dict[str, Any]) -> Tree:
+        return Tree(**(vars(self) | fields))
+
+
+def test_playground_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the mean of each distribution in place of a draw."""
+    jax, numpy = ModuleType("jax"), ModuleType("jax.numpy")
+    numpy.maximum = np.maximum  # type: ignore[attr-defined]
+    jax.numpy = numpy  # type: ignore[attr-defined]
+    jax.vmap = lambda f: (
+        lambda keys: {  # type: ignore[attr-defined]
+            name: np.stack([f(key)[name] for key in keys]) for name in f(keys[0])
+        }
+    )
+    jax.random = SimpleNamespace(  # type: ignore[attr-defined]
+        split=lambda rng: (rng, rng),
+        uniform=lambda key, minval, maxval: (minval + maxval) / 2,
+        normal=lambda key: 0.0,
+    )
+    jax.tree_util = SimpleNamespace(  # type: ignore[attr-defined]
+        tree_map=lambda f, tree: Tree(**{name: f(x) for name, x in vars(tree).items()})
+    )
+    monkeypatch.setitem(sys.modules, "jax", jax)
+    monkeypatch.setitem(sys.modules, "jax.numpy", numpy)
+    space: dict[str, Any] = {}
+    exec(compile(playground_ranges(RANGES).text, "exported.py", "exec"), space)
+    number = {"j1": 1, "arm.j2": 0}
+    mj_model = SimpleNamespace(
+        actuator=lambda name: SimpleNamespace(id=number[name]),
+        joint=lambda name: SimpleNamespace(dofadr=[number[name]]),
+    )
+    model = Tree(
+        actuator_gainprm=np.zeros((2, 3)).view(Values),
+        actuator_biasprm=np.zeros((2, 3)).view(Values),
+        dof_frictionloss=np.zeros(2).view(Values),
+        dof_armature=np.zeros(2).view(Values),
+        opt=0,
+    )
+    drawn, axes = space["randomizer"](mj_model)(model, [0, 1, 2])
+    assert drawn.actuator_gainprm.shape == (3, 2, 3)
+    assert drawn.actuator_gainprm[0, :, 0] == pytest.approx([1.85, 2.1])
+    assert drawn.actuator_biasprm[0, 1] == pytest.approx([0, -2.1, -0.06])
+    assert drawn.dof_frictionloss[0] == pytest.approx([0, 0.03])
+    assert drawn.dof_armature[0] == pytest.approx([0.0015, 0])
+    assert (axes.actuator_gainprm, axes.opt) == (0, None)
+
+
+@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
+def test_latency_without_joints_is_listed(export: Any) -> None:
+    made = export(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
+    assert "name no joint" in str(*made.left_out)
+    ast.parse(made.text)
+
+
+@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
+def test_a_normal_latency_is_drawn_within_two_deviations(export: Any) -> None:
+    latency = Range("command_latency_s", "normal", 0.06, 0.01, "s", "episode", "windows")
+    made = export(Ranges((latency, uniform("j1.kp_Nm_per_rad", 1, 2, "N m/rad", "model"))))
+    assert "(0.039999999999999994, 0.08)" in made.text or "(0.04, 0.08)" in made.text
+    assert "two standard deviations" in str(*made.left_out)

@@ -1,0 +1,121 @@
+"""Writes small LeRobot datasets in the exact layout of formats 2.1 and 3.0.
+
+The layouts are those of the public documentation (huggingface.co/docs/lerobot) and of published
+datasets' ``meta/info.json``: the same folders, columns and types, without videos.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+MOTORS = ["shoulder_pan", "elbow_flex", "gripper"]
+FPS = 30
+INDICES = {
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+
+
+def dataset(
+    root: Path,
+    version: str,
+    episodes: list[tuple[np.ndarray, np.ndarray]],
+    names: Any = "default",
+) -> Path:
+    """A dataset of episodes, each a state and an action of shape (T, J)."""
+    length = episodes[0][0].shape[1]
+    if names == "default":
+        names = [f"{motor}.pos" for motor in MOTORS] if version == "v3.0" else {"motors": MOTORS}
+    vector = {"dtype": "float32", "shape": [length], "names": names}
+    scalar = {"shape": [1], "names": None}
+    features = {"action": vector, "observation.state": vector}
+    features["timestamp"] = {"dtype": "float32", **scalar}
+    features |= {name: {"dtype": dtype, **scalar} for name, dtype in INDICES.items()}
+    info: dict[str, Any] = {
+        "codebase_version": version,
+        "robot_type": "so101_follower",
+        "total_episodes": len(episodes),
+        "total_frames": sum(len(state) for state, _ in episodes),
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "fps": FPS,
+        "splits": {"train": f"0:{len(episodes)}"},
+        "features": features,
+        "video_path": None,
+    }
+    tables = _tables(episodes)
+    lengths = [len(state) for state, _ in episodes]
+    if version == "v3.0":
+        info |= {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
+        info["data_path"] = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+        _write(pa.concat_tables(tables), root / "data" / "chunk-000" / "file-000.parquet")
+        starts = np.cumsum([0, *lengths])
+        index = {
+            "episode_index": list(range(len(episodes))),
+            "data/chunk_index": [0] * len(episodes),
+            "data/file_index": [0] * len(episodes),
+            "dataset_from_index": [int(k) for k in starts[:-1]],
+            "dataset_to_index": [int(k) for k in starts[1:]],
+            "tasks": [["wave"]] * len(episodes),
+            "length": lengths,
+        }
+        _write(pa.table(index), root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+        tasks = pa.table({"task_index": [0], "__index_level_0__": ["wave"]})
+        _write(tasks, root / "meta" / "tasks.parquet")
+    else:
+        info |= {"total_videos": 0, "total_chunks": 1}
+        path = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+        info["data_path"] = path
+        for k, table in enumerate(tables):
+            _write(table, root / path.format(episode_chunk=0, episode_index=k))
+        rows = [{"episode_index": k, "tasks": ["wave"], "length": n} for k, n in enumerate(lengths)]
+        (root / "meta").mkdir(parents=True, exist_ok=True)
+        lines = "".join(json.dumps(row) + "\n" for row in rows)
+        (root / "meta" / "episodes.jsonl").write_text(lines)
+        (root / "meta" / "tasks.jsonl").write_text('{"task_index": 0, "task": "wave"}\n')
+    (root / "meta" / "info.json").write_text(json.dumps(info, indent=4))
+    return root
+
+
+def calibration(path: Path) -> Path:
+    """A calibration file of these motors, as ``lerobot-calibrate`` writes it."""
+    ranges = {"shoulder_pan": (754, 3230), "elbow_flex": (862, 3054), "gripper": (1903, 3135)}
+    content = {
+        name: {"id": k + 1, "drive_mode": 0, "homing_offset": -12, "range_min": a, "range_max": b}
+        for k, (name, (a, b)) in enumerate(ranges.items())
+    }
+    path.write_text(json.dumps(content, indent=4))
+    return path
+
+
+def _tables(episodes: list[tuple[np.ndarray, np.ndarray]]) -> list[pa.Table]:
+    tables, first = [], 0
+    for number, (state, action) in enumerate(episodes):
+        length, joints = state.shape
+        frames = np.arange(length)
+        vector = pa.list_(pa.float32(), joints)
+        columns = {
+            "action": pa.array([list(map(float, row)) for row in action], vector),
+            "observation.state": pa.array([list(map(float, row)) for row in state], vector),
+            "timestamp": pa.array((frames / FPS).astype(np.float32)),
+            "frame_index": pa.array(frames),
+            "episode_index": pa.array(np.full(length, number)),
+            "index": pa.array(first + frames),
+            "task_index": pa.array(np.zeros(length, dtype=np.int64)),
+        }
+        tables.append(pa.table(columns))
+        first += length
+    return tables
+
+
+def _write(table: pa.Table, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    parquet.write_table(table, path)

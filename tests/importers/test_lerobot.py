@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from good_input import message
+
+from sim2real.cli import main
+from sim2real.importers.lerobot import read_lerobot
+from sim2real.importers.units import conversion
+from sim2real.recording import read_recording
+from sim2real.servo.predict import predict
+
+pytest.importorskip("pyarrow", reason="LeRobot datasets are read with pyarrow")
+
+from lerobot_files import FPS, MOTORS, calibration, dataset
+
+VERSIONS = ("v2.1", "v3.0")
+RNG = np.random.default_rng(5)
+EPISODES = [(RNG.uniform(-40, 40, (n, 3)), RNG.uniform(-40, 40, (n, 3))) for n in (20, 35)]
+DEGREES = conversion(["deg"])
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
+    root = dataset(tmp_path / "arm", version, EPISODES)
+    for number, (state, action) in enumerate(EPISODES):
+        recording = read_lerobot(root, DEGREES, episode=number)
+        assert recording.joints == tuple(MOTORS)
+        assert recording.t == pytest.approx(np.arange(len(state)) / FPS, abs=1e-6)
+        assert recording.position == pytest.approx(np.radians(state), abs=1e-5)
+        assert recording.command == pytest.approx(np.radians(action), abs=1e-5)
+        assert not recording.loads
+        assert recording.metadata["robot_type"] == "so101_follower"
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_normalised_units_by_the_calibration_file(tmp_path: Path, version: str) -> None:
+    state = np.array([[-100, 0, 0], [100, 50, 100.0], [0, 0, 50]])
+    root = dataset(tmp_path / "arm", version, [(state, state)])
+    file = calibration(tmp_path / "follower_arm.json")
+    units = conversion(["range_m100_100", "gripper=range_0_100"], 4096, None, file)
+    seen = read_lerobot(root, units).position
+    turn = 2 * math.pi / 4096
+    assert seen[:, 0] == pytest.approx([-1238 * turn, 1238 * turn, 0], abs=1e-6)
+    assert seen[:, 1] == pytest.approx([0, 548 * turn, 0], abs=1e-6)
+    assert seen[:, 2] == pytest.approx([-616 * turn, 616 * turn, 0], abs=1e-6)
+
+
+def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
+    root = dataset(tmp_path / "arm", "v3.0", EPISODES)
+    some = read_lerobot(root, DEGREES, episode=0, joints=["gripper", "shoulder_pan"])
+    assert some.joints == ("gripper", "shoulder_pan")
+    assert some.position == pytest.approx(np.radians(EPISODES[0][0][:, [2, 0]]), abs=1e-5)
+    bare = dataset(tmp_path / "bare", "v3.0", EPISODES, names=None)
+    named = read_lerobot(bare, DEGREES, episode=0, joints=["a", "b", "c"])
+    assert named.position[:, 1] == pytest.approx(np.radians(EPISODES[0][0][:, 1]), abs=1e-5)
+    message(lambda: read_lerobot(bare, DEGREES, episode=0), "--joints", "3 names")
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_from_dataset_to_gains(tmp_path: Path, version: str) -> None:
+    """Two servos at 30 Hz, in degrees and float32, are identified through the command line."""
+    from simulated import steps
+
+    from sim2real.model import JointModel, Model, read_model
+
+    truth = Model({name: JointModel(900.0, 28.0, 0.06, 1.0) for name in MOTORS})
+    rng = np.random.default_rng(1)
+    t = np.arange(30 * FPS) / FPS
+    sent = {name: steps(t, rng) for name in MOTORS}
+    seen = predict(truth, t, sent)
+    state = np.degrees(np.stack([seen[name] for name in MOTORS], axis=1))
+    state += rng.normal(0, 0.05, state.shape)
+    action = np.degrees(np.stack([sent[name] for name in MOTORS], axis=1))
+    root = dataset(tmp_path / "arm", version, [(state, action)])
+    out, model = tmp_path / "arm.csv", tmp_path / "model.json"
+    assert main(["import", str(root), "--units", "deg", "--out", str(out)]) == 0
+    assert read_recording(out).joints == tuple(MOTORS)
+    robot = "name = 'arm'\n" + "".join(
+        f"[[joints]]\nname = '{n}'\nservo = 's'\nlimits_rad = [-2, 2]\n" for n in MOTORS
+    )
+    robot += "[servos.s]\nmax_torque_Nm = 1\nno_load_speed_rad_s = 5\nposition_step_rad = 0\n"
+    (tmp_path / "robot.toml").write_text(robot)
+    arguments = ["--robot", str(tmp_path / "robot.toml"), "--out", str(model), "--no-plots"]
+    assert main(["identify", str(out), *arguments]) == 0
+    for joint in read_model(model).joints.values():
+        assert joint.kp_Nm_per_rad == pytest.approx(900, rel=0.03)
+        assert joint.kd_Nms_per_rad == pytest.approx(28, rel=0.03)
+        assert joint.latency_s == pytest.approx(0.06, abs=0.001)
+
+
+def spoiled(root: Path, **fields: object) -> Path:
+    file = root / "meta" / "info.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | fields))
+    return root
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_bad_input(tmp_path: Path, version: str) -> None:
+    root = dataset(tmp_path / "arm", version, EPISODES)
+
+    def read(units=DEGREES, episode=0, joints=None):
+        return lambda: read_lerobot(root, units, episode=episode, joints=joints)
+
+    message(read(episode=None), "--episode", "one of the 2")
+    message(read(episode=2), "--episode", "0 to 1")
+    message(read(joints=["wrist"]), "no wrist", "shoulder_pan")
+    message(read(joints=["gripper", "gripper"]), "--joints", "each joint once")
+    message(read(conversion(["elbow_flex=deg"])), "--units", "none for shoulder_pan")
+    message(read(conversion(["rad"])), "if angles are rad", "at most 12.6 rad")
+    message(read(conversion(["range_m100_100"])), "--calibration")
+    file = calibration(tmp_path / "c.json")
+    message(read(conversion(["range_m100_100"], None, None, file)), "--counts-per-turn")
+    bad = json.loads(file.read_text())
+    bad["shoulder_pan"]["range_max"] = 754
+    file.write_text(json.dumps(bad))
+    message(read(conversion(["range_m100_100"], 4096, None, file)), "shoulder_pan.range_max", "754")
+    data = min((root / "data").rglob("*.parquet"))
+    data.write_bytes(data.read_bytes()[:200])
+    message(read(), data.name, "no Parquet")
+    data.unlink()
+    message(read(), data.name, "no such file")
+    spoiled(root, codebase_version="v1.6")
+    message(read(), "codebase_version", "v2.0, v2.1 or v3.0")
+    spoiled(root, codebase_version=version, data_path="data/{nothing}.parquet")
+    message(read(), "data_path")
+
+
+def test_units_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
+    assert main(["import", str(root), "--out", str(tmp_path / "x.csv")]) == 2
+    assert "--units: found nothing" in capsys.readouterr().err
+    assert not (tmp_path / "x.csv").exists()
+    message(lambda: conversion(["degrees"]), "--units", "'degrees'", "deg")
+    message(lambda: conversion(["deg", "rad"]), "--units", "two for all joints")

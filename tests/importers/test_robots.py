@@ -1,0 +1,193 @@
+"""Robots from URDF and MJCF: both formats of one arm give the same chain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from good_input import message
+
+from sim2real.cli import main
+from sim2real.importers.chain import robot_toml
+from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.urdf import read_urdf
+from sim2real.robot import Robot, read_robot
+
+# A base, an upper arm of 0.3 m with a plate welded to it, turned by a quarter about x, and a
+# forearm. Their masses, centres and inertias are chosen so that the sums are easy by hand.
+URDF = """<?xml version="1.0"?>
+<robot name="arm">
+  <link name="base"><inertial><mass value="2"/>
+    <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/><child link="upper"/>
+    <origin xyz="0 0 0.1" rpy="1.5707963267948966 0 0"/><axis xyz="0 0 2"/>
+    <limit lower="-1" upper="1.5" effort="3" velocity="6"/>
+  </joint>
+  <link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+    <inertia ixx="0.001" iyy="0.004" izz="0.005" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="weld" type="fixed"><parent link="upper"/><child link="plate"/>
+    <origin xyz="0.3 0 0"/></joint>
+  <link name="plate"><inertial><mass value="1"/>
+    <inertia ixx="0" iyy="0" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="continuous">
+    <parent link="plate"/><child link="fore"/>
+    <origin xyz="0 0 0.05"/><axis xyz="0 0 1"/><limit effort="3" velocity="6"/>
+  </joint>
+  <link name="fore"><inertial><origin xyz="0.05 0 0"/><mass value="0.5"/>
+    <inertia ixx="0.001" iyy="0.001" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>
+"""
+MJCF = """<mujoco model="arm">
+  <compiler angle="radian" boundinertia="1e-9"/>
+  <worldbody><body name="base"><inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
+    <body name="upper" pos="0 0 0.1" euler="1.5707963267948966 0 0">
+      <joint name="shoulder" type="hinge" axis="0 0 1" range="-1 1.5"/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.004 0.005"/>
+      <body name="plate" pos="0.3 0 0">
+        <inertial pos="0 0 0" mass="1" diaginertia="0.0005 0.0005 0.001"/>
+        <body name="fore" pos="0 0 0.05">
+          <joint name="elbow" type="hinge" axis="0 0 1"/>
+          <inertial pos="0.05 0 0" mass="0.5" diaginertia="0.001 0.001 0.002"/>
+        </body>
+      </body>
+    </body>
+  </body></worldbody>
+  <actuator><position name="s" joint="shoulder" kp="5" forcerange="-3 3"/>
+    <motor name="e" joint="elbow" gear="2" ctrlrange="-1 1" forcerange="-1.5 1.5"/></actuator>
+</mujoco>
+"""
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    file = folder / name
+    file.write_text(text)
+    return file
+
+
+def made(folder: Path, action: str, file: Path, *more: str) -> Robot:
+    out = folder / "robot.toml"
+    assert main(["robot", action, str(file), "--out", str(out), *more]) == 0
+    return read_robot(out)
+
+
+def check_arm(robot: Robot) -> None:
+    assert robot.name == "arm"
+    assert [link.name for link in robot.links] == ["base", "upper", "fore"]
+    assert [joint.name for joint in robot.joints] == ["shoulder", "elbow"]
+    assert robot.joints[0].limits_rad == (-1, 1.5)
+    message(lambda: robot.joints[1].limits_rad, "robot.toml", "joints[1].limits_rad")
+    assert robot.joints[0].servo.max_torque_Nm == 3
+    upper, fore = robot.links[1:]
+    assert (upper.mass_kg, fore.mass_kg) == pytest.approx((2, 0.5))
+    assert upper.length_m == pytest.approx(0.3)  # across the axis: the 0.05 along it do not count
+    assert upper.com_m == pytest.approx(0.2)
+    # 0.005 + 0.001 and two masses of 1 kg, 0.1 m from the common centre
+    assert upper.inertia_kgm2 == pytest.approx(0.026)
+    assert fore.inertia_kgm2 == pytest.approx(0.002)
+    message(lambda: fore.length_m, "links[2].length_m", "nothing", "above 0")
+    message(lambda: upper.width_m, "links[1].width_m")
+    message(lambda: robot.joints[0].servo.position_step_rad, "servo1.position_step_rad")
+
+
+def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", URDF))
+    check_arm(robot)
+    assert robot.joints[0].servo.no_load_speed_rad_s == 6
+    assert robot.joints[0].servo is robot.joints[1].servo
+    printed = capsys.readouterr().out
+    for line in ("elbow: limits_rad: not stated", "servo1: position_step_rad", "fore: length_m"):
+        assert line in printed
+        assert f"# not here: {line}" in (tmp_path / "robot.toml").read_text()
+
+
+def test_from_mjcf(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
+    robot = made(tmp_path, "from-mjcf", written(tmp_path, "arm.xml", MJCF))
+    check_arm(robot)
+    message(lambda: robot.joints[0].servo.no_load_speed_rad_s, "no_load_speed_rad_s")
+
+
+def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
+    urdf = read_urdf(written(tmp_path, "arm.urdf", URDF))
+    mjcf = read_mjcf(written(tmp_path, "arm.xml", MJCF))
+    for one, other in zip(urdf.hinges, mjcf.hinges, strict=True):
+        assert one.axis == pytest.approx(other.axis, abs=1e-9)
+        assert one.origin == pytest.approx(other.origin, abs=1e-9)
+    for name in ("upper", "fore"):
+        assert urdf.bodies[name].com == pytest.approx(mjcf.bodies[name].com, abs=1e-9)
+        assert urdf.bodies[name].inertia == pytest.approx(mjcf.bodies[name].inertia, abs=1e-9)
+
+
+def test_a_body_that_turns_on_the_floor(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
+    text = '<mujoco model="bench"><worldbody><body name="horn"><joint name="j1" axis="0 1 0"/>'
+    text += '<inertial pos="0 0 0" mass="0.1" diaginertia="0.002 0.002 0.002"/></body></worldbody>'
+    robot = made(tmp_path, "from-mjcf", written(tmp_path, "b.xml", text + "</mujoco>"))
+    assert [link.name for link in robot.links] == ["world", "horn"]
+    assert robot.links[1].inertia_kgm2 == pytest.approx(0.002)
+
+
+def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
+    finger = '<joint name="finger" type="revolute"><parent link="plate"/><child link="tip"/>'
+    finger += '<limit lower="0" upper="1" effort="1" velocity="9"/></joint><link name="tip"/>'
+    slide = '<joint name="slide" type="prismatic"><parent link="tip"/><child link="end"/></joint>'
+    text = URDF.replace("</robot>", f'{finger}{slide}<link name="end"/></robot>')
+    file = written(tmp_path, "hand.urdf", text)
+    text, notes = robot_toml(read_urdf(file))
+    assert any("the joints branch" in note for note in notes)
+    assert "slide: a prismatic joint: taken for stiff" in notes
+    assert "[[links]]" not in text
+    chosen = made(tmp_path, "from-urdf", file, "--joints", "shoulder", "finger")
+    assert [joint.name for joint in chosen.joints] == ["shoulder", "finger"]
+    assert chosen.links[1].mass_kg == pytest.approx(2.5)  # the forearm is stiff
+
+
+@pytest.mark.parametrize(
+    ("spoil", "parts"),
+    [
+        (lambda s: s[:-9], ("no XML",)),
+        (lambda s: s.replace("robot", "sdf"), ("<sdf>", "<robot>")),
+        (lambda s: '<!DOCTYPE x [<!ENTITY a "b">]>' + s[22:], ("a document type",)),
+        (lambda s: s.replace('child link="fore"', 'child link="ghost"'), ("elbow, child", "ghost")),
+        (lambda s: s.replace('child link="fore"', 'child link="upper"'), ("two joints",)),
+        (lambda s: s.replace('parent link="base"', 'parent link="fore"'), ("in a ring",)),
+        (
+            lambda s: s.replace('<link name="fore">', '<link name="x"/><link name="fore">'),
+            ("2 links that hang on no joint",),
+        ),
+        (lambda s: s.replace('xyz="0 0 2"', 'xyz="0 0 0"'), ("shoulder, axis", "no length")),
+        (lambda s: s.replace('xyz="0 0 2"', 'xyz="0 0"'), ("axis xyz", "three numbers")),
+        (lambda s: s.replace('<mass value="2"/>', "<mass/>"), ("base, mass", "a number")),
+        (lambda s: s.replace('effort="3"', 'effort="strong"'), ("effort", "'strong'")),
+        (lambda s: s.replace("revolute", "fixed").replace("continuous", "fixed"), ("no hinge",)),
+        (lambda s: s.replace('<link name="base">', "<link>"), ("no name",)),
+    ],
+)
+def test_bad_urdf(tmp_path: Path, spoil, parts: tuple[str, ...]) -> None:
+    file = written(tmp_path, "arm.urdf", spoil(URDF))
+    message(lambda: robot_toml(read_urdf(file)), "arm.urdf", *parts)
+
+
+def test_bad_mjcf(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
+    message(lambda: read_mjcf(tmp_path / "no.xml"), "no such file")
+    bad = written(tmp_path, "bad.xml", MJCF.replace("hinge", "spring"))
+    message(lambda: read_mjcf(bad), "bad.xml", "no model")
+    message(lambda: robot_toml(read_mjcf(written(tmp_path, "a.xml", MJCF)), ["wrist"]), "no hinge")
+
+
+def test_a_joint_twice(tmp_path: Path) -> None:
+    tree = read_urdf(written(tmp_path, "arm.urdf", URDF))
+    message(lambda: robot_toml(tree, ["elbow", "elbow"]), "--joints", "each joint once")
+
+
+def test_nothing_half_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written(tmp_path, "arm.urdf", URDF[:-9])
+    out = tmp_path / "robot.toml"
+    assert main(["robot", "from-urdf", str(file), "--out", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not out.exists()
+    assert main(["robot", "from-urdf", str(file), "--out", str(file)]) == 2
+    assert file.read_text() == URDF[:-9]

@@ -1,0 +1,167 @@
+"""Every code block of README and docs runs, or at least parses where it says why it can't.
+
+A comment before a block says what it is: ``<!-- parsed: WHY -->`` where it needs hardware, a GPU
+or minutes; ``<!-- shown -->`` where it is no code. All else runs, a page's blocks one after
+the other in one folder, which has the shipped recordings in it.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from json import loads
+from pathlib import Path
+
+import pytest
+
+from sim2real.cli import COMMANDS, main, parser
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+_BLOCK = re.compile(
+    r"(?:<!-- (parsed: [^>]+|shown) -->\n+)?^```(\w*)[^\n]*\n(.*?)^```", re.M | re.S
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, its text, and what the comment before it says."""
+
+    language: str
+    text: str
+    mark: str
+
+
+def blocks(page: Path) -> list[Block]:
+    found = _BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [Block(language, text, mark.partition(":")[0]) for mark, language, text in found]
+
+
+def calls(text: str) -> Iterator[list[str]]:
+    """The lines of a shell's block as words: continued lines joined, comments gone."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words = shlex.split(line.removeprefix("$ "), comments=True)
+        if words:
+            yield words
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """What a reader has who stands in a folder of shipped recordings."""
+    for name in ("servo_steps", "pool"):
+        (tmp_path / "datasets").mkdir(exist_ok=True)
+        (tmp_path / "datasets" / name).symlink_to(ROOT / "datasets" / name)
+    (tmp_path / "reports").symlink_to(ROOT / "reports")
+    for name in ("steps", "sine", "square", "chirp"):
+        for ending in ("csv", "json"):
+            shutil.copy(ROOT / "datasets" / "servo_steps" / f"{name}.{ending}", tmp_path)
+    shutil.copy(ROOT / "datasets" / "servo_steps" / "robot.toml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_block_runs(page, folder, capsys):
+    space = {"__name__": "page"}
+    for block in blocks(page):
+        if block.mark == "shown":
+            continue
+        where = f"{page.relative_to(ROOT)}: {block.text[:60]!r}"
+        if block.language == "python":
+            ast.parse(block.text)
+            if not block.mark:
+                exec(compile(block.text, str(page), "exec"), space)
+        elif block.language == "json":
+            loads(block.text)
+        elif block.language == "toml":
+            tomllib.loads(block.text)
+        elif block.language in ("", "sh", "console"):
+            for words in calls(block.text):
+                run(words, where, parsed=bool(block.mark))
+        else:
+            assert block.language in ("text", "yaml"), where
+
+
+def run(words: list[str], where: str, *, parsed: bool) -> None:
+    """One line of a terminal."""
+    if words[0] == "make":
+        targets = (ROOT / "Makefile").read_text()
+        assert f"\n{words[1]}:" in targets, where
+    elif words[0] == "sim2real":
+        files = [name for word in words[1:] for name in expanded(word)]
+        assert files[0] in COMMANDS, where
+        parser(only=files[:1]).parse_args(files)
+        if not parsed:
+            assert main(files) == 0, where
+    else:
+        assert parsed or words[0] in ("pip", "git", "cd", "python", "pre-commit"), where
+        if words[:1] == ["python"] and not parsed:
+            assert (ROOT / words[1]).exists(), where
+
+
+def expanded(word: str) -> list[str]:
+    """File names for a pattern, as a shell makes them."""
+    return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
+
+
+def test_a_block_that_fails_is_noticed(folder, tmp_path):
+    page = tmp_path / "page.md"
+    for text in (
+        "```python\nassert 1 == 2\n```",
+        "```\nsim2real check nothing.csv\n```",
+        "```json\n{\n```",
+    ):
+        page.write_text(text)
+        (block,) = blocks(page)
+        with pytest.raises((AssertionError, ValueError)):
+            if block.language == "python":
+                exec(block.text, {})
+            elif block.language == "json":
+                loads(block.text)
+            else:
+                run(next(calls(block.text)), "", parsed=False)
+
+
+def test_the_effect_of_the_tutorial_is_one(tmp_path):
+    """A copy of the package with that file more lets a servo rest where stop and spring balance."""
+    (source,) = [
+        b.text for b in blocks(ROOT / "docs/tutorial/your-own-effect.md") if "EFFECT" in b.text
+    ]
+    shutil.copytree(ROOT / "sim2real", tmp_path / "sim2real")
+    (tmp_path / "sim2real" / "effects" / "soft_stop.py").write_text(source)
+    program = """
+import numpy as np
+from sim2real.model import FittedEffect, JointModel
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.rollout import rollout
+stop = FittedEffect("soft_stop", {"stiffness_Nm_per_rad": 5.0, "angle_rad": 0.2})
+row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(stop,)), None)
+t = 0.02 * np.arange(150)
+rest = rollout(row[None], t, np.where(t > 0.2, 0.4, 0.0)[:, None])[0, -1, 0]
+assert abs(rest - (2.2 * 0.4 + 5.0 * 0.2) / 7.2) < 1e-4, rest
+"""
+    given = os.environ | {"PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=given, check=True, cwd=tmp_path)
+
+
+def test_links_lead_somewhere():
+    """From README and docs to files of the repository."""
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_page_is_in_the_navigation():
+    listed = set(re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
+    written = {os.fspath(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    assert listed == written

@@ -1,0 +1,40 @@
+"""Every example runs, and leaves what it says that it leaves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = {
+    "identify_a_servo": ([], ("model.json", "chirp.png"), "held out"),
+    "find_what_is_missing": ([], ("candidates.png",), "verdict: explained"),
+    "posterior_and_ranges": (["--steps", "400"], ("ranges.json", "latency.png"), "j1.kp"),
+    "calibrate_a_body": (["--seconds", "8"], ("calibrated.json", "calibration.png"), "twin.thrust"),
+    "swim_your_own_robot": ([], ("fish.toml", "way.png"), "its head's way"),
+    "train_with_gymnasium": (
+        ["--steps", "150", "--filmed", "20"], ("policy.zip", "swim.gif"), "swim.gif",
+    ),
+}  # fmt: skip
+
+
+def test_all_are_here() -> None:
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(EXAMPLES)
+    listed = (ROOT / "examples" / "README.md").read_text()
+    assert all(f"[{name}.py]({name}.py)" in listed for name in EXAMPLES)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_it_runs(name: str, tmp_path: Path) -> None:
+    if name == "train_with_gymnasium":
+        pytest.importorskip("torch", reason="the extra 'rl' is not installed")
+    more, files, said = EXAMPLES[name]
+    program = [sys.executable, str(ROOT / "examples" / f"{name}.py"), "--out", str(tmp_path)]
+    run = subprocess.run([*program, *more], capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0, run.stderr
+    assert said in run.stdout
+    for file in files:
+        assert (tmp_path / file).stat().st_size > 100

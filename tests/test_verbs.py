@@ -1,0 +1,148 @@
+"""The verbs from Python: one way of calling, results that print and draw."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sim2real as s2r
+from sim2real.diagnose.result import Diagnosis, Mismatch
+from sim2real.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
+VERBS = (
+    "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "simulate",
+)  # fmt: skip
+
+
+def prints_and_draws(result: object, *words: str) -> None:
+    """It is frozen, its text is a table with these words, and its figure has something in it."""
+    assert is_dataclass(result)
+    with pytest.raises(AttributeError):
+        result.anything = 1  # type: ignore[attr-defined]
+    for word in words:
+        assert word in str(result)
+    figure = result.plot()  # type: ignore[attr-defined]
+    assert any(axes.has_data() for axes in figure.axes)
+
+
+@pytest.fixture(scope="module")
+def steps() -> s2r.Recording:
+    """Eight seconds of the first joint's steps."""
+    whole = s2r.read_recording(BENCH / "steps.csv").between(0, 400)
+    return whole
+
+
+@pytest.fixture(scope="module")
+def model(steps) -> s2r.Model:
+    return s2r.identify(steps, BENCH / "robot.toml")
+
+
+def test_the_names_are_there_and_light() -> None:
+    names = ", ".join(f"s.{name}" for name in VERBS)
+    light = "import sys, sim2real as s; assert not {'numpy', 'sim', 'warp'} & set(sys.modules)"
+    program = (
+        f"{light}\nassert set(dir(s)) >= set(s.__all__)\nprint([callable(v) for v in ({names})])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.strip() == str([True] * len(VERBS)), run.stderr
+
+
+def test_a_folder_does_not_hide_the_verb_of_its_name() -> None:
+    program = (
+        "import sim2real.ranges.entry, sim2real.posterior.sample, sim2real.diagnose.result\n"
+        "import sim2real.density, sim2real.check, sim2real as s\n"
+        "print(*[type(getattr(s, n)).__name__ for n in "
+        "('ranges', 'posterior', 'diagnose', 'density', 'check')])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.split() == ["function"] * 5, run.stderr
+
+
+def test_identify_and_predict(steps, model) -> None:
+    prints_and_draws(model, "kp", "latency", "held out")
+    found = s2r.predict(steps, BENCH / "robot.toml", model)
+    prints_and_draws(found, "steps, j1", "mrad")
+    assert found.angles[0].shape == steps.position.shape
+    assert max(found.rmse.values()) < 0.005
+    blind = s2r.predict(
+        [s2r.Recording(steps.name, "servo", steps.joints, steps.t, steps.command,
+                       np.full_like(steps.position, np.nan), steps.loads)],
+        BENCH / "robot.toml", model,
+    )  # fmt: skip
+    np.testing.assert_array_equal(blind.angles[0], found.angles[0])
+    assert all(math.isnan(error) for error in blind.rmse.values())
+
+
+def test_density() -> None:
+    found = s2r.density(BENCH / "robot.toml")
+    prints_and_draws(found, "head", "density")
+    assert np.average(found.value, weights=found.length_m) == pytest.approx(1.0)
+
+
+def test_posterior_and_ranges(steps, model) -> None:
+    chain = {"steps": 400, "walkers": 8, "seed": 3}
+    found = s2r.posterior(steps, BENCH / "robot.toml", model, **chain)
+    prints_and_draws(found, "j1.kp_Nm_per_rad", "N m/rad", "90 %")
+    low, high = found.joints["j1"].quantiles(0.001, 0.999)[:, 0]
+    assert low < model.joints["j1"].kp_Nm_per_rad < high
+    assert found.sample().names[0] == "j1.kp_Nm_per_rad"
+    same = s2r.ranges(steps, BENCH / "robot.toml", model, **chain)
+    prints_and_draws(same, "command_latency_s", "uniform")
+    np.testing.assert_array_equal(same.posteriors["j1"].values, found.joints["j1"].values)
+    with pytest.raises(InputError, match="j1"):
+        found.plot("tail")
+    arviz = pytest.importorskip("arviz")
+    data = found.to_arviz()
+    assert set(data.posterior.data_vars) == set(found.sample().names)
+    assert data.posterior["j2.latency_s"].attrs["units"] == "s"
+    assert np.isfinite(arviz.summary(data)["mean"]).all()
+
+
+def test_calibrate_and_simulate_in_the_twin() -> None:
+    swim = s2r.read_recording(POOL / "p1.csv").between(0, 500)
+    found = s2r.calibrate(swim, POOL / "robot.toml", POOL / "model.json")
+    prints_and_draws(found, "twin.thrust", "held-out error", "surge")
+    before, after = found.found.train[:, 0]
+    assert after < before
+    swum = s2r.simulate(swim, POOL / "robot.toml", found.model, fidelity="twin")
+    prints_and_draws(swum, "p1", "way")
+    one = swum.swims[0]
+    assert one.kind == "pool"
+    assert one.columns["body.x_m"][0] == pytest.approx(swim.columns["body.x_m"][0], abs=1e-6)
+    away = np.hypot(*(one.columns[n][-1] - swim.columns[n][-1] for n in ("body.x_m", "body.y_m")))
+    assert away < 0.5 * np.hypot(*(np.ptp(swim.columns[n]) for n in ("body.x_m", "body.y_m")))
+
+
+def test_diagnose_chooses_between_servos_and_swims(steps, model) -> None:
+    swim = s2r.read_recording(POOL / "p1.csv")
+    with pytest.raises(InputError, match="swims alone"):
+        s2r.diagnose([steps, swim], BENCH / "robot.toml", model)
+    with pytest.raises(InputError, match="servos, to swim with"):
+        s2r.diagnose(swim, POOL / "robot.toml")
+
+
+def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:
+    joint = Mismatch("j1.position_rad", "j1", 0.005, 0.001, 0.9, {}, "always")
+    speed = Mismatch("body.surge", "body", 0.012, 0.003, 0.9, {}, "")
+    assert str(joint) == "j1: 5.00 mrad against 1.00 mrad of noise; always"
+    assert str(speed) == "surge: 0.0120 m/s against 0.0030 m/s of noise"
+    none = {key: {} for key in ("unknown", "hypothesis", "baseline_fit", "enriched_fit", "ladders")}
+    found = Diagnosis(
+        verdict="unexplained", mismatch=(joint, speed), effects=(), rivals=(), **none,
+        false_discovery_rate=0.0, detection_limits=(), next_experiment=None, gate=(),
+        model=s2r.Model(joints={}),
+    )  # fmt: skip
+    prints_and_draws(found, "verdict: unexplained", str(joint), str(speed))
+
+
+def test_nothing_given_is_said() -> None:
+    with pytest.raises(InputError, match="at least one"):
+        s2r.identify([], BENCH / "robot.toml")
