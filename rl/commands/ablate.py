@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,8 @@ from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.places import Place, Real, Simulated
 from rl.experiments.reality import RealityFile, read_reality
 from rl.randomize import noise_of
-from rl.sac.agents import Settings
-from rl.sac.jobs import QUICK
+from rl.sac import recipes
 from rl.sac.train import Arm, Plan
-from rl.task import TASKS
 from rl.world import Draws
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
@@ -72,33 +69,12 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
 
 def plan_of(options: argparse.Namespace) -> Plan:
     """How to train, the quick settings first."""
-    quick = QUICK if options.quick else {}
-
-    def chosen(name: str, otherwise: Any) -> Any:  # noqa: ANN401 - an option's value
-        given = getattr(options, name)
-        return quick.get(name, otherwise) if given is None else given
-
-    settings = Settings(
-        updates_per_step=chosen("updates_per_step", 1.0),
-        rate=chosen("learning_rate", 3e-4),
-        gamma=chosen("discount", 0.99),
-        hidden=tuple(quick.get("hidden", (256, 256))),
-    )
-    task = TASKS[chosen("task", "point")]
-    weight = chosen("energy_weight", task.energy)
-    return Plan(
-        replace(task, energy=weight),
-        steps=chosen("steps", 600_000),
-        envs=chosen("envs", 64),
-        segment=chosen("segment", 200_000),
-        seeds=tuple(range(options.seed, options.seed + options.seeds)),
-        fidelity=options.fidelity,
-        device=options.device,
-        cell_m=options.cell_m,
-        threads=options.threads,
-        settings=settings,
-        energy_start=chosen("energy_start", 1.0),
-    )
+    given = {name: value for name, value in vars(options).items() if value is not None}
+    return recipes.plan_of(
+        {**(recipes.QUICK if options.quick else {}), **given},
+        seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
+        device=options.device, cell_m=options.cell_m, threads=options.threads,
+    )  # fmt: skip
 
 
 def tried_in(
@@ -166,11 +142,8 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
 
 def asked(options: argparse.Namespace) -> dict[str, Any]:
     """The options that make the plan, as JSON keeps them."""
-    names = (
-        "quick", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate",
-        "discount", "energy_weight", "energy_start", "fidelity", "device", "cell_m", "threads",
-    )  # fmt: skip
-    return {name: getattr(options, name) for name in names}
+    names = ("quick", *recipes.OPTIONS, "fidelity", "device", "cell_m", "threads")
+    return {name: getattr(options, name, None) for name in names}
 
 
 def train_one(

@@ -49,7 +49,7 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
         InputError: If an option is not of this controller.
     """
     asked = {
-        "task": options.task, "steps": options.steps, "envs": options.envs,
+        "recipe": options.recipe, "task": options.task, "steps": options.steps, "envs": options.envs,
         "segment": options.segment, "updates_per_step": options.updates_per_step,
         "learning_rate": options.learning_rate, "discount": options.discount,
         "energy_weight": options.energy_weight, "energy_start": options.energy_start,

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
-from rl.experiments.evaluate import Episodes, PolicyController
+from rl.experiments.evaluate import Episodes
 from rl.experiments.places import Crew, Place
-from rl.experiments.real_episodes import Starts
+from rl.experiments.real_episodes import same_starts
 from rl.metrics import energy
 from rl.sac.sampled import SampledController
 from rl.sac.train import Arm, Plan, train
@@ -114,13 +115,6 @@ def key(
         )
     whole.update(repr((robot, place.key(), task.energy, how)).encode())
     return whole.hexdigest()
-
-
-def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
-    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
-    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
-    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
-    return Starts(*tiled)
 
 
 def told(episodes: Episodes, A: int) -> dict[str, Any]:

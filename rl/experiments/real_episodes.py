@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from rl.controllers import Controller
 from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.observer import Observer
+from rl.deploy.measurements import Measurements
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import Reality
 from rl.task import CONTROL_S, Task, observation_bounds, reward
@@ -33,6 +33,13 @@ class Starts:
     def of(self, rows: NDArray[np.intp]) -> Starts:
         """Some of them."""
         return Starts(self.pose[rows], self.joint[rows], self.targets[rows])
+
+
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
+    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
+    return Starts(*tiled)
 
 
 def run_real_episodes(
@@ -102,7 +109,7 @@ class Eyes:
 
     def __init__(self, n: int, J: int, targets: Array, name: str) -> None:
         limit = np.array(observation_bounds(J), dtype=np.float32)
-        self._observers = [Observer(limit) for _ in range(n)]
+        self._observers = [Measurements(limit) for _ in range(n)]
         self._targets, self._name, self._count = targets, name, 0
         self.observation = np.zeros((n, 5 + 2 * J), dtype=np.float32)
         self.reached = np.zeros(n, dtype=np.int64)

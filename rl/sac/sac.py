@@ -1,4 +1,4 @@
-"""Stable-Baselines3's SAC with the paper's hyper-parameters, learning by ``rl.sac.agents``."""
+"""Stable-Baselines3's SAC, learning by ``rl.sac.agents``."""
 
 from __future__ import annotations
 
@@ -12,18 +12,40 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.sac.policies import SACPolicy
+from torch import nn
 
 from rl.env import action_space, observation_space
+from rl.observer import View
 from rl.sac.agents import Agents, Settings
 from rl.world import World
+
+
+class NormedPolicy(SACPolicy):
+    """Stable-Baselines3's, with layer normalization in the critics, as ``batched.Layers`` has it."""
+
+    def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
+        """A critic whose hidden layers are normalised before the ReLU."""
+        critic: Any = super().make_critic(*args, **kwargs)
+        for i, plain in enumerate(critic.q_networks):
+            modules: list[nn.Module] = []
+            for module in plain:
+                if isinstance(module, nn.ReLU):
+                    last: Any = modules[-1]
+                    modules.append(nn.LayerNorm(last.out_features, elementwise_affine=False))
+                modules.append(module)
+            network = nn.Sequential(*modules).to(self.device)
+            critic.q_networks[i] = network
+            setattr(critic, f"qf{i}", network)
+        return critic
 
 
 class SwimSAC(SAC):
     """SAC whose transitions stay on its device and whose update there is one captured graph.
 
-    ``learn``, ``predict`` and ``save`` are Stable-Baselines3's; what is saved is an ordinary model
-    that ``SAC.load`` takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions
-    of -1 and 1 mean, in rad.
+    ``learn``, ``predict`` and ``save`` are Stable-Baselines3's; what is saved is a model that
+    ``SAC.load`` takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions of -1
+    and 1 mean, in rad; and ``view``: how it looks at the task.
 
     Attributes:
         agents: What learns, where this model learns by itself.
@@ -60,7 +82,7 @@ class SwimSAC(SAC):
         for e in np.flatnonzero(dones):
             following[e] = infos[e]["terminal_observation"]
             ended[e] = not infos[e]["TimeLimit.truncated"]
-        parts = (self._last_obs, buffer_action, reward, following, ended)
+        parts = (self._last_obs, buffer_action, reward, np.zeros_like(reward), following, ended)
         self.agents.remember(*(torch.as_tensor(x, device=self.device)[None] for x in parts))
         self._last_obs = new_obs
 
@@ -84,7 +106,13 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 def make_sac(
-    world: World, settings: Settings, seed: int, env: VecEnv | None = None, device: str = "cpu"
+    world: World,
+    settings: Settings,
+    seed: int,
+    env: VecEnv | None = None,
+    device: str = "cpu",
+    *,
+    view: View = View(),  # noqa: B008 - frozen
 ) -> SwimSAC:
     """An untrained model for a world's robots.
 
@@ -94,10 +122,11 @@ def make_sac(
         seed: Of the first parameters.
         env: What ``learn`` is to run in; none where ``Agents`` does the learning.
         device: Where the model is to be.
+        view: How it looks at the task.
     """
     model = SwimSAC(
-        "MlpPolicy",
-        env or _Spaces(observation_space(world), action_space(world)),
+        NormedPolicy if settings.norm else "MlpPolicy",
+        env or _Spaces(observation_space(world, view), action_space(world)),
         learning_rate=settings.rate,
         buffer_size=1,  # the memory is that of ``Agents``
         learning_starts=settings.warm_up,
@@ -105,6 +134,7 @@ def make_sac(
         tau=settings.tau,
         gamma=settings.gamma,
         ent_coef=f"auto_{settings.entropy_start}",
+        target_entropy=settings.entropy_target[0] * len(world.low),
         train_freq=1,
         gradient_steps=-1,
         policy_kwargs={"net_arch": list(settings.hidden)},
@@ -112,6 +142,7 @@ def make_sac(
         device=device,
     )
     told: Any = model
+    told.view = view
     told.joints = [joint.name for joint in world.simulator.robot.joints]
     told.joint_low = world.low.cpu().numpy()
     told.joint_high = world.high.cpu().numpy()

@@ -18,7 +18,7 @@ _KEPT = 64
 """Measurements remembered."""
 
 
-class Observer:
+class Measurements:
     """The last measurements of one robot; needs no PyTorch."""
 
     def __init__(self, limit: NDArray[np.float32]) -> None:

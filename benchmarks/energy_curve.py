@@ -1,0 +1,152 @@
+"""Time against energy: policies trained at several weights of energy, and the controllers' paces.
+
+    python benchmarks/energy_curve.py --out reports/training/curve [--device cuda:0] [--seeds 2]
+
+All weights and seeds learn side by side in one batch, in the twin calibrated to a shipped swim;
+then policies and controllers swim the same randomized trials of each task. ``--fidelity fluid``
+does the same in the fluid, ``--policies FOLDER`` tries what a run has trained already. Writes
+``TASK.json`` and ``curve.png``: who is left and below the others wins.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import sim2real as s2r
+from rl.commands.evaluate import controller_of
+from rl.controllers import Controller
+from rl.controllers.tuned import PACES
+from rl.experiments.evaluate import summary
+from rl.experiments.trials import run_trials
+from rl.pool import draws_of
+from rl.sac.recipes import plan_of
+from rl.sac.train import Arm, train
+from rl.task import TASKS
+from sim2real.output import provenance, write_json
+from sim2real.ranges.entry import read_ranges
+from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
+
+POOL = Path("datasets/pool")
+WEIGHTS = (3e-4, 6e-4, 1e-3, 1.5e-3, 2.5e-3)
+MARKS = {"pnl": "s", "adrc": "D"}
+
+
+def main() -> None:
+    """Train, try, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
+    parser.add_argument("--cell-m", type=float, default=0.02)
+    parser.add_argument("--weights", type=float, nargs="+", default=list(WEIGHTS))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=500)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--envs", type=int)
+    parser.add_argument("--segment", type=int)
+    parser.add_argument("--updates-per-step", type=float)
+    parser.add_argument("--tasks", nargs="+", default=["turn", "pentagram"])
+    parser.add_argument("--episodes", type=int, default=30)
+    parser.add_argument("--gains", type=Path)
+    parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    found = read(options) if options.draw_only else made(options)
+    draw(found, options.out / "curve.png")
+
+
+def read(options: argparse.Namespace) -> dict[str, Any]:
+    """What an earlier call has written."""
+    import json
+
+    return {
+        task: json.loads((options.out / f"{task}.json").read_text())["results"]
+        for task in options.tasks
+    }
+
+
+def made(options: argparse.Namespace) -> dict[str, Any]:
+    """Train one agent a weight and seed, and swim every task."""
+    robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
+    ranges = read_ranges(POOL / "ranges.json")
+    water: Any = {
+        "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
+    }  # fmt: skip
+    plan = plan_of(
+        vars(options), seeds=tuple(range(options.seed, options.seed + options.seeds)), **water
+    )
+    draws = draws_of(model, ranges, robot, seed=0)
+    arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
+    folders = train(options.out / "train", robot, arms, plan)
+    limits = [joint.limits_rad for joint in robot.joints]
+    found = {}
+    for task in options.tasks:
+        n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
+        crew: dict[str, Controller] = {}
+        for folder in folders:
+            crew[f"{folder.name}/policy.zip"] = controller_of(
+                str(folder / "policy.zip"), limits, n
+            )
+        for kind in MARKS:
+            for pace in PACES:
+                name = f"{kind}-{pace}"
+                crew[name] = controller_of(name, limits, n, gains=options.gains)
+        swims = run_trials(robot, model, ranges, TASKS[task], crew, episodes=n, seed=7, **water)
+        found[task] = {name: summary(one, TASKS[task]) for name, one in swims.items()}
+        content = {"task": task, "fidelity": options.fidelity, "randomized": True}
+        content |= {"results": found[task], "provenance": provenance([], options.seed)}
+        write_json(options.out / f"{task}.json", content)
+    return found
+
+
+def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """A panel a task: every policy and every pace of a controller."""
+    with house_style():
+        figure = new_figure(330, "Time against energy of policies and controllers")
+        panels = figure.subplots(1, len(found), squeeze=False)[0]
+        for axes, (task, rows) in zip(panels, found.items(), strict=True):
+            axes.set_title(task)
+            axes.set(xlabel="energy (1000 rad²/s²)", ylabel="time (s)", xscale="log", yscale="log")
+            _policies(axes, rows)
+            for kind, mark in MARKS.items():
+                own = [rows[f"{kind}-{pace}"] for pace in PACES if f"{kind}-{pace}" in rows]
+                x, y = np.array([(one["energy"] / 1e3, one["time_s"]) for one in own]).T
+                style: Any = {"marker": mark, "color": INK if kind == "pnl" else MUTED}
+                axes.plot(x, y, "--", lw=0.9, ms=4, label=kind.upper(), **style)
+            _plain_ticks(axes)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=144)
+
+
+def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
+    """Those that arrive, joined by their weights' means."""
+    own: dict[str, list[Any]] = {}
+    for name, row in rows.items():
+        if name.endswith(".zip"):
+            own.setdefault(name.rsplit("-", 1)[0], []).append(row)
+    middle = []
+    for some in own.values():
+        points = np.array([(one["energy"] / 1e3, one["time_s"]) for one in some])
+        axes.plot(*points.T, "o", color=ACCENT, ms=3, alpha=0.5)
+        middle.append(points.mean(axis=0))
+    axes.plot(*np.array(middle).T, "-", color=ACCENT, lw=1.3, label="policies, by energy weight")
+
+
+def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+
+
+if __name__ == "__main__":
+    main()
