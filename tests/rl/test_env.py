@@ -11,14 +11,17 @@ import stable_baselines3.common.env_checker
 import torch
 
 from rl.env import FishEnv
+from rl.decisions import Decisions
+from rl.observer import PAPER, View
 from rl.randomize import Noise
 from rl.task import TASKS, Task, shortened
 from rl.vec_env import FishVecEnv
 from rl.world import Draws
 
 
-def test_both_checkers_pass_without_a_warning(world_of):
-    env = FishEnv(world_of(1))
+@pytest.mark.parametrize("view", [View(), PAPER])
+def test_both_checkers_pass_without_a_warning(world_of, view):
+    env = FishEnv(world_of(1), view)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gymnasium.utils.env_checker.check_env(env, skip_render_check=True)
@@ -34,7 +37,7 @@ def marked(rng: np.random.Generator, n: int, J: int):
 def test_no_row_is_swapped_at_resets(world_of):
     """64 robots that end at different times keep their own targets, clocks and observations."""
     task = Task("marked", marked, steps=7)
-    env = FishVecEnv(world_of(64, task))
+    env = FishVecEnv(world_of(64, task), PAPER)
     env.reset()
     world = env.world
     stagger = torch.arange(64) % 7

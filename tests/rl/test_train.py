@@ -23,13 +23,13 @@ from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, uniform
 
 PLAN = Plan(
-    shortened(TASKS["near"], 10),
-    steps=480,
+    shortened(TASKS["near"], 40),
+    steps=1920,
     envs=8,
-    segment=160,
+    segment=640,
     seeds=(0, 1),
     fidelity="twin",
-    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=80, updates_per_step=0.25),
+    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1),
 )
 
 
@@ -68,7 +68,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
 
 
 def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
-    short = replace(PLAN, steps=80)
+    short = replace(PLAN, steps=320)
     train(tmp_path, robot, arms(model)[:1], short)
     with pytest.raises(InputError, match="another run"):
         train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
@@ -133,11 +133,30 @@ def test_a_world_adopts_other_robots_at_resets(robot, model, world_of):
         assert torch.allclose(a.final, b.final, atol=1e-6)
 
 
-def test_the_energy_weight_grows_until_half_of_the_steps():
-    plan = replace(PLAN, energy_start=0.1)
-    weights = [plan.task_at(steps).energy / plan.task.energy for steps in (0, 120, 240, 480)]
-    assert weights == pytest.approx([0.1, 0.55, 1.0, 1.0])
-    assert PLAN.task_at(0) == PLAN.task
+def test_the_energy_weight_grows_once_an_agent_succeeds():
+    plan = replace(PLAN, steps=1000, energy_start=0.1, ramp=(0.3, 0.4), gate=0.7)
+    assert plan.grown(0.0, 200, 100, 1.0) == 0.0, "too early"
+    assert plan.grown(0.2, 600, 100, 0.5) == 0.2, "an agent that fails is not starved"
+    assert plan.grown(0.2, 600, 100, 0.9) == pytest.approx(0.45)
+    assert plan.grown(0.9, 600, 100, 0.9) == 1.0
+    prices = [plan.price(Arm("a", Draws()), grown) for grown in (0.0, 0.5, 1.0)]
+    assert prices == pytest.approx([1e-4, 5.5e-4, 1e-3])
+    assert plan.price(Arm("b", Draws(), energy=2.0), 1.0) == 2.0
+
+
+def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
+    seen = []
+    saved = rl.sac.train.save
+
+    def watched(folder, agents, progress, names):
+        seen.append(agents.price[:, 0].tolist())
+        saved(folder, agents, progress, names)
+
+    monkeypatch.setattr(rl.sac.train, "save", watched)
+    own = [replace(arm, energy=k) for arm, k in zip(arms(model), (0.01, 0.02), strict=True)]
+    train(tmp_path, robot, own, replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5))
+    assert seen[0] == pytest.approx([0.01, 0.01, 0.02, 0.02], rel=0.5)
+    assert seen[-1] == pytest.approx([0.01, 0.01, 0.02, 0.02])
 
 
 @pytest.mark.parametrize(
