@@ -19,10 +19,10 @@ import numpy as np
 import torch
 
 import sim2real as s2r
-from rl.commands.evaluate import controller_of
 from rl.controllers import Controller
 from rl.controllers.tuned import PACES
 from rl.experiments.evaluate import summary
+from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
 from rl.pool import draws_of
 from rl.sac.recipes import plan_of
@@ -90,9 +90,7 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
         crew: dict[str, Controller] = {}
         for folder in folders:
-            crew[f"{folder.name}/policy.zip"] = controller_of(
-                str(folder / "policy.zip"), limits, n
-            )
+            crew[f"{folder.name}/policy.zip"] = controller_of(str(folder / "policy.zip"), limits, n)
         for kind in MARKS:
             for pace in PACES:
                 name = f"{kind}-{pace}"

@@ -97,8 +97,9 @@ class Observer:
 
         Args:
             view: How to look.
-            low, high: Joint angles that -1 and 1 stand for, shape (J,), tensors or arrays of
-                float32; all else is of the same library.
+            low: Joint angles that -1 stands for, shape (J,), a tensor or an array of float32; all
+                else is of the same library.
+            high: Those that 1 stands for.
             n: Number of robots.
         """
         self.view, self._low, self._span = view, low, high - low

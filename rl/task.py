@@ -66,9 +66,7 @@ def reward(
     return gain(task, before, distance, reached, outside) - task.energy * effort(rate)
 
 
-def gain(
-    task: Task, before: Tensor, distance: Tensor, reached: Tensor, outside: Tensor
-) -> Tensor:
+def gain(task: Task, before: Tensor, distance: Tensor, reached: Tensor, outside: Tensor) -> Tensor:
     """What the reward gives for progress, before energy is paid, shape (E,)."""
     approach = task.approach * (before - distance)
     return approach + task.bonus * (reached.float() - outside.float())

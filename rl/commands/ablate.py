@@ -39,10 +39,15 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
-    names = options.arms or [name for name in ARMS if enriched or not ARMS[name].effects]
+    known = reality if isinstance(reality, Model) else None
+    left = {"all-and-effects"} if enriched is None else set()
+    left |= {"ceiling"} if known is None else set()
+    names = options.arms or [name for name in ARMS if name not in left]
+    if known is None and "ceiling" in names:
+        raise InputError("ablate", "--arms", "ceiling", "--reality MODEL.json, which says all")
     if enriched is None and any(ARMS[name].effects for name in names):
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
-    arms = [arm_of(name, model, robot, ranges, enriched) for name in names]
+    arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
     plan = plan_of(options)
     places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
@@ -92,7 +97,7 @@ def tried_in(
         cell_m: Side of a model's cells; half of the training's where None.
     """
     S = len(plan.seeds)
-    own = [Draws(arm.draws.models[:1], arm.draws.noise) for arm in arms for _ in range(S)]
+    own = [arm.draws for arm in arms for _ in range(S)]
     simulation = _simulated("simulation", own, plan, plan.cell_m, {})
     if isinstance(reality, RealityFile):
         return [simulation, Real(reality, plan.device)]
@@ -123,7 +128,7 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
                 name = f"{arm.name}-{seed}"
                 files = {
                     key: None if value is None else str(value.absolute())
-                    for key in ("robot", "model", "ranges", "enriched")
+                    for key in ("robot", "model", "ranges", "enriched", "reality")
                     for value in (getattr(options, key),)
                 }
                 given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
@@ -153,6 +158,7 @@ def train_one(
     model: str,
     ranges: str,
     enriched: str | None,
+    reality: str,
     arm: str,
     seed: int,
     plan: dict[str, Any],
@@ -163,6 +169,7 @@ def train_one(
     torch.set_num_threads(1)
     fish = read_robot(robot)
     more = None if enriched is None else read_model(enriched)
-    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more)
+    known = read_model(reality) if arm == "ceiling" else None
+    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more, known)
     how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
     train(folder, fish, [one], how)

@@ -12,16 +12,12 @@ import numpy as np
 import torch
 
 from rl.controllers import Controller
-from rl.controllers.tuned import PACES, TUNED, tuned
-from rl.deploy.controller import PolicyController
-from rl.deploy.export import read_zip
-from rl.deploy.forward import read_npz
 from rl.experiments.evaluate import Episodes, run_episodes, summary
 from rl.experiments.film import Film
+from rl.experiments.named import controller_of
 from rl.experiments.trials import UNSEEN, run_trials
 from rl.pool import draws_of, make_world, own_stream
 from rl.sac.recipes import RECIPES
-from rl.sac.sampled import SampledController
 from rl.task import TASKS
 from sim.view.video import Video, check_video
 from sim2real.errors import InputError
@@ -29,9 +25,6 @@ from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
-
-CONTROLLERS = ("pnl", "adrc")
-"""Those that are not learned, by the names a command line takes in a policy's place."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -85,49 +78,6 @@ def run(options: argparse.Namespace) -> int:
                     with Film(video, world, shown(name)) as film:
                         run_episodes(world, one, name=name, watch=film)
     return 0
-
-
-def controller_of(
-    name: str,
-    limits_rad: Sequence[tuple[float, float]],
-    n_envs: int,
-    *,
-    gains: Path | None = None,
-    sampled: bool = False,
-) -> Controller:
-    """A policy's file, or one of ``CONTROLLERS``, at a pace as in ``pnl-fast``.
-
-    Args:
-        name: Which.
-        limits_rad: Of the robot's joints, lowest and highest.
-        n_envs: Number of robots.
-        gains: File of the tuned gains; that of the twin where None.
-        sampled: Whether a policy's ``.zip`` acts as in training, with noise.
-
-    Raises:
-        InputError: If it is neither.
-    """
-    kind, _, pace = name.partition("-")
-    if kind in CONTROLLERS and (not pace or pace in PACES):
-        from rl.controllers.adrc import ADRCGains, DisturbanceRejection
-        from rl.controllers.pnl import PNLGains, ProportionalNavigation
-
-        file, pace = gains or TUNED, pace or "middle"
-        if kind == "pnl":
-            known = tuned("pnl", PNLGains, pace, file)
-            return ProportionalNavigation(limits_rad, n_envs, known)
-        return DisturbanceRejection(limits_rad, n_envs, tuned("adrc", ADRCGains, pace, file))
-    from rl.controllers.discrete_cpg import read_policy, read_table
-
-    if (table := read_table(name)) is not None:
-        return read_policy(name, table, limits_rad, n_envs)
-    policy = read_npz(name) if name.endswith(".npz") else read_zip(name)
-    if len(policy.joints) != len(limits_rad):
-        found = f"{len(policy.joints)} joints"
-        raise InputError(name, "joints", found, f"{len(limits_rad)}, as the robot has")
-    if sampled and not name.endswith(".npz"):
-        return SampledController(name)
-    return PolicyController(policy)
 
 
 def shown(name: str) -> str:

@@ -77,7 +77,8 @@ static void policy_begin(policy_memory *memory, const float observation[{O}]) {{
         const float span = policy_high_rad[j] - policy_low_rad[j];
         const float angle = policy_cut(observation[3 + j], policy_limit[3 + j]);
         for (int k = 0; k < {K}; k++) {{
-            memory->given[k][j] = policy_cut(2.0f * (angle - policy_low_rad[j]) / span - 1.0f, 1.0f);
+            memory->given[k][j] =
+                policy_cut(2.0f * (angle - policy_low_rad[j]) / span - 1.0f, 1.0f);
         }}
     }}
     memory->bearing = policy_bearing(observation);

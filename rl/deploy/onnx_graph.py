@@ -37,7 +37,7 @@ class _Graph:
     def constant(self, values: Any, kind: type = np.float32) -> str:  # noqa: ANN401
         """An array."""
         name = f"c{len(self.constants)}"
-        array = np.asarray(values, dtype=kind)
+        array: Any = np.asarray(values, dtype=kind)
         self.constants.append(self._onnx.numpy_helper.from_array(array, name))
         return name
 

@@ -112,7 +112,7 @@ class Pilot:
         period = round(self.swum_s / CONTROL_S)
         gone = 1 if self._period is None else period - self._period
         self._period = period
-        return self._controller.act(seen[None], gone)[0].astype(np.float64)
+        return np.asarray(self._controller.act(seen[None], gone)[0], dtype=np.float64)
 
     def track(self) -> Track:
         """The swim so far."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes
 from rl.experiments.places import Crew, Simulated, some

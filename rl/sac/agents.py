@@ -292,7 +292,9 @@ class Agents:
         by_action = d.view(A, 2, B, -1)[..., self.O :].sum(dim=1)
         spread = both_noises[:, :B] * std[:, :B]
         self._descend_policy(seen, action, spread, alpha[..., None] / B, by_action)
-        adam(self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate)
+        adam(
+            self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
+        )
         self.target.flat.lerp_(self.critic.flat, s.tau)
         self.average.lerp_(self.actor.flat, s.average)
 
@@ -318,9 +320,7 @@ class Agents:
         actor = (alpha * log_p - least(self.critic, batch.observation, action).amin(dim=1)).mean(1)
         return torch.stack([actor, 0.5 * (error**2).mean(dim=2).sum(dim=1), alpha[:, 0]])
 
-    def _policy(
-        self, observation: Tensor, noise: Tensor
-    ) -> tuple[Seen, Tensor, Tensor, Tensor]:
+    def _policy(self, observation: Tensor, noise: Tensor) -> tuple[Seen, Tensor, Tensor, Tensor]:
         """Layers, actions (A, B, J), their log-probabilities (A, B), standard deviations."""
         seen = self.actor.forward(observation)
         mean, raw = seen.output[..., : self.J], seen.output[..., self.J :]

@@ -22,7 +22,7 @@ from rl.world import World
 
 
 class NormedPolicy(SACPolicy):
-    """Stable-Baselines3's, with layer normalization in the critics, as ``batched.Layers`` has it."""
+    """Stable-Baselines3's, with layer normalization in the critics, as in ``batched.Layers``."""
 
     def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
         """A critic whose hidden layers are normalised before the ReLU."""

@@ -153,8 +153,8 @@ def train(
     """
     names = [f"{arm.name}-{seed}" for arm in arms for seed in plan.seeds]
     own = [digest(arm.draws) for arm in arms]
-    content = {"plan": plan.content(), "agents": names, "draws": own}
-    content["energy"] = [arm.energy for arm in arms]
+    prices = [arm.energy for arm in arms]
+    content = {"plan": plan.content(), "agents": names, "draws": own, "energy": prices}
     _begin(folder, content, note or {})
     with own_stream(plan.device):
         _train(folder, robot, arms, plan, names)

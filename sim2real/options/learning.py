@@ -8,7 +8,7 @@ from pathlib import Path
 from sim2real.options.command import Command
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
-_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects")
+_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling")
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -80,6 +80,13 @@ def _train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
     command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
     _plan(command)
+    command.add_argument(
+        "--trials",
+        type=int,
+        default=20,
+        metavar="N",
+        help="held-out turns and targets that choose among the seeds (default 20; 0 for none)",
+    )
     command.add_argument("--tensorboard", action="store_true", help="write its files too")
     command.add_argument("--no-plots", action="store_true", help="write no curve.png")
     _executor(command)
@@ -97,9 +104,9 @@ def _ablate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
     command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
     command.add_argument(
-        "--seeds", type=int, default=3, metavar="N", help="of each arm (default 3)"
+        "--seeds", type=int, default=6, metavar="N", help="of each arm (default 6)"
     )
-    command.add_argument("--repeats", type=int, default=5, help="turns of each agent (default 5)")
+    command.add_argument("--repeats", type=int, default=10, help="turns of each agent (default 10)")
     command.add_argument(
         "--reality-cell-m",
         type=float,
@@ -125,7 +132,12 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
     command.add_argument("--energy-weight", type=float, help="in the reward (default 0.001)")
-    command.add_argument("--gains", type=Path, metavar="TOML", help="of pnl and adrc (default: those tuned in the twin)")
+    command.add_argument(
+        "--gains",
+        type=Path,
+        metavar="TOML",
+        help="of pnl and adrc (default: those tuned in the twin)",
+    )
     command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
     command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
     command.add_argument(

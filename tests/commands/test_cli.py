@@ -175,7 +175,10 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-def test_demo_ends_in_a_page(tmp_path, capsys):
+def test_demo_ends_in_a_page(tmp_path, capsys, monkeypatch):
+    demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+    short = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
+    monkeypatch.setattr(demo, "QUICK", short)
     assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page

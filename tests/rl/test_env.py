@@ -11,7 +11,6 @@ import stable_baselines3.common.env_checker
 import torch
 
 from rl.env import FishEnv
-from rl.decisions import Decisions
 from rl.observer import PAPER, View
 from rl.randomize import Noise
 from rl.task import TASKS, Task, shortened

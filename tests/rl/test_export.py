@@ -15,11 +15,10 @@ from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
 from rl.commands.export import run
-from rl.deploy.export import policy_of, read_zip, write_policy
 from rl.deploy.controller import PolicyController
+from rl.deploy.export import policy_of, read_zip, write_policy
 from rl.deploy.forward import Policy, npz, read_npz
 from rl.deploy.header import c_header
-from rl.observer import PAPER, View
 from rl.task import observation_bounds
 from sim2real.errors import InputError
 

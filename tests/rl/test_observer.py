@@ -145,7 +145,9 @@ def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model
 
 def swum(policy: Policy, world_of, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A swim of 60 s through latency with every tenth frame lost: what was seen, gone, sent."""
-    world = world_of(1, replace(TASKS["pentagram"], steps=3000), Draws((model,), Noise(0.002, 0.01, (0.003,))))
+    world = world_of(
+        1, replace(TASKS["pentagram"], steps=3000), Draws((model,), Noise(0.002, 0.01, (0.003,)))
+    )
     controller, rng = PolicyController(policy), np.random.default_rng(0)
     controller.reset(np.ones(1, dtype=bool))
     seen, gone = world.reset(), -1

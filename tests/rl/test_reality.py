@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rl.deploy.forward import Policy
 from rl.deploy.controller import PolicyController
+from rl.deploy.forward import Policy
 from rl.experiments.evaluate import run_episodes
 from rl.experiments.places import Crew, Real
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.reality import read_reality
-from rl.pool import make_world
 from rl.metrics import energy
+from rl.pool import make_world
 from rl.task import TASKS, observation_bounds, observation_names, shortened
 from rl.world import Draws
 from sim.twin.twin import Twin

@@ -11,6 +11,9 @@ import torch
 from stable_baselines3 import SAC
 
 import rl.sac.train
+from rl.experiments import selection
+from rl.experiments.named import controller_of
+from rl.experiments.trials import run_trials
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.agents import Settings
 from rl.sac.checkpoint import COLUMNS
@@ -171,3 +174,29 @@ def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
 def test_a_plan_that_makes_no_sense_is_refused(change, option):
     with pytest.raises(InputError, match=option):
         replace(PLAN, **change)
+
+
+def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):
+    """The one that does better in the same trials, at one weight, whatever training said."""
+    folders = train(tmp_path, robot, arms(model)[:1], PLAN)
+    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setitem(selection.TASKS, "mixed", shortened(TASKS["mixed"], 60))
+    found = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    scores = {name: rows["score"] for name, rows in found["agents"].items()}
+    assert found["best"] == max(scores, key=scores.__getitem__)
+    assert set(scores) == {"a-0", "a-1"}
+    assert scores["a-0"] != scores["a-1"]
+    again = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    assert again == found
+    dear = selection.held_out(folders, robot, model, None, energy=1.0, episodes=3)
+    assert dear["agents"]["a-0"]["score"] < scores["a-0"]
+
+
+def test_trials_are_the_same_for_all(robot, model):
+    ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
+    limits = [joint.limits_rad for joint in robot.joints]
+    crew = {name: controller_of("pnl", limits, 4) for name in ("one", "other")}
+    swims = run_trials(robot, model, ranges, shortened(TASKS["turn"], 80), crew, episodes=4)
+    one, other = swims["one"], swims["other"]
+    assert np.allclose(one.pose, other.pose, atol=1e-6)
+    assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"
