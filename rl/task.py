@@ -141,9 +141,14 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """Three targets one after the other, each as far from the last as in ``mixed``.
 
-    What comes after a target matters too, and an episode that goes well is not over at once.
+    What comes after a target matters too, and an episode that goes well is not over at once. A
+    quarter begins as ``turn`` does, straight and with the first target behind: the hardest start.
     """
     pose, joint, first = mixed(rng, n, J)
+    behind = rng.uniform(size=n) < 0.25
+    away = pose[:, :2] - first[:, 0]
+    heading = np.arctan2(away[:, 1], away[:, 0]) + rng.normal(0, 0.2, n)
+    pose[behind, 2], joint[behind] = heading[behind], 0.0
     ways = [first]
     for _ in range(2):
         ways.append(_onward(rng, ways[-1]))

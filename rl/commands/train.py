@@ -86,6 +86,8 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
     count = options.seeds
     trainer = TRAINERS[options.controller]
     given = {name: value for name, value in asked.items() if value is not None}
+    if options.first:
+        given["first"] = [str(path.absolute()) for path in options.first]
     for name in given.keys() - inspect.signature(trainer.train_run).parameters:
         found, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
         raise InputError("train", option, found, "--controller sac")
@@ -112,6 +114,8 @@ def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Pa
             k: str(Path(given[k]).absolute()) for k in ("robot", "model", "ranges") if given[k]
         }
         one = {**given, **files, "seeds": [seed]}
+        if "first" in given:
+            one["first"] = [given["first"][given["seeds"].index(seed)]]
         work = f"{TRAINERS[options.controller].__name__}:train_run"
         jobs.append(Job(name, work, one, options.out / name))
     outcomes = run_jobs(

@@ -39,6 +39,7 @@ def train_run(
     hidden: Sequence[int] | None = None,
     energy_weight: float | None = None,
     energy_start: float | None = None,
+    first: Sequence[str] = (),
 ) -> list[Path]:
     """Train one arm; see ``Plan``, ``Recipe`` and the command ``train`` for the options.
 
@@ -61,4 +62,5 @@ def train_run(
     drawn = None if ranges is None else read_ranges(ranges)
     arm = Arm(name, draws_of(fitted, drawn, fish, seed=0))
     inputs = [robot, model, *([] if ranges is None else [ranges])]
-    return train(folder, fish, [arm], plan, provenance(inputs, None))
+    begin = [Path(path) for path in first]
+    return train(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=begin)

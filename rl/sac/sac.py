@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -19,6 +20,7 @@ from rl.env import action_space, observation_space
 from rl.observer import View
 from rl.sac.agents import Agents, Settings
 from rl.world import World
+from sim2real.errors import InputError
 
 
 class NormedPolicy(SACPolicy):
@@ -147,6 +149,26 @@ def make_sac(
     told.joint_low = world.low.cpu().numpy()
     told.joint_high = world.high.cpu().numpy()
     return model
+
+
+def go_on_from(model: SAC, path: Path) -> None:
+    """Give a model the networks and the entropy coefficient of a saved one.
+
+    Raises:
+        InputError: If there is none, or it is of another shape or view.
+    """
+    from rl.deploy.export import read_agent, view_of
+
+    saved: Any = read_agent(path)
+    own: Any = model
+    if view_of(saved) != own.view:
+        raise InputError(path, "view", f"{view_of(saved)}", f"{own.view}, as this training has")
+    try:
+        own.policy.load_state_dict(saved.policy.state_dict())
+    except RuntimeError as error:
+        found = str(error).splitlines()[-1].strip()
+        raise InputError(path, "networks", found, "those of this training's recipe") from None
+    own.log_ent_coef.data.copy_(saved.log_ent_coef.data)
 
 
 def joint_range(model: SAC) -> tuple[Sequence[str], NDArray[Any], NDArray[Any]]:

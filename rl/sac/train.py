@@ -25,7 +25,7 @@ from rl.observer import View
 from rl.pool import Fidelity, make_world, own_stream
 from rl.sac.agents import Agents, Settings
 from rl.sac.checkpoint import Progress, load, save
-from rl.sac.sac import make_sac
+from rl.sac.sac import go_on_from, make_sac
 from rl.task import Task
 from rl.world import Draws, Step
 from sim2real.errors import InputError
@@ -133,7 +133,13 @@ class Plan:
 
 
 def train(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any] | None = None
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    note: dict[str, Any] | None = None,
+    *,
+    first: Sequence[Path] = (),
 ) -> list[Path]:
     """Train an agent for each arm and seed, all of them in one batch of robots.
 
@@ -144,20 +150,24 @@ def train(
         arms: What each group of agents trains in.
         plan: How to train.
         note: Provenance, kept in ``run.json``.
+        first: Policies to go on from, ``policy.zip`` of one agent each, in the agents' order; from
+            random networks where there are none. Their memories are not kept.
 
     Returns:
         The agents' folders: all seeds of the first arm, then those of the next.
 
     Raises:
-        InputError: If the folder holds a run of another plan.
+        InputError: If the folder holds a run of another plan, or the first policies do not fit.
     """
     names = [f"{arm.name}-{seed}" for arm in arms for seed in plan.seeds]
     own = [digest(arm.draws) for arm in arms]
     prices = [arm.energy for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": own, "energy": prices}
+    if first:
+        content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
     _begin(folder, content, note or {})
     with own_stream(plan.device):
-        _train(folder, robot, arms, plan, names)
+        _train(folder, robot, arms, plan, names, first)
     return [folder / name for name in names]
 
 
@@ -180,7 +190,12 @@ def _begin(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
 
 
 def _train(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, names: Sequence[str]
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    names: Sequence[str],
+    first: Sequence[Path],
 ) -> None:
     S, A = len(plan.seeds), len(names)
     own = [arm for arm in arms for _ in plan.seeds]
@@ -193,6 +208,11 @@ def _train(
     room = -(-plan.steps // plan.view.period)
     settings = replace(plan.settings, memory=min(plan.settings.memory, room))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
+    if first:
+        if len(first) != A:
+            raise InputError("train", "--first", f"{len(first)} policies", f"{A}, one an agent")
+        for model, path in zip(models, first, strict=True):
+            go_on_from(model, path)
     agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(
@@ -201,7 +221,7 @@ def _train(
     )  # fmt: skip
     while progress.steps < plan.steps:
         last = min(progress.steps + plan.segment, plan.steps)
-        _segment(decisions, agents, own, plan, progress, last, bar)
+        _segment(decisions, agents, own, plan, progress, last, bar, swims=bool(first))
         save(folder, agents, progress, names)
     bar.close()
 
@@ -214,8 +234,10 @@ def _segment(
     progress: Progress,
     last: int,
     bar: Any,  # noqa: ANN401
+    *,
+    swims: bool,
 ) -> None:
-    """From one checkpoint to the next."""
+    """From one checkpoint to the next; agents that swim already do not begin at random."""
     A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
     J = len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
@@ -230,7 +252,7 @@ def _segment(
     while progress.steps < last:
         fresh = torch.randn(noise.shape, device=world.device)
         noise = late * noise + (1 - late * late) ** 0.5 * fresh
-        if progress.steps < settings.warm_up:
+        if progress.steps < settings.warm_up and not swims:
             action = torch.erf(noise / 2**0.5)  # as likely anywhere between -1 and 1
         else:
             action = agents.act(observed, noise)

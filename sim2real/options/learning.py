@@ -47,17 +47,18 @@ def _executor(command: argparse.ArgumentParser) -> None:
 def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--recipe",
-        choices=("default", "paper"),
-        help="a decision every 80 ms and what goes with it (default), or the paper's own task",
+        choices=("default", "paper", "fine"),
+        help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
+        "what goes on from policies that swim",
     )
-    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 520000)")
+    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 1000000)")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
-    command.add_argument("--segment", type=int, help="steps between checkpoints (default 130000)")
+    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
     command.add_argument("--updates-per-step", type=float, help="(default 0.1)")
     command.add_argument("--learning-rate", type=float, help="at first (default 0.001)")
     command.add_argument("--discount", type=float, help="of a decision later (default 0.99)")
     command.add_argument(
-        "--energy-weight", type=float, help="of the joints' squared rates (default 0.001)"
+        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0008)"
     )
     command.add_argument(
         "--energy-start",
@@ -80,6 +81,13 @@ def _train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
     command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
     _plan(command)
+    command.add_argument(
+        "--first",
+        nargs="+",
+        type=Path,
+        metavar="POLICY",
+        help="policies to go on from, one a seed; with --recipe fine from the twin to the fluid",
+    )
     command.add_argument(
         "--trials",
         type=int,
@@ -131,7 +139,7 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
     _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
-    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.001)")
+    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0008)")
     command.add_argument(
         "--gains",
         type=Path,

@@ -14,6 +14,7 @@ import rl.sac.train
 from rl.experiments import selection
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
+from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.agents import Settings
 from rl.sac.checkpoint import COLUMNS
@@ -174,6 +175,26 @@ def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
 def test_a_plan_that_makes_no_sense_is_refused(change, option):
     with pytest.raises(InputError, match=option):
         replace(PLAN, **change)
+
+
+def test_a_training_goes_on_from_policies(robot, model, tmp_path):
+    first = [f / "policy.zip" for f in train(tmp_path / "a", robot, arms(model)[:1], PLAN)]
+    still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10**9), segment=1920)
+    swum = train(tmp_path / "b", robot, arms(model)[:1], still, first=first)
+    for path, folder in zip(first, swum, strict=True):
+        one, other = (SAC.load(p, device="cpu") for p in (path, folder / "policy.zip"))
+        for x, y in zip(one.policy.parameters(), other.policy.parameters(), strict=True):
+            assert torch.equal(x, y)
+    assert (swum[0] / "progress.csv").read_text() != (first[0].parent / "progress.csv").read_text()
+    with pytest.raises(InputError, match="one an agent"):
+        train(tmp_path / "c", robot, arms(model), PLAN, first=first)
+    with pytest.raises(InputError, match="another run"):
+        train(tmp_path / "b", robot, arms(model)[:1], still, first=first[::-1])
+    with pytest.raises(InputError, match="view"):
+        train(tmp_path / "d", robot, arms(model)[:1], replace(PLAN, view=PAPER), first=first)
+    wide = replace(PLAN, settings=replace(PLAN.settings, hidden=(8, 8)))
+    with pytest.raises(InputError, match="networks"):
+        train(tmp_path / "e", robot, arms(model)[:1], wide, first=first)
 
 
 def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):
