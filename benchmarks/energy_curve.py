@@ -4,8 +4,8 @@
 
 All weights and seeds learn side by side in one batch, in the twin calibrated to a shipped swim;
 then policies and controllers swim the same randomized trials of each task. ``--fidelity fluid``
-does the same in the fluid, ``--policies FOLDER`` tries what a run has trained already. Writes
-``TASK.json`` and ``curve.png``: who is left and below the others wins.
+does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already.
+Writes ``TASK.json`` and ``curve.png``: who is left and below the others wins.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=["turn", "pentagram"])
     parser.add_argument("--episodes", type=int, default=30)
     parser.add_argument("--gains", type=Path)
+    parser.add_argument("--trained", nargs="+", metavar="NAME=FOLDER", default=[])
     parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -78,19 +79,20 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
     water: Any = {
         "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
     }  # fmt: skip
-    plan = plan_of(
-        vars(options), seeds=tuple(range(options.seed, options.seed + options.seeds)), **water
-    )
-    draws = draws_of(model, ranges, robot, seed=0)
-    arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
-    folders = train(options.out / "train", robot, arms, plan)
+    agents = known(options.trained)
+    if not agents:
+        seeds = tuple(range(options.seed, options.seed + options.seeds))
+        plan = plan_of(vars(options), seeds=seeds, **water)
+        draws = draws_of(model, ranges, robot, seed=0)
+        arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
+        agents = {one.name: one for one in train(options.out / "train", robot, arms, plan)}
     limits = [joint.limits_rad for joint in robot.joints]
     found = {}
     for task in options.tasks:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
         crew: dict[str, Controller] = {}
-        for folder in folders:
-            crew[f"{folder.name}/policy.zip"] = controller_of(str(folder / "policy.zip"), limits, n)
+        for name, folder in agents.items():
+            crew[f"{name}/policy.zip"] = controller_of(str(folder / "policy.zip"), limits, n)
         for kind in MARKS:
             for pace in PACES:
                 name = f"{kind}-{pace}"
@@ -101,6 +103,16 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
         content |= {"results": found[task], "provenance": provenance([], options.seed)}
         write_json(options.out / f"{task}.json", content)
     return found
+
+
+def known(trained: list[str]) -> dict[str, Path]:
+    """Folders of agents by "NAME-K", from "NAME=FOLDER" of runs."""
+    out = {}
+    for one in trained:
+        name, _, folder = one.partition("=")
+        for k, path in enumerate(sorted(Path(folder).rglob("policy.zip"))):
+            out[f"{name}-{k}"] = path.parent
+    return out
 
 
 def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
@@ -124,7 +136,7 @@ def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
 
 
 def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
-    """Those that arrive, joined by their weights' means."""
+    """All of them, each weight's mean joined to the next's."""
     own: dict[str, list[Any]] = {}
     for name, row in rows.items():
         if name.endswith(".zip"):

@@ -304,7 +304,8 @@ def main() -> None:
 
 def as_toml(tables: dict[str, Any]) -> str:
     """The file of gains."""
-    lines = ["# Written by benchmarks/tune_controllers.py; see there what the paces are."]
+    made = "benchmarks/tune_controllers.py, then tune_in_trials.py; they say what the paces are."
+    lines = [f"# Written by {made}"]
     for name, paces in tables.items():
         for pace, table in paces.items():
             lines += ["", f"[{name}.{pace}]"]
