@@ -40,9 +40,7 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "default": Recipe(),
-    "paper": Recipe(
-        "point", energy=1e-3, energy_start=1.0, view=PAPER, settings=PLAIN
-    ),
+    "paper": Recipe("point", energy=1e-3, energy_start=1.0, view=PAPER, settings=PLAIN),
     "fine": Recipe(
         energy_start=1.0,
         steps=200_000,
