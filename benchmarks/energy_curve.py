@@ -35,6 +35,8 @@ from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
 POOL = Path("datasets/pool")
 WEIGHTS = (3e-4, 6e-4, 1e-3, 1.5e-3, 2.5e-3)
 MARKS = {"pnl": "s", "adrc": "D"}
+ELSEWHERE = {"pnl": "pnl tuned in the fluid", "adrc": "adrc tuned in the fluid"}
+"""Names of rows of gains from another place, drawn in outline where there are any."""
 
 
 def main() -> None:
@@ -125,37 +127,47 @@ def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
             axes.set(xlabel="energy (1000 rad²/s²)", ylabel="time (s)", xscale="log", yscale="log")
             _policies(axes, rows)
             for kind, mark in MARKS.items():
-                own = [rows[f"{kind}-{pace}"] for pace in PACES if f"{kind}-{pace}" in rows]
-                x, y = np.array([(one["energy"] / 1e3, one["time_s"]) for one in own]).T
-                style: Any = {"marker": mark, "color": INK if kind == "pnl" else MUTED}
-                axes.plot(x, y, "--", lw=0.9, ms=4, label=kind.upper(), **style)
+                colour = INK if kind == "pnl" else MUTED
+                for name, full in ((kind, colour), (ELSEWHERE[kind], "none")):
+                    own = [rows[f"{name}-{pace}"] for pace in PACES if f"{name}-{pace}" in rows]
+                    points = [(one["energy"] / 1e3, one["time_s"]) for one in own]
+                    style: Any = {"marker": mark, "color": colour, "markerfacecolor": full}
+                    if points:
+                        label = kind.upper() + name.removeprefix(kind)
+                        axes.plot(*np.array(points).T, "--", lw=0.9, ms=4.5, label=label, **style)
+            axes.margins(0.08)
             _plain_ticks(axes)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=144)
 
 
 def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
-    """All of them, each weight's mean joined to the next's."""
+    """All of them, and the mean of each group of seeds."""
     own: dict[str, list[Any]] = {}
     for name, row in rows.items():
         if name.endswith(".zip"):
             own.setdefault(name.rsplit("-", 1)[0], []).append(row)
-    middle = []
-    for some in own.values():
+    for k, (name, some) in enumerate(own.items()):
         points = np.array([(one["energy"] / 1e3, one["time_s"]) for one in some])
+        x, y = points.mean(axis=0)
+        label = "policies, each seed and the mean" if k == 0 else None
         axes.plot(*points.T, "o", color=ACCENT, ms=3, alpha=0.5)
-        middle.append(points.mean(axis=0))
-    axes.plot(*np.array(middle).T, "-", color=ACCENT, lw=1.3, label="policies, by energy weight")
+        axes.plot([x], [y], "o", color=ACCENT, ms=6, label=label)
+        if len(own) > 1:
+            axes.annotate(
+                name, (x, y), (-7, -11), textcoords="offset points", color=ACCENT, ha="right"
+            )
 
 
 def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 4, 5, 6, 8)))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+    axes.tick_params(which="minor", length=0)
 
 
 if __name__ == "__main__":
