@@ -48,6 +48,8 @@ class SwimSAC(SAC):
     ``learn``, ``predict`` and ``save`` are Stable-Baselines3's; what is saved is a model that
     ``SAC.load`` takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions of -1
     and 1 mean, in rad; and ``view``: how it looks at the task.
+    Under ``learn`` rate and entropy target stay as they are at first and energy costs what the task
+    says; it is ``rl.sac.train`` that changes them as the training goes on.
 
     Attributes:
         agents: What learns, where this model learns by itself.
