@@ -195,6 +195,7 @@ def difference_figure(told: Mapping[str, Difference]) -> Figure:
                 axes.errorbar([one.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
             axes.plot([one.mean], [y], "o", color=colour, ms=4)
         axes.axvline(0, color=INK, lw=0.8)
+        axes.margins(0.06, 0.2)
         axes.set_yticks(range(len(told)), [TITLES[arm] for arm in told])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
