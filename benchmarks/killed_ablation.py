@@ -62,7 +62,7 @@ def started(folder: Path) -> subprocess.Popen[bytes]:
             sys.executable, "-m", "sim2real", "ablate", "--robot", str(POOL / "robot.toml"),
             *(word for name, file in files.items() for word in (f"--{name}", file)),
             "--arms", "all", "no-servo", "--seeds", "2", "--repeats", "2", "--task", "near",
-            "--envs", "8", "--steps", "4800", "--segment", "800", "--updates-per-step", "0.05",
+            "--envs", "8", "--steps", "24000", "--segment", "4000", "--updates-per-step", "0.05",
             "--out", str(folder),
         ],
         stdout=subprocess.DEVNULL,

@@ -11,6 +11,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,9 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
 from rl.env import action_space, observation_space
+from rl.observer import PAPER
 from rl.pool import make_world
-from rl.sac.agents import Agents, Settings
+from rl.sac.agents import PLAIN, Agents
 from rl.sac.sac import make_sac
 from rl.task import TASKS
 from rl.world import Draws, World
@@ -62,25 +64,28 @@ def world_of(n: int, device: str, fidelity: str, cell_m: float = 0.02) -> World:
 
 def ours(world: World, A: int, device: str) -> float:
     """Updates a second of each of A agents."""
-    settings = Settings(memory=100_000)
-    agents = Agents([make_sac(world, settings, a) for a in range(A)], settings, world.device)
+    settings = replace(PLAIN, memory=100_000)
+    models = [make_sac(world, settings, a, view=PAPER) for a in range(A)]
+    agents = Agents(models, settings, world.device)
     O, J = agents.O, agents.J  # noqa: E741
     n = 5000
     made = [torch.randn(A, n, w, device=world.device) for w in (O, J, O)]
     zero = torch.zeros(A, n, device=world.device)
-    agents.remember(made[0], torch.tanh(made[1]), zero, made[2], zero)
+    agents.remember(made[0], torch.tanh(made[1]), zero, zero, made[2], zero)
     return rate(agents.learn, device)
 
 
 def theirs(world: World, device: str) -> float:
     """Updates a second of Stable-Baselines3's own ``train``."""
-    model = make_sac(world, Settings(), 0)
+    model = make_sac(world, PLAIN, 0, view=PAPER)
     model.policy.to(device)
     model.device = torch.device(device)
     model.log_ent_coef = torch.zeros(1, device=device, requires_grad=True)
     model.ent_coef_optimizer = torch.optim.Adam([model.log_ent_coef], lr=3e-4)
     model.set_logger(configure(None, []))
-    buffer = ReplayBuffer(100_000, observation_space(world), action_space(world), device=device)
+    buffer = ReplayBuffer(
+        100_000, observation_space(world, PAPER), action_space(world), device=device
+    )
     rng = np.random.default_rng(0)
     for _ in range(5000):
         seen, after = rng.normal(size=(2, 1, world.size))

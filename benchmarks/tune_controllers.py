@@ -1,6 +1,7 @@
 """Gains for the controllers that a policy is compared with, found where it learns.
 
     python benchmarks/tune_controllers.py [--refine] [--generations 40] [--only pnl] [--seed 0]
+        [--pace fast] [--out gains.toml]
 
 That is the twin calibrated to a shipped swim, ``datasets/pool/calibrated.json``.
 
@@ -20,6 +21,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -282,24 +284,28 @@ def main() -> None:
     parser.add_argument("--refine", action="store_true", help="about the gains that there are")
     parser.add_argument("--generations", type=int, default=40)
     parser.add_argument("--only", choices=[*KINDS], action="append")
+    parser.add_argument("--pace", choices=PACES, action="append")
+    parser.add_argument("--out", type=Path, default=TUNED)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     known = tomllib.loads(TUNED.read_text()) if TUNED.exists() else {}
     for name in options.only or KINDS:
         gains: dict[str, float] | None = None
-        for pace, price in PRICES.items():
+        for pace in options.pace or PACES:
+            price = PRICES[pace]
             about = known[name][pace] if options.refine else None
             gains, fun = search(name, price, options.generations, options.seed, gains, about)
             seen = {"cost": fun, **scores(name, gains, options.seed)}
             known.setdefault(name, {})[pace] = {**gains, "score": seen}
             print(name, pace, {k: round(v, 2) for k, v in seen.items()}, flush=True)
-            write_whole(TUNED, as_toml(known))
+            write_whole(options.out, as_toml(known))
 
 
 def as_toml(tables: dict[str, Any]) -> str:
     """The file of gains."""
-    lines = ["# Written by benchmarks/tune_controllers.py; see there what the paces are."]
+    made = "benchmarks/tune_controllers.py, then tune_in_trials.py; they say what the paces are."
+    lines = [f"# Written by {made}"]
     for name, paces in tables.items():
         for pace, table in paces.items():
             lines += ["", f"[{name}.{pace}]"]

@@ -11,17 +11,24 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
-from torch import Tensor
 
+from rl.decisions import Decisions
+from rl.observer import LARGEST, View
 from rl.task import observation_bounds
 from rl.world import World
 
 Array = NDArray[np.float32]
 
 
-def observation_space(world: World) -> spaces.Box:
-    """That of ``rl.task``, in SI units."""
-    bound = np.array(observation_bounds(len(world.low)), dtype=np.float32)
+def observation_space(world: World, view: View) -> spaces.Box:
+    """What a policy sees of a world: cut to these bounds."""
+    J = len(world.low)
+    if view.scaled:
+        bound = np.full(view.size(J), LARGEST, dtype=np.float32)
+    else:
+        sides = [1.25] if view.sides else []
+        more = [*sides, *[1.0] * (view.size(J) - 5 - 2 * J - len(sides))]
+        bound = np.array([*observation_bounds(J), *more], dtype=np.float32)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
@@ -30,25 +37,27 @@ def action_space(world: World) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(world.low),), dtype=np.float32)
 
 
-def desired_angles(world: World, action: Tensor) -> Tensor:
-    """Set-points in rad from actions between -1 and 1, shape (E, J)."""
-    return world.low + (action + 1) / 2 * (world.high - world.low)
-
-
 class FishEnv(gymnasium.Env[Array, Array]):
     """One robot at its task, in the fluid or in the twin.
 
-    Observations are those of ``rl.task``; actions are desired joint angles, -1 and 1 at the ends of
-    each joint's range.
+    A step is one decision of ``view``: 80 ms unless it is the paper's. Observations are the view's
+    columns; actions are desired joint angles, -1 and 1 at the ends of each joint's range.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium's way
 
-    def __init__(self, world: World, *, render_mode: str | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        view: View = View(),  # noqa: B008 - frozen
+        *,
+        render_mode: str | None = None,
+    ) -> None:
         """Wrap a world.
 
         Args:
             world: Of one environment.
+            view: How a policy looks at it.
             render_mode: ``rgb_array`` for pictures of the pool from above; None for none.
 
         Raises:
@@ -59,8 +68,8 @@ class FishEnv(gymnasium.Env[Array, Array]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode: {render_mode!r}, not 'rgb_array' or None")
         self.render_mode = render_mode
-        self.world = world
-        self.observation_space: Any = observation_space(world)
+        self.world, self.decisions = world, Decisions(world, view)
+        self.observation_space: Any = observation_space(world, view)
         self.action_space: Any = action_space(world)
 
     def reset(
@@ -70,12 +79,12 @@ class FishEnv(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
-        return self.world.reset()[0].cpu().numpy(), {}
+        return self.decisions.reset()[0].cpu().numpy(), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Send set-points and go on by 20 ms; the next episode is for ``reset`` to begin."""
-        given = torch.as_tensor(action, dtype=torch.float32, device=self.world.device)[None]
-        step = self.world.step(desired_angles(self.world, given), begin=False)
+        """Take a decision and go on to the next; the next episode is for ``reset`` to begin."""
+        given = torch.as_tensor(action, device=self.world.device)[None]
+        step = self.decisions.step(given, begin=False)
         return (
             step.final[0].cpu().numpy(),
             float(step.reward[0]),
@@ -105,10 +114,11 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - Gymnasium's way
 
-    def __init__(self, world: World) -> None:
-        """Wrap a world."""
+    def __init__(self, world: World, view: View = View()) -> None:  # noqa: B008 - frozen
+        """Wrap a world, seen as ``view`` says."""
         self.world, self.num_envs = world, world.n_envs
-        self.single_observation_space: Any = observation_space(world)
+        self.decisions = Decisions(world, view)
+        self.single_observation_space: Any = observation_space(world, view)
         self.single_action_space: Any = action_space(world)
         self.observation_space: Any = batch_space(self.single_observation_space, world.n_envs)
         self.action_space: Any = batch_space(self.single_action_space, world.n_envs)
@@ -121,12 +131,12 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         super().reset(seed=first)
         if first is not None:
             self.world.seed(first)
-        return self.world.reset().cpu().numpy(), {}
+        return self.decisions.reset().cpu().numpy(), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Any, Any, dict[str, Any]]:
-        """Send set-points and go on by 20 ms."""
+        """Take a decision everywhere and go on to the next."""
         given = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
-        step = self.world.step(desired_angles(self.world, given))
+        step = self.decisions.step(given)
         terminated, truncated = step.terminated.cpu().numpy(), step.truncated.cpu().numpy()
         ended = terminated | truncated
         reached = step.reached.cpu().numpy()

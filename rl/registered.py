@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rl.env import FishEnv, FishVectorEnv
+from rl.observer import View
 from rl.pool import Fidelity, draws_of, make_world
 from rl.task import TASKS
 from rl.world import World
@@ -27,14 +28,24 @@ FISH = Path(__file__).parent / "fish"
 """The robot, its calibrated model and its ranges that ship with the package."""
 
 
-def make_fish(*, render_mode: str | None = None, **options: Any) -> FishEnv:  # noqa: ANN401
-    """One robot; options as for ``world_of``."""
-    return FishEnv(world_of(1, **options), render_mode=render_mode)
+def make_fish(
+    *,
+    render_mode: str | None = None,
+    view: View = View(),  # noqa: B008 - frozen
+    **options: Any,  # noqa: ANN401
+) -> FishEnv:
+    """One robot, seen as ``view`` says; other options as for ``world_of``."""
+    return FishEnv(world_of(1, **options), view, render_mode=render_mode)
 
 
-def make_fish_vec(num_envs: int = 1, **options: Any) -> FishVectorEnv:  # noqa: ANN401
-    """Robots in one batch; options as for ``world_of``."""
-    return FishVectorEnv(world_of(num_envs, **options))
+def make_fish_vec(
+    num_envs: int = 1,
+    *,
+    view: View = View(),  # noqa: B008 - frozen
+    **options: Any,  # noqa: ANN401
+) -> FishVectorEnv:
+    """Robots in one batch, seen as ``view`` says; other options as for ``world_of``."""
+    return FishVectorEnv(world_of(num_envs, **options), view)
 
 
 def world_of(

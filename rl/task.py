@@ -63,9 +63,18 @@ def reward(
     task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
 ) -> Tensor:
     """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 where it arrives, -10 where it leaves)."""
+    return gain(task, before, distance, reached, outside) - task.energy * effort(rate)
+
+
+def gain(task: Task, before: Tensor, distance: Tensor, reached: Tensor, outside: Tensor) -> Tensor:
+    """What the reward gives for progress, before energy is paid, shape (E,)."""
     approach = task.approach * (before - distance)
-    energy = task.energy * (rate**2).sum(dim=1)
-    return approach - energy + task.bonus * (reached.float() - outside.float())
+    return approach + task.bonus * (reached.float() - outside.float())
+
+
+def effort(rate: Tensor) -> Tensor:
+    """The paper's energy of a control period, |J'|^2 in rad^2/s^2, shape (E,)."""
+    return (rate**2).sum(dim=1)
 
 
 @dataclass(frozen=True)
@@ -129,6 +138,36 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
     return pose, joint, target
 
 
+def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """Three targets one after the other, each as far from the last as in ``mixed``.
+
+    What comes after a target matters too, and an episode that goes well is not over at once. A
+    quarter begins as ``turn`` does, straight and with the first target behind: the hardest start.
+    """
+    pose, joint, first = mixed(rng, n, J)
+    behind = rng.uniform(size=n) < 0.25
+    away = pose[:, :2] - first[:, 0]
+    heading = np.arctan2(away[:, 1], away[:, 0]) + rng.normal(0, 0.2, n)
+    pose[behind, 2], joint[behind] = heading[behind], 0.0
+    ways = [first]
+    for _ in range(2):
+        ways.append(_onward(rng, ways[-1]))
+    return pose, joint, np.concatenate(ways, axis=1)
+
+
+def _onward(rng: np.random.Generator, last: Array) -> Array:
+    """Targets at ``mixed``'s distances from (n, 1, 2), inside the pool."""
+    half = np.array(DOMAIN_M) / 2 - MARGIN_M
+    out, todo = last.copy(), np.arange(len(last))
+    while todo.size:
+        away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=todo.size)
+        around = rng.uniform(-np.pi, np.pi, todo.size)
+        way = np.stack([np.cos(around), np.sin(around)], axis=1)
+        out[todo, 0] = last[todo, 0] + away[:, None] * way
+        todo = todo[(np.abs(out[todo, 0]) > half).any(axis=1)]
+    return out
+
+
 def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """A 180 degree turn: at rest, straight, the target 1.5 m behind; anywhere it fits."""
     heading = rng.uniform(-np.pi, np.pi, n)
@@ -158,7 +197,8 @@ POINT = Task("point", point)
 TASKS = {
     "point": POINT,
     "near": Task("near", near, steps=500),
-    "mixed": Task("mixed", mixed, steps=500),
+    "mixed": Task("mixed", mixed),
+    "chain": Task("chain", chain, waypoints=3),
     "turn": Task("turn", turn),
     "pentagram": Task("pentagram", pentagram, waypoints=21, steps=6000),
 }

@@ -10,22 +10,24 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from rl.env import action_space, desired_angles, observation_space
+from rl.decisions import Decisions
+from rl.env import action_space, observation_space
+from rl.observer import View
 from rl.world import Step, World
 
 Array = NDArray[np.float32]
 
 
 class FishVecEnv(VecEnv):
-    """All robots of a world, one batched simulator underneath.
+    """All robots of a world, one batched simulator underneath; a step is one decision of ``view``.
 
     An episode's last observation stands in ``infos[e]["terminal_observation"]``, what Monitor would
     say of it in ``infos[e]["episode"]``.
     """
 
-    def __init__(self, world: World) -> None:
-        self.world = world
-        super().__init__(world.n_envs, observation_space(world), action_space(world))
+    def __init__(self, world: World, view: View = View()) -> None:  # noqa: B008 - frozen
+        self.world, self.decisions = world, Decisions(world, view)
+        super().__init__(world.n_envs, observation_space(world, view), action_space(world))
         self._return = np.zeros(world.n_envs)
         self._length = np.zeros(world.n_envs, dtype=int)
         self._action = torch.zeros(world.n_envs, len(world.low), device=world.device)
@@ -36,15 +38,15 @@ class FishVecEnv(VecEnv):
             self.world.seed(self._seeds[0])
             self._reset_seeds()
         self._return[:], self._length[:] = 0.0, 0
-        return self.world.reset().cpu().numpy()
+        return self.decisions.reset().cpu().numpy()
 
     def step_async(self, actions: Array) -> None:
         """Take the actions of the next step."""
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Go on by one step."""
-        step = self.world.step(desired_angles(self.world, self._action))
+        """Go on by one decision."""
+        step = self.decisions.step(self._action)
         value = step.reward.cpu().numpy()
         ended = (step.terminated | step.truncated).cpu().numpy()
         self._return += value

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.randomize import Noise
-from rl.task import Task, observation, observation_bounds, reward
+from rl.task import Task, effort, gain, observation, observation_bounds
 from sim.robot.live import Simulator
 from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
@@ -45,14 +45,17 @@ class Step:
     Attributes:
         observation: Of the state that the next action is for, shape (E, O).
         reward: Shape (E,).
+        effort: The energy in it before its weight, rad^2/s^2, shape (E,).
         terminated: The robot arrived at the last waypoint or left the pool, shape (E,).
         truncated: The episode took too long, or the guard stopped the robot, shape (E,).
         reached: Waypoints reached so far in the episode that this step belongs to, shape (E,).
-        final: Observation at the end of this step, which ``observation`` is but where episodes end.
+        final: Observation at the end of this step, which ``observation`` is but where episodes end;
+            of a robot that the guard stopped, the last from before.
     """
 
     observation: Tensor
     reward: Tensor
+    effort: Tensor
     terminated: Tensor
     truncated: Tensor
     reached: Tensor
@@ -121,7 +124,8 @@ class World:
     def reset(self) -> Tensor:
         """Begin an episode everywhere; its first observations, shape (E, O)."""
         self._begin(np.arange(self.n_envs))
-        return self._observed()
+        self._last = self._observed()
+        return self._last
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
         """Send set-points and go on by one control period.
@@ -138,8 +142,10 @@ class World:
         outside = (self.pose[:, :2].abs() > self._half).any(dim=1)
         reached = distance < self.task.arrive_m
         stopped = self._stopped
-        value = reward(self.task, self._distance, distance, self.rate, reached, outside)
-        value = torch.where(stopped, torch.zeros_like(value), value)
+        stays = (~stopped).float()
+        spent = stays * effort(self.rate)
+        value = stays * gain(self.task, self._distance, distance, reached, outside)
+        value = value - self.task.energy * spent
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
         terminated = (done | outside) & ~stopped
@@ -148,13 +154,18 @@ class World:
         self.waypoint.clamp_(max=self.task.waypoints - 1)
         self._distance = self._far()
         self._remember()
-        final = self._observed()
-        ended = torch.nonzero(terminated | truncated)[:, 0]
-        seen = final
-        if begin and len(ended):
+        final = torch.where(stopped[:, None], self._last, self._observed())
+        self._last = final
+        seen = self.begin(terminated | truncated) if begin else final
+        return Step(seen, value, spent, terminated, truncated, count, final)
+
+    def begin(self, which: Tensor) -> Tensor:
+        """Begin an episode in some environments, shape (E,); the observations of all."""
+        ended = torch.nonzero(which)[:, 0]
+        if len(ended):
             self._begin(ended.cpu().numpy())
-            seen = self._observed()
-        return Step(seen, value, terminated, truncated, count, final)
+            self._last = torch.where(which[:, None], self._observed(), self._last)
+        return self._last
 
     def _begin(self, which: NDArray[np.intp]) -> None:
         """Begin an episode in some environments."""

@@ -48,6 +48,10 @@ class Pool:
         self._world.step(desired)
         return self._shown()
 
+    def rate(self) -> Array:
+        """True joint rates in rad/s, shape (n, J), which no camera or servo shows."""
+        return self._world.rate()
+
     def _shown(self) -> tuple[Array, Array]:
         pose, joint = self._world.where()
         pose, joint = filmed(pose, self._rng), reported(joint, self._rng)

@@ -118,6 +118,10 @@ class World:
         q[:, :2] += self._current * self.t
         return q[:, :3], q[:, 3:] - self._trim
 
+    def rate(self) -> Array:
+        """Joint rates in rad/s, shape (E, J)."""
+        return np.array(self.swimmer.bodies.motion.v.numpy()[:, 3:])
+
     def stopped(self) -> NDArray[np.bool_]:
         """Boxes that the fluid's guard has stopped, shape (E,)."""
         return np.asarray(self.swimmer.fluid.stopped.numpy() >= 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,8 @@ from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.places import Place, Real, Simulated
 from rl.experiments.reality import RealityFile, read_reality
 from rl.randomize import noise_of
-from rl.sac.agents import Settings
-from rl.sac.jobs import QUICK
+from rl.sac import recipes
 from rl.sac.train import Arm, Plan
-from rl.task import TASKS
 from rl.world import Draws
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
@@ -42,10 +39,15 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
-    names = options.arms or [name for name in ARMS if enriched or not ARMS[name].effects]
+    known = reality if isinstance(reality, Model) else None
+    left = {"all-and-effects"} if enriched is None else set()
+    left |= {"ceiling"} if known is None else set()
+    names = options.arms or [name for name in ARMS if name not in left]
+    if known is None and "ceiling" in names:
+        raise InputError("ablate", "--arms", "ceiling", "--reality MODEL.json, which says all")
     if enriched is None and any(ARMS[name].effects for name in names):
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
-    arms = [arm_of(name, model, robot, ranges, enriched) for name in names]
+    arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
     plan = plan_of(options)
     places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
@@ -72,33 +74,12 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
 
 def plan_of(options: argparse.Namespace) -> Plan:
     """How to train, the quick settings first."""
-    quick = QUICK if options.quick else {}
-
-    def chosen(name: str, otherwise: Any) -> Any:  # noqa: ANN401 - an option's value
-        given = getattr(options, name)
-        return quick.get(name, otherwise) if given is None else given
-
-    settings = Settings(
-        updates_per_step=chosen("updates_per_step", 1.0),
-        rate=chosen("learning_rate", 3e-4),
-        gamma=chosen("discount", 0.99),
-        hidden=tuple(quick.get("hidden", (256, 256))),
-    )
-    task = TASKS[chosen("task", "point")]
-    weight = chosen("energy_weight", task.energy)
-    return Plan(
-        replace(task, energy=weight),
-        steps=chosen("steps", 600_000),
-        envs=chosen("envs", 64),
-        segment=chosen("segment", 200_000),
-        seeds=tuple(range(options.seed, options.seed + options.seeds)),
-        fidelity=options.fidelity,
-        device=options.device,
-        cell_m=options.cell_m,
-        threads=options.threads,
-        settings=settings,
-        energy_start=chosen("energy_start", 1.0),
-    )
+    given = {name: value for name, value in vars(options).items() if value is not None}
+    return recipes.plan_of(
+        {**(recipes.QUICK if options.quick else {}), **given},
+        seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
+        device=options.device, cell_m=options.cell_m, threads=options.threads,
+    )  # fmt: skip
 
 
 def tried_in(
@@ -116,7 +97,7 @@ def tried_in(
         cell_m: Side of a model's cells; half of the training's where None.
     """
     S = len(plan.seeds)
-    own = [Draws(arm.draws.models[:1], arm.draws.noise) for arm in arms for _ in range(S)]
+    own = [arm.draws for arm in arms for _ in range(S)]
     simulation = _simulated("simulation", own, plan, plan.cell_m, {})
     if isinstance(reality, RealityFile):
         return [simulation, Real(reality, plan.device)]
@@ -147,7 +128,7 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
                 name = f"{arm.name}-{seed}"
                 files = {
                     key: None if value is None else str(value.absolute())
-                    for key in ("robot", "model", "ranges", "enriched")
+                    for key in ("robot", "model", "ranges", "enriched", "reality")
                     for value in (getattr(options, key),)
                 }
                 given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
@@ -166,11 +147,8 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
 
 def asked(options: argparse.Namespace) -> dict[str, Any]:
     """The options that make the plan, as JSON keeps them."""
-    names = (
-        "quick", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate",
-        "discount", "energy_weight", "energy_start", "fidelity", "device", "cell_m", "threads",
-    )  # fmt: skip
-    return {name: getattr(options, name) for name in names}
+    names = ("quick", *recipes.OPTIONS, "fidelity", "device", "cell_m", "threads")
+    return {name: getattr(options, name, None) for name in names}
 
 
 def train_one(
@@ -180,6 +158,7 @@ def train_one(
     model: str,
     ranges: str,
     enriched: str | None,
+    reality: str,
     arm: str,
     seed: int,
     plan: dict[str, Any],
@@ -190,6 +169,7 @@ def train_one(
     torch.set_num_threads(1)
     fish = read_robot(robot)
     more = None if enriched is None else read_model(enriched)
-    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more)
+    known = read_model(reality) if arm == "ceiling" else None
+    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more, known)
     how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
     train(folder, fish, [one], how)

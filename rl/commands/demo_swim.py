@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rl.commands.evaluate import controller_of
 from rl.experiments.evaluate import run_episodes
 from rl.experiments.film import Film
+from rl.experiments.named import controller_of
 from rl.pool import make_world
 from rl.task import TASKS, shortened
 from rl.world import Draws
@@ -38,8 +38,9 @@ def swim_section(policy: Path, robot: Robot, model: Model, film: Path, seed: int
         robot, task, Draws((model,)), n_envs=1, fidelity="fluid", seed=seed, threads=2
     )
     name = "learned in the twin, swims in the fluid"
+    limits = [joint.limits_rad for joint in robot.joints]
     with Video(film) as video, Film(video, world, name, width=_WIDTH) as watch:
-        swum = run_episodes(world, controller_of(str(policy), robot, world), watch=watch)
+        swum = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
     took = float(swum.time_s[0])
     if np.isfinite(took):
         said = f"It arrives after {took:.1f} s."

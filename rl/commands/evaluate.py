@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,23 +12,19 @@ import numpy as np
 import torch
 
 from rl.controllers import Controller
-from rl.deploy.export import read_zip
-from rl.deploy.forward import read_npz
-from rl.experiments.evaluate import Episodes, PolicyController, run_episodes, summary
+from rl.experiments.evaluate import Episodes, run_episodes, summary
 from rl.experiments.film import Film
+from rl.experiments.named import controller_of
+from rl.experiments.trials import UNSEEN, run_trials
 from rl.pool import draws_of, make_world, own_stream
-from rl.sac.sampled import SampledController
+from rl.sac.recipes import RECIPES
 from rl.task import TASKS
-from rl.world import World
 from sim.view.video import Video, check_video
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
 from sim2real.ranges.entry import read_ranges
-from sim2real.robot import Robot, read_robot
-
-CONTROLLERS = ("pnl", "adrc")
-"""Those that are not learned, by the names a command line takes in a policy's place."""
+from sim2real.robot import read_robot
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,68 +38,47 @@ def run(options: argparse.Namespace) -> int:
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     if options.episodes < 1:
         raise InputError("evaluate", "--episodes", str(options.episodes), "at least 1")
-    task = TASKS[options.task]
-    if options.energy_weight is not None:
-        task = replace(task, energy=options.energy_weight)
-    draws = draws_of(model, ranges, robot, seed=options.seed + 10_000, n=options.episodes)
-    swims: dict[str, Episodes] = {}
-    with Video(options.video) if options.video else nullcontext() as video:
-        for name in options.policies:
-            with own_stream(options.device):
-                world = make_world(
-                    robot, task, draws, n_envs=options.episodes, seed=options.seed,
-                    fidelity=options.fidelity, device=options.device, cell_m=options.cell_m,
-                    threads=options.threads,
-                )  # fmt: skip
-                controller = controller_of(name, robot, world, sampled=options.sampled)
-                with Film(video, world, shown(name)) if video else nullcontext() as film:
-                    swims[name] = run_episodes(world, controller, name=name, watch=film)
-    table = {name: summary(episodes) for name, episodes in swims.items()}
+    weight = RECIPES["default"].energy if options.energy_weight is None else options.energy_weight
+    task = replace(TASKS[options.task], energy=weight)
+    names = list(dict.fromkeys(options.policies))
+    limits = [joint.limits_rad for joint in robot.joints]
+
+    def controllers(n: int, given: Sequence[str]) -> dict[str, Controller]:
+        how: Any = {"gains": options.gains, "sampled": options.sampled}
+        return {name: controller_of(name, limits, n, **how) for name in given}
+
+    water: Any = {
+        "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
+        "threads": options.threads,
+    }  # fmt: skip
+    swims = run_trials(
+        robot, model, ranges, task, controllers(options.episodes, names),
+        episodes=options.episodes, seed=options.seed, **water,
+    )  # fmt: skip
+    table = {name: summary(episodes, task) for name, episodes in swims.items()}
     options.result = {"task": options.task, "fidelity": options.fidelity, "results": table}
     for name, row in table.items():
         print(said(name, row))
     if out is not None:
-        inputs = [options.robot, options.model, *(p for p in options.policies if Path(p).exists())]
+        inputs = [options.robot, options.model, *(p for p in names if Path(p).exists())]
+        inputs += [options.ranges] if options.ranges else []
+        content: dict[str, Any] = {
+            "task": options.task, "fidelity": options.fidelity, "randomized": ranges is not None,
+            "energy_weight": weight,
+        }  # fmt: skip
         made = provenance(inputs, options.seed)
-        content: dict[str, Any] = {"task": options.task, "fidelity": options.fidelity}
         write_json(out, {**content, "results": table, "provenance": made})
     if picture is not None:
         draw(swims, picture)
+    if options.video is not None:
+        draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
+        with Video(options.video) as video:
+            for name, one in controllers(1, names).items():
+                with own_stream(options.device):
+                    world = make_world(robot, task, draws, n_envs=1, seed=options.seed, **water)
+                    with Film(video, world, shown(name)) as film:
+                        run_episodes(world, one, name=name, watch=film)
     return 0
-
-
-def controller_of(name: str, robot: Robot, world: World, *, sampled: bool = False) -> Controller:
-    """A policy's file, or one of ``CONTROLLERS``.
-
-    Args:
-        name: Which.
-        robot: Its joints' limits.
-        world: Where it swims.
-        sampled: Whether a policy's ``.zip`` acts as in training, with noise.
-
-    Raises:
-        InputError: If it is neither.
-    """
-    limits = [joint.limits_rad for joint in robot.joints]
-    if name == "pnl":
-        from rl.controllers.pnl import ProportionalNavigation
-
-        return ProportionalNavigation(limits, world.n_envs)
-    if name == "adrc":
-        from rl.controllers.adrc import DisturbanceRejection
-
-        return DisturbanceRejection(limits, world.n_envs)
-    from rl.controllers.discrete_cpg import read_policy, read_table
-
-    if (table := read_table(name)) is not None:
-        return read_policy(name, table, limits, world.n_envs)
-    policy = read_npz(name) if name.endswith(".npz") else read_zip(name)
-    if len(policy.joints) != len(limits):
-        found = f"{len(policy.joints)} joints"
-        raise InputError(name, "joints", found, f"{len(limits)}, as the robot has")
-    if sampled and not name.endswith(".npz"):
-        return SampledController(name)
-    return PolicyController(policy)
 
 
 def shown(name: str) -> str:

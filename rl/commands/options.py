@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sim2real.commands.command import Command
 
-_TASKS = ("point", "near", "mixed", "turn", "pentagram")
-_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects")
+_TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
+_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling")
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -44,21 +44,27 @@ def _executor(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _plan(command: argparse.ArgumentParser, steps: int) -> None:
-    command.add_argument("--steps", type=int, help=f"of each agent (default {steps})")
+def _plan(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--recipe",
+        choices=("default", "paper", "fine"),
+        help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
+        "what goes on from policies that swim",
+    )
+    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 1000000)")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
     command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
-    command.add_argument("--updates-per-step", type=float, help="(default 1)")
-    command.add_argument("--learning-rate", type=float, help="(default 0.0003)")
-    command.add_argument("--discount", type=float, help="of a step later (default 0.99)")
+    command.add_argument("--updates-per-step", type=float, help="(default 0.1)")
+    command.add_argument("--learning-rate", type=float, help="at first (default 0.001)")
+    command.add_argument("--discount", type=float, help="of a decision later (default 0.99)")
     command.add_argument(
-        "--energy-weight", type=float, help="of the joints' squared rates (default 0.001)"
+        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0008)"
     )
     command.add_argument(
         "--energy-start",
         type=float,
         metavar="SHARE",
-        help="of that weight at first; the whole from half of the steps on (default 1)",
+        help="of that weight until robots swim; then it grows (default 0.1)",
     )
 
 
@@ -71,10 +77,24 @@ def _train(command: argparse.ArgumentParser) -> None:
         default="sac",
         help="what learns: joint angles (default), or which gait of a pattern generator",
     )
-    command.add_argument("--task", choices=_TASKS, help="(default point)")
-    command.add_argument("--quick", action="store_true", help="near targets, minutes on a CPU")
+    command.add_argument("--task", choices=_TASKS, help="(default chain)")
+    command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
     command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
-    _plan(command, 1_000_000)
+    _plan(command)
+    command.add_argument(
+        "--first",
+        nargs="+",
+        type=Path,
+        metavar="POLICY",
+        help="policies to go on from, one a seed; with --recipe fine from the twin to the fluid",
+    )
+    command.add_argument(
+        "--trials",
+        type=int,
+        default=20,
+        metavar="N",
+        help="held-out turns and targets that choose among the seeds (default 20; 0 for none)",
+    )
     command.add_argument("--tensorboard", action="store_true", help="write its files too")
     command.add_argument("--no-plots", action="store_true", help="write no curve.png")
     _executor(command)
@@ -92,9 +112,9 @@ def _ablate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
     command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
     command.add_argument(
-        "--seeds", type=int, default=3, metavar="N", help="of each arm (default 3)"
+        "--seeds", type=int, default=6, metavar="N", help="of each arm (default 6)"
     )
-    command.add_argument("--repeats", type=int, default=5, help="turns of each agent (default 5)")
+    command.add_argument("--repeats", type=int, default=10, help="turns of each agent (default 10)")
     command.add_argument(
         "--reality-cell-m",
         type=float,
@@ -102,21 +122,30 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         help="of its water (default: half of training's, or the Python file's own)",
     )
     _sampled(command)
-    command.add_argument("--task", choices=_TASKS, help="to train at (default point)")
+    command.add_argument("--task", choices=_TASKS, help="to train at (default chain)")
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
-    _plan(command, 600_000)
+    _plan(command)
     _executor(command)
 
 
 def _evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "policies", nargs="+", metavar="POLICY", help="policy.zip, policy.npz, pnl or adrc"
+        "policies",
+        nargs="+",
+        metavar="POLICY",
+        help="policy.zip, policy.npz, pnl or adrc, also pnl-fast, pnl-frugal and so on",
     )
     _water(command)
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
     _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
-    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.001)")
+    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0008)")
+    command.add_argument(
+        "--gains",
+        type=Path,
+        metavar="TOML",
+        help="of pnl and adrc (default: those tuned in the twin)",
+    )
     command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
     command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
     command.add_argument(

@@ -12,9 +12,15 @@ import torch
 
 from rl.controllers import discrete_train
 from rl.executor import Job, run_jobs
+from rl.experiments.selection import HELD_OUT, held_out
 from rl.sac import jobs as sac
 from rl.sac.curve import draw_curves, read_progress
+from rl.sac.recipes import RECIPES
 from sim2real.errors import InputError
+from sim2real.model import read_model
+from sim2real.output import write_json
+from sim2real.ranges.entry import read_ranges
+from sim2real.robot import read_robot
 
 TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}
 """Modules with ``train_run`` and ``QUICK``, by what ``--controller`` says."""
@@ -39,7 +45,29 @@ def run(options: argparse.Namespace) -> int:
         some = np.flatnonzero(seen["episodes"] > 0)
         last = f"return {seen['mean_return'][some[-1]]:.2f}" if some.size else "no episode ended"
         print(f"{folder / 'policy.zip'}: {int(seen['steps'][-1])} steps, {last}")
+    if options.trials:
+        select(options, folders)
     return 0
+
+
+def select(options: argparse.Namespace, folders: list[Path]) -> None:
+    """Try all agents on held-out trials; write ``trials.json`` and say which is best."""
+    energy = options.energy_weight or RECIPES[options.recipe or "default"].energy
+    found = held_out(
+        folders, read_robot(options.robot), read_model(options.model),
+        None if options.ranges is None else read_ranges(options.ranges),
+        energy=energy, episodes=options.trials, fidelity=options.fidelity, device=options.device,
+        cell_m=options.cell_m, threads=options.threads,
+    )  # fmt: skip
+    write_json(options.out / "trials.json", found)
+    for agent, rows in found["agents"].items():
+        told = ", ".join(
+            f"{name} {100 * rows[name]['success']:.0f} % in {rows[name]['time_s']:.1f} s at "
+            f"{rows[name]['energy']:.0f} rad2/s2"
+            for name in HELD_OUT
+        )
+        print(f"{agent}: {told}; reward {rows['score']:.2f}")
+    print(f"best of {options.trials} held-out trials each: {found['best']}")
 
 
 def call(options: argparse.Namespace) -> dict[str, Any]:
@@ -49,14 +77,17 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
         InputError: If an option is not of this controller.
     """
     asked = {
-        "task": options.task, "steps": options.steps, "envs": options.envs,
-        "segment": options.segment, "updates_per_step": options.updates_per_step,
+        "recipe": options.recipe, "task": options.task, "steps": options.steps,
+        "envs": options.envs, "segment": options.segment,
+        "updates_per_step": options.updates_per_step,
         "learning_rate": options.learning_rate, "discount": options.discount,
         "energy_weight": options.energy_weight, "energy_start": options.energy_start,
     }  # fmt: skip
     count = options.seeds
     trainer = TRAINERS[options.controller]
     given = {name: value for name, value in asked.items() if value is not None}
+    if options.first:
+        given["first"] = [str(path.absolute()) for path in options.first]
     for name in given.keys() - inspect.signature(trainer.train_run).parameters:
         found, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
         raise InputError("train", option, found, "--controller sac")
@@ -83,6 +114,8 @@ def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Pa
             k: str(Path(given[k]).absolute()) for k in ("robot", "model", "ranges") if given[k]
         }
         one = {**given, **files, "seeds": [seed]}
+        if "first" in given:
+            one["first"] = [given["first"][given["seeds"].index(seed)]]
         work = f"{TRAINERS[options.controller].__name__}:train_run"
         jobs.append(Job(name, work, one, options.out / name))
     outcomes = run_jobs(

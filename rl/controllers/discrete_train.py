@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from rl.controllers.discrete_cpg import TABLE, ActionTable
 from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.observer import PAPER
 from rl.pool import Fidelity, draws_of, make_world, own_stream
 from rl.task import TASKS
 from rl.vec_env import FishVecEnv
@@ -128,7 +129,7 @@ def train_run(
                 fish, chosen, draws, n_envs=envs, seed=seed, fidelity=fidelity, device=device,
                 cell_m=cell_m, threads=threads,
             )  # fmt: skip
-            agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world), table), seed, settings)
+            agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), table), seed, settings)
             telling = Telling(steps, table.hold)
             agent.learn(-(-steps // table.hold), callback=telling)
         agent.gaits, agent.joints = table.content(), [joint.name for joint in fish.joints]

@@ -15,7 +15,8 @@ from torch import nn
 from rl.deploy.forward import Policy, npz
 from rl.deploy.header import c_header
 from rl.deploy.onnx_graph import onnx_model
-from rl.task import observation_names
+from rl.observer import PAPER, View
+from rl.task import observation_bounds, observation_names
 from sim2real.errors import InputError
 from sim2real.output import check_writable, provenance, write_whole
 
@@ -65,11 +66,11 @@ def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | Non
     """
     layers = _layers(agent, where)
     low, high, joints = _actions(agent)
-    O, J = layers[0].in_features, len(low)  # noqa: E741
-    if O != 5 + 2 * J:
-        found = f"{O} columns for {J} joints"
-        raise InputError(where, "observation", found, f"{5 + 2 * J}, as rl.task has them")
-    seen: Any = agent.observation_space
+    view = view_of(agent)
+    F, J = layers[0].in_features, len(low)
+    if view.size(J) != F:
+        found = f"{F} columns for {J} joints"
+        raise InputError(where, "observation", found, f"{view.size(J)}, as its view has them")
     return Policy(
         weights=tuple(_array(layer.weight) for layer in layers),
         biases=tuple(_array(layer.bias) for layer in layers),
@@ -77,9 +78,16 @@ def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | Non
         high=high,
         joints=joints,
         observation=tuple(observation_names(joints)),
-        observation_limit=np.minimum(seen.high, np.finfo(np.float32).max).astype(np.float32),
+        observation_limit=np.array(observation_bounds(J), dtype=np.float32),
+        view=view,
         provenance=dict(made or {}),
     )
+
+
+def view_of(agent: SAC) -> View:
+    """How an agent looks at the task; as the paper's where it doesn't say."""
+    view = getattr(agent, "view", PAPER)
+    return view if isinstance(view, View) else PAPER
 
 
 def _layers(agent: SAC, where: str) -> list[nn.Linear]:

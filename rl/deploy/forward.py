@@ -6,7 +6,7 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rl.observer import PAPER, View
 from sim2real.errors import InputError
 
-SCHEMA = "sim2real.policy/1"
+SCHEMA = "sim2real.policy/2"
+FIRST = "sim2real.policy/1"
+"""What was written before policies had a view: the paper's."""
 
 Array = NDArray[np.float32]
 
@@ -30,8 +33,9 @@ class Policy:
         biases: Of each layer, shape (outputs,).
         low, high: Angles in rad that tanh's -1 and 1 stand for, shape (J,).
         joints: Names of the J joints, in the action's order.
-        observation: Names of the O columns of an observation, with units, in order.
+        observation: Names of the O columns that the task observes, with units, in order.
         observation_limit: Largest size of each column in training, where it was cut, shape (O,).
+        view: How the policy looks at them, and when; its F columns are the network's inputs.
         provenance: Where it came from.
     """
 
@@ -42,26 +46,26 @@ class Policy:
     joints: tuple[str, ...]
     observation: tuple[str, ...]
     observation_limit: Array
+    view: View = PAPER
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def forward(policy: Policy, observation: NDArray[Any]) -> Array:
-    """Desired joint angles in rad, shape (..., J): what the trained policy does without noise.
+def forward(policy: Policy, inputs: NDArray[Any]) -> Array:
+    """Decisions between -1 and 1, shape (..., J): what the trained policy does without noise.
 
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C), scaled
-    to the joints' ranges.
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C). What
+    they mean in rad, and when, says ``rl.observer``.
 
     Args:
         policy: The policy.
-        observation: Columns as ``policy.observation`` says, shape (..., O).
+        inputs: Columns as ``policy.view`` says, shape (..., F).
     """
-    x = np.asarray(observation, dtype=np.float32)
+    x = np.asarray(inputs, dtype=np.float32)
     *hidden, last = zip(policy.weights, policy.biases, strict=True)
     for weight, bias in hidden:
         x = np.maximum(x @ weight.T + bias, np.float32(0))
     weight, bias = last
-    share = (np.tanh(x @ weight.T + bias) + np.float32(1)) / np.float32(2)
-    return np.asarray(policy.low + share * (policy.high - policy.low), dtype=np.float32)
+    return np.asarray(np.tanh(x @ weight.T + bias), dtype=np.float32)
 
 
 def npz(policy: Policy) -> bytes:
@@ -78,6 +82,7 @@ def npz(policy: Policy) -> bytes:
         joints=np.array(policy.joints),
         observation=np.array(policy.observation),
         observation_limit=policy.observation_limit,
+        view=np.array(json.dumps(asdict(policy.view))),
         provenance=np.array(json.dumps(dict(policy.provenance))),
         **layers,
     )
@@ -96,7 +101,7 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
             content = {name: stored[name] for name in stored.files}
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise InputError(file, "", f"no arrays ({error})", "a policy exported as .npz") from None
-    if str(content.get("schema")) != SCHEMA:
+    if str(content.get("schema")) not in (SCHEMA, FIRST):
         raise InputError(file, "schema", repr(str(content.get("schema"))), repr(SCHEMA))
     try:
         count = sum(name.startswith("weight_") for name in content)
@@ -108,6 +113,7 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
             joints=tuple(map(str, content["joints"])),
             observation=tuple(map(str, content["observation"])),
             observation_limit=_numbers(content["observation_limit"]),
+            view=_view(content),
             provenance=json.loads(str(content["provenance"])),
         )
     except KeyError as error:
@@ -116,6 +122,18 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
         raise InputError(file, "", f"an array that is none ({error})", "finite numbers") from None
     _check(file, policy)
     return policy
+
+
+def _view(content: Mapping[str, NDArray[Any]]) -> View:
+    if str(content["schema"]) == FIRST:
+        return PAPER
+    told = json.loads(str(content["view"]))
+    kinds = {"period": int, "ramp": bool, "memory": int, "scaled": bool, "sides": bool}
+    if not isinstance(told, dict) or {k: type(v) for k, v in told.items()} != kinds:
+        raise ValueError(f"a view {told!r}")
+    if told["period"] < 1 or told["memory"] < 0:
+        raise ValueError(f"a view {told!r}")
+    return View(**told)
 
 
 def _numbers(values: NDArray[Any]) -> Array:
@@ -127,7 +145,11 @@ def _numbers(values: NDArray[Any]) -> Array:
 
 def _check(file: Path, policy: Policy) -> None:
     """Make sure that the layers follow on each other, from observation to joints."""
-    J, width = len(policy.joints), len(policy.observation)
+    J = len(policy.joints)
+    width = policy.view.size(J)
+    if len(policy.observation) != 5 + 2 * J:
+        expected = f"{5 + 2 * J}, for {J} joints"
+        raise InputError(file, "observation", f"{len(policy.observation)} names", expected)
     if not policy.weights:
         raise InputError(file, "weight_0", "nothing", "an array of that name")
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rl.deploy.forward import Policy, forward
+from rl.deploy.controller import PolicyController
+from rl.deploy.forward import Policy
 from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.observer import CONTROL_S, Observer
+from rl.deploy.measurements import CONTROL_S, Measurements
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,9 @@ class Pilot:
     _rows: list[tuple[float, Array, Telemetry]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._observer = Observer(self.policy.observation_limit)
+        self._seen = Measurements(self.policy.observation_limit)
+        self._controller = PolicyController(self.policy)
+        self._period: int | None = None
         self.rest: Array = np.clip(0.0, self.policy.low, self.policy.high).astype(np.float64)
 
     @property
@@ -82,7 +85,7 @@ class Pilot:
 
     def answer(self, news: list[Telemetry], arrived_s: float) -> Array | None:
         """Set-points for the newest of what has arrived, shape (J,); None if it is nothing new."""
-        fresh = [one for one in news if self._observer.take(one)]
+        fresh = [one for one in news if self._seen.take(one)]
         if not fresh:
             return None
         newest = fresh[-1]
@@ -91,7 +94,7 @@ class Pilot:
         self._rows.append((arrived_s, self.rest, newest))
         if self.swum_s < -CONTROL_S / 2:
             return self.rest
-        if self._observer.blind_s > SILENCE_S:
+        if self._seen.blind_s > SILENCE_S:
             self.stopped = f"robot or joints unseen for {SILENCE_S:g} s"
             return self.rest
         command = self._steered()
@@ -99,12 +102,17 @@ class Pilot:
         return command
 
     def _steered(self) -> Array:
-        seen = self._observer.observation(self.target)
+        seen = self._seen.observation(self.target)
         distance = float(np.hypot(*seen[-2:]))
         self._closest_m = min(self._closest_m, distance)
         if distance < self.arrive_m:
             self._reached_s = max(self.swum_s, 0.0)
-        return self.rest if self.over else forward(self.policy, seen).astype(np.float64)
+        if self.over:
+            return self.rest
+        period = round(self.swum_s / CONTROL_S)
+        gone = 1 if self._period is None else period - self._period
+        self._period = period
+        return np.asarray(self._controller.act(seen[None], gone)[0], dtype=np.float64)
 
     def track(self) -> Track:
         """The swim so far."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from rl.deploy.link import SILENCE_S, Link, Telemetry
-from rl.deploy.observer import CONTROL_S
+from rl.deploy.measurements import CONTROL_S
 from rl.deploy.pilot import Pilot, Track
 
 ANSWER_S = 3.0

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
-from rl.experiments.evaluate import Episodes, PolicyController
+from rl.experiments.evaluate import Episodes, spent
 from rl.experiments.places import Crew, Place
-from rl.experiments.real_episodes import Starts
-from rl.metrics import energy
+from rl.experiments.real_episodes import same_starts
 from rl.sac.sampled import SampledController
 from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS, Task
@@ -78,7 +78,7 @@ def ablate(
             ]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
             episodes = place.swim(Crew(policies, repeats), robot, task, starts, seed)
-            known = {"key": asked, **told(episodes, len(agents))}
+            known = {"key": asked, **told(episodes, len(agents), task)}
             write_json(path, known)
         found[place.name] = known
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
@@ -116,17 +116,10 @@ def key(
     return whole.hexdigest()
 
 
-def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
-    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
-    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
-    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
-    return Starts(*tiled)
-
-
-def told(episodes: Episodes, A: int) -> dict[str, Any]:
-    """Episodes of A agents as JSON keeps them."""
-    spent = energy(episodes.rate)
-    own = np.arange(len(spent)).reshape(A, -1)
+def told(episodes: Episodes, A: int, task: Task) -> dict[str, Any]:
+    """Episodes of A agents as JSON keeps them; time and energy as ``evaluate.spent`` has them."""
+    time, used = spent(episodes, task)
+    own = np.arange(len(used)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
         return [round(float(x), 6) if np.isfinite(x) else None for x in values]
@@ -135,8 +128,8 @@ def told(episodes: Episodes, A: int) -> dict[str, Any]:
         {
             "reward": numbers(episodes.reward[rows]),
             "success": [bool(x) for x in episodes.success[rows]],
-            "time_s": numbers(episodes.time_s[rows]),
-            "energy": numbers(spent[rows]),
+            "time_s": numbers(time[rows]),
+            "energy": numbers(used[rows]),
             "faced_s": numbers(episodes.faced_s()[rows]),
             "path": [
                 [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]

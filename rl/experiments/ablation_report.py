@@ -10,6 +10,7 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
+from rl.experiments.differences import Difference, differences, seeds_needed
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
 from sim2real.output import write_json, write_whole
@@ -48,32 +49,9 @@ def rows(found: Found) -> list[dict[str, Any]]:
             row[place] = {"reward": bootstrap([a[place]["reward"] for a in own], rng)}
             row[place]["success"] = float(np.mean([a[place]["success"] for a in own]))
             for name in ("time_s", "energy"):
-                known = [x for a in own for x in a[place][name] if x is not None]
-                row[place][name] = float(np.mean(known)) if known else None
+                row[place][name] = float(np.mean([a[place][name] for a in own]))
         out.append(row)
     return out
-
-
-def worth(found: Found, place: str = "reality") -> dict[str, tuple[float, float, float]]:
-    """What "all techniques" gains over each other arm in reality: mean and 90 % interval."""
-    rng = np.random.default_rng(1)
-    reward = {
-        arm: np.array([a[place]["reward"] for a in found["agents"] if a["arm"] == arm])
-        for arm in dict.fromkeys(agent["arm"] for agent in found["agents"])
-    }
-    out: dict[str, tuple[float, float, float]] = {}
-    for arm, values in reward.items():
-        if arm == "all" or "all" not in reward:
-            continue
-        draws = [_resampled(reward["all"], rng) - _resampled(values, rng) for _ in range(4000)]
-        low, high = np.quantile(draws, [0.05, 0.95])
-        out[arm] = (float(reward["all"].mean() - values.mean()), float(low), float(high))
-    return out
-
-
-def _resampled(values: np.ndarray[Any, Any], rng: np.random.Generator) -> float:
-    A, R = values.shape
-    return float(values[rng.integers(A, size=A)[:, None], rng.integers(R, size=(A, R))].mean())
 
 
 def markdown(found: Found) -> str:
@@ -86,19 +64,26 @@ def markdown(found: Found) -> str:
         sim, real = (row[place] for place in found["places"])
         lines.append(
             f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
-            f"| {_mean(real)} | {100 * real['success']:.0f} % | {_known(real['time_s'], 1)} "
-            f"| {_known(real['energy'], 0)} |"
+            f"| {_mean(real)} | {100 * real['success']:.0f} % | {real['time_s']:.1f} "
+            f"| {real['energy']:.0f} |"
         )
+    lines += [
+        "",
+        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed |",
+        "|---|---|---|---|---|",
+    ]
+    told = differences(found)
+    needed = seeds_needed(told)
+    for arm, one in told.items():
+        ends = f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
+        many = "more than 200" if needed[arm] is None else f"{needed[arm]}"
+        lines.append(f"| {TITLES[arm]} | {ends} | {one.sd:.2f} | {one.pairs} | {many} |")
     return "\n".join(lines)
 
 
 def _mean(place: Mapping[str, Any]) -> str:
     mean, low, high = place["reward"]
     return f"{mean:.1f} ({low:.1f} to {high:.1f})"
-
-
-def _known(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def sections(found: Found, plan: Plan) -> list[Section]:
@@ -119,27 +104,32 @@ def sections(found: Found, plan: Plan) -> list[Section]:
                     f"{100 * row[place]['success']:.0f} %",
                 )
             ),
-            _known(row["reality"]["time_s"], 1),
-            _known(row["reality"]["energy"], 0),
+            f"{row['reality']['time_s']:.1f}",
+            f"{row['reality']['energy']:.0f}",
         )
         for row in table
     ]
     header = ("arm", "reward, simulation", "arrives", "reward, reality", "arrives", "s", "energy")
     note = (
-        "Means with 90 % intervals, agents and their repeats resampled; time and energy in reality."
+        "Means with 90 % intervals, agents and repeats resampled. Time and energy in reality, "
+        "over all turns: one that does not arrive counts the whole time."
     )
     rewards = Section(
         "What each technique is worth",
         keeps(by),
         [Picture(svg(reward_figure(table))), Table(header, cells, caption=note)],
     )
-    differences: list[Block] = [
-        Note("good" if low > 0 else "warn" if high < 0 else "info", compared(arm, mean, low, high))
-        for arm, (mean, low, high) in worth(found).items()
+    told = differences(found)
+    notes: list[Block] = [
+        Note("good" if one.low > 0 else "warn" if one.high < 0 else "info", compared(arm, one))
+        for arm, one in told.items()
     ]
+    if told:
+        notes.insert(0, Picture(svg(difference_figure(told))))
+        notes.append(Note("info", power(told)))
     if not any(row["reality"]["success"] for row in table):
         said = "No arm reached the target in reality: rewards compare how far and how cheaply they "
-        differences.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
+        notes.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
     ways = Section(
         "The turns",
         "Ways of the head in reality: two turns of each agent.",
@@ -151,16 +141,66 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         f"weight {plan.task.energy:g}; {found['repeats']} turns each in simulation and in reality. "
         f"Simulation: {found['said']['simulation']}. Reality: {found['said']['reality']}."
     )
-    return [rewards, Section("Differences", "", differences), ways, Section("How", "", [how])]
+    return [
+        rewards,
+        Section("What is lost without it", _DIFFERENCES, notes),
+        ways,
+        Section("How", "", [how]),
+    ]
 
 
-def compared(arm: str, mean: float, low: float, high: float) -> str:
+_DIFFERENCES = (
+    "Reward in reality of all techniques less that of each arm, agents paired by their seeds: the "
+    "mean and its 90 % interval. An interval that leaves out zero tells the arms apart."
+)
+
+
+def compared(arm: str, one: Difference) -> str:
     """What an arm loses against all techniques, in a sentence."""
-    ends = f"{min(abs(low), abs(high)):.1f} to {max(abs(low), abs(high)):.1f}"
-    if low < 0 < high:
-        ends = f"90 % interval {-high:+.1f} to {-low:+.1f}, so it may be nothing"
-    word = "less" if mean > 0 else "more"
-    return f"{TITLES[arm]}: {abs(mean):.1f} {word} reward in reality than all techniques ({ends})"
+    word = "less" if one.mean > 0 else "more"
+    said = f"{TITLES[arm]}: {abs(one.mean):.2f} {word} reward in reality than all techniques"
+    if one.pairs < 2:
+        return f"{said}; one pair of agents tells nothing of chance"
+    ends = sorted((abs(one.low), abs(one.high)))
+    if one.told:
+        return f"{said} ({ends[0]:.2f} to {ends[1]:.2f})"
+    return f"{said} (90 % interval {-one.high:+.2f} to {-one.low:+.2f}, so it may be nothing)"
+
+
+def power(told: Mapping[str, Difference]) -> str:
+    """How many seeds tell the arms apart as well as was asked for."""
+    largest = max(abs(one.mean) for one in told.values())
+    parts = [
+        f"{TITLES[arm]} {'more than 200' if count is None else count}"
+        for arm, count in seeds_needed(told).items()
+    ]
+    pairs = next(iter(told.values())).pairs
+    return (
+        f"{pairs} seeds an arm. For intervals narrower than a third of the largest difference "
+        f"({largest:.1f}) the spread over pairs asks for: {', '.join(parts)}."
+    )
+
+
+def difference_figure(told: Mapping[str, Difference]) -> Figure:
+    """Each arm's loss with its interval."""
+    from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
+
+    with house_style():
+        figure = new_figure(70 + 34 * len(told), "Reward lost in reality without each technique")
+        axes = figure.subplots()
+        for y, one in enumerate(told.values()):
+            colour = ACCENT if one.told else MUTED
+            ends = [[min(one.mean - one.low, 1e6)], [min(one.high - one.mean, 1e6)]]
+            if one.pairs > 1:
+                axes.errorbar([one.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
+            axes.plot([one.mean], [y], "o", color=colour, ms=4)
+        axes.axvline(0, color=INK, lw=0.8)
+        axes.margins(0.06, 0.2)
+        axes.set_yticks(range(len(told)), [TITLES[arm] for arm in told])
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("reward of all techniques less this arm's, in reality")
+    return figure
 
 
 def keeps(by: Mapping[str, Mapping[str, Any]]) -> str:

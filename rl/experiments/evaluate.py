@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rl.controllers import Controller
-from rl.deploy.forward import Policy, forward
 from rl.metrics import energy, path_length, turning_radius
-from rl.task import CONTROL_S
+from rl.task import CONTROL_S, Task
 from rl.world import World
 
 Array = NDArray[np.float64]
@@ -63,20 +62,6 @@ class Episodes:
         return np.where(near.any(axis=0), CONTROL_S * near.argmax(axis=0), np.nan)
 
 
-class PolicyController:
-    """A trained policy as a controller."""
-
-    def __init__(self, policy: Policy) -> None:
-        self.policy = policy
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """A network remembers nothing."""
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Its mean action, in rad."""
-        return forward(self.policy, observation)
-
-
 def run_episodes(
     world: World,
     controller: Controller,
@@ -122,16 +107,33 @@ def _taken(tensor: torch.Tensor) -> Array:
     return np.array(tensor.cpu().numpy(), dtype=np.float64)
 
 
-def summary(episodes: Episodes) -> dict[str, Any]:
-    """What the paper counts, over all episodes; means of time and so on over those that arrive."""
+def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
+    """Time in s and energy of every episode, shape (E,) each, arrived or not.
+
+    One that does not arrive takes the task's whole time; where a robot was taken out before that,
+    its energy is what it would have used by then at its own mean rate. Means over arrivals alone
+    would flatter who arrives seldom.
+    """
+    whole = task.steps / np.maximum(episodes.steps, 1)
+    time = np.where(episodes.success, episodes.steps, task.steps) * CONTROL_S
+    used = energy(episodes.rate)
+    return time, np.where(episodes.success, used, used * whole)
+
+
+def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
+    """What the paper counts, over all episodes: means, and standard errors of the first few."""
     heading = episodes.pose[:, :, 2]
     radius = turning_radius(episodes.pose[:, :, :2], heading)
     won = episodes.success
+    time, used = spent(episodes, task)
 
     def mean(values: Array, where: NDArray[np.bool_] | None = None) -> float | None:
         chosen = values if where is None else values[where]
         chosen = chosen[np.isfinite(chosen)]
         return float(chosen.mean()) if chosen.size else None
+
+    def error(values: Array) -> float:
+        return float(values.std() / np.sqrt(len(values)))
 
     return {
         "episodes": len(won),
@@ -139,9 +141,15 @@ def summary(episodes: Episodes) -> dict[str, Any]:
         "waypoints": float(episodes.reached.mean()),
         "reward": float(episodes.reward.mean()),
         "reward_sd": float(episodes.reward.std()),
-        "time_s": mean(episodes.time_s),
-        "energy": mean(energy(episodes.rate), won),
-        "path_m": mean(path_length(episodes.pose[:, :, :2]), won),
+        "time_s": float(time.mean()),
+        "time_error_s": error(time),
+        "energy": float(used.mean()),
+        "energy_error": error(used),
+        "arrivals": {
+            "time_s": mean(episodes.time_s),
+            "energy": mean(used, won),
+            "path_m": mean(path_length(episodes.pose[:, :, :2]), won),
+        },
         "turned_90_s": mean(episodes.turned_s()),
         "faced_target_s": mean(episodes.faced_s()),
         "turning_radius_m": mean(radius),

@@ -168,11 +168,12 @@ class Real:
                 reality, controller.of(rows), robot, task, starts.of(rows), swims=swims,
                 name=str(self.file.path),
             )  # fmt: skip
-            found.append(_some(episodes, swims))
+            found.append(some(episodes, swims))
         return _joined(found)
 
 
-def _some(episodes: Episodes, which: NDArray[np.bool_]) -> Episodes:
+def some(episodes: Episodes, which: NDArray[np.bool_]) -> Episodes:
+    """The episodes of some of the robots, ``which`` of shape (E,)."""
     e = episodes
     return Episodes(
         e.pose[:, which], e.rate[:, which], e.reward[which], e.reached[which], e.steps[which],

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from rl.controllers import Controller
 from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.observer import Observer
+from rl.deploy.measurements import Measurements
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import Reality
 from rl.task import CONTROL_S, Task, observation_bounds, reward
@@ -35,6 +35,13 @@ class Starts:
         return Starts(self.pose[rows], self.joint[rows], self.targets[rows])
 
 
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    pose, joint, targets = task.place(np.random.default_rng(seed), repeats, J)
+    tiled = [np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in (pose, joint, targets)]
+    return Starts(*tiled)
+
+
 def run_real_episodes(
     reality: Reality,
     controller: Controller,
@@ -47,8 +54,9 @@ def run_real_episodes(
 ) -> Episodes:
     """One episode of each robot of a reality, as ``evaluate.run_episodes`` in a world.
 
-    Pose and joint rates of what it returns are as seen and estimated. An episode ends also where a
-    robot, or a joint, is not seen for ``SILENCE_S``.
+    Poses of what it returns are as seen. Joint rates, and the energy in the reward, are true where
+    the reality tells them, else estimated. An episode ends also where a robot, or a joint, is not
+    seen for ``SILENCE_S``.
 
     Args:
         reality: The robots.
@@ -70,7 +78,7 @@ def run_real_episodes(
     eyes = Eyes(n, J, starts.targets, name)
     shown = eyes.look(reality.reset(starts.pose, starts.joint), going)
     controller.reset(np.ones(n, dtype=bool))
-    pose, rate = [shown.copy()], [eyes.rate.copy()]
+    pose, rate = [shown.copy()], [_rate(reality, eyes)]
     total, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
     for _ in tqdm(range(task.steps), desc="reality", unit="step", disable=None, leave=False):
         before = eyes.distance.copy()
@@ -79,17 +87,26 @@ def run_real_episodes(
         shown = eyes.look(reality.step(desired), going)
         reached = eyes.distance < task.arrive_m
         outside = (np.abs(shown[:, :2]) > np.array(task.domain_m) / 2).any(axis=1)
-        told = (before, eyes.distance, eyes.rate, reached, outside)
+        now = _rate(reality, eyes)
+        told = (before, eyes.distance, now, reached, outside)
         value = reward(task, *(torch.as_tensor(x) for x in told)).numpy()
         total += np.where(going, value, 0.0)
         steps += going
-        for kept, now in ((pose, shown), (rate, eyes.rate)):
-            kept.append(np.where(going[:, None], now, np.nan))
+        for kept, one in ((pose, shown), (rate, now)):
+            kept.append(np.where(going[:, None], one, np.nan))
         eyes.go_on(reached & going)
         going &= ~(eyes.arrived | outside | eyes.blind())
         if not going.any():
             break
     return Episodes(np.array(pose), np.array(rate), total, eyes.reached, steps, starts.targets)
+
+
+def _rate(reality: Reality, eyes: Eyes) -> Array:
+    """Joint rates in rad/s, shape (n, J): true ones where they are told."""
+    told = getattr(reality, "rate", None)
+    if not callable(told):
+        return eyes.rate
+    return np.nan_to_num(np.asarray(told(), dtype=np.float64)).reshape(eyes.rate.shape)
 
 
 class Eyes:
@@ -102,7 +119,7 @@ class Eyes:
 
     def __init__(self, n: int, J: int, targets: Array, name: str) -> None:
         limit = np.array(observation_bounds(J), dtype=np.float32)
-        self._observers = [Observer(limit) for _ in range(n)]
+        self._observers = [Measurements(limit) for _ in range(n)]
         self._targets, self._name, self._count = targets, name, 0
         self.observation = np.zeros((n, 5 + 2 * J), dtype=np.float32)
         self.reached = np.zeros(n, dtype=np.int64)

@@ -18,8 +18,13 @@ and what ``make`` returns has::
 Both return what is then seen: poses (n, 3), x and y of the head's centre of mass in m and its
 heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN where
 unseen. A robot whose episode is over is sent straight joints. Velocities, observations, arrival and
-reward are computed from what is seen, as on the real robot. An example is
-``datasets/pool/reality.py``.
+reward are computed from what is seen, as on the real robot. A surrogate knows more::
+
+    reality.rate()                # true joint rates (n, J) in rad/s now
+
+Where there is this third method the energy is counted from it, as a simulator counts its own: rates
+estimated through five samples of what servos report miss half of it. Without it energies of
+simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
 """
 
 from __future__ import annotations

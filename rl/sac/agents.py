@@ -1,23 +1,24 @@
 """Soft actor-critic for several agents in one go; on CUDA an update is one captured graph.
 
 Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905), as
-Stable-Baselines3 does it, to rounding. The parameters are those of ordinary Stable-Baselines3
-models, which act, save and load as ever. Letters: A agents, B batch, N memory, O observation,
-J action.
+Stable-Baselines3 does it, to rounding, where ``Settings`` are ``PLAIN``; what they add is said
+there. The parameters are those of Stable-Baselines3 models, which act, save and load as ever.
+Letters: A agents, B batch, N memory, O observation, J action.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from stable_baselines3 import SAC
-from torch import Tensor
+from torch import Tensor, nn
 
-from rl.sac.batched import Layers, adam
+from rl.sac.batched import Layers, Seen, adam
 
 _SMALL = 1e-6
 _LOG_STD = (-20.0, 2.0)
@@ -25,37 +26,54 @@ _LOG_STD = (-20.0, 2.0)
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters; the defaults are the paper's (Lin, Liu, Wang, Table I).
+    """Hyper-parameters; the defaults are this library's recipe, ``PLAIN`` has the paper's.
 
     Attributes:
-        gamma: Discount factor.
+        gamma: Discount factor of a decision.
         memory: Transitions remembered by each agent.
         batch: Transitions of an update.
-        rate: Learning rate.
+        rate: Learning rate at first.
+        rate_end: Share of it that is left in the end; it falls on a line.
         tau: How fast target networks follow.
         hidden: Widths of the hidden layers.
         warm_up: Steps of random actions before learning begins.
         updates_per_step: Updates for each step of an environment.
         entropy_start: Entropy coefficient at the start, learned from there on: about the size of
-            a step's reward.
+            a decision's reward.
+        entropy_target: Entropy of a joint's action that the coefficient is learned for, at first
+            and in the end: an actor that hardly draws lots in the end has to swim by its mean.
         noise_s: Correlation time of the noise that agents act with; 0 for white noise. A joint
             that gets another set-point every 20 ms shakes and goes nowhere; correlated noise of
             the same size explores (Eberhard et al., "Pink noise is all you need", ICLR 2023).
         mirror: Learn from each transition or, as often, from its mirror image: what a robot with
             like sides would have done.
+        norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
+            networks", ICML 2023, among others): seeds fail less often.
+        average: Share by which the actor that is saved follows the one that learns; 1 for itself.
     """
 
     gamma: float = 0.99
     memory: int = 1_000_000
     batch: int = 256
-    rate: float = 3e-4
+    rate: float = 1e-3
+    rate_end: float = 0.1
     tau: float = 0.005
-    hidden: tuple[int, ...] = (256, 256)
-    warm_up: int = 5_000
-    updates_per_step: float = 1.0
+    hidden: tuple[int, ...] = (128, 128)
+    warm_up: int = 10_000
+    updates_per_step: float = 0.1
     entropy_start: float = 0.1
+    entropy_target: tuple[float, float] = (-1.0, -2.5)
     noise_s: float = 0.25
     mirror: bool = True
+    norm: bool = True
+    average: float = 0.002
+
+
+PLAIN = Settings(
+    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
+    entropy_target=(-1.0, -1.0), norm=False, average=1.0,
+)  # fmt: skip
+"""SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +87,15 @@ class Batch:
     done: Tensor
 
 
-def mirrored(J: int, device: torch.device) -> Tensor:
+def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
     """Columns of a transition that change sign in its mirror image: 1 where they do.
 
-    Sway, yaw rate, joints, their rates and the target to the left; all actions.
+    Args:
+        odd: Of an observation's columns, as ``View.odd`` says.
+        J: Number of actions, all of which do.
+        device: Where to put it.
     """
-    seen = [0.0, 1.0, 1.0, *[1.0] * (2 * J), 0.0, 1.0]
-    return torch.tensor([*seen, *[1.0] * J, 0.0, *seen, 0.0], device=device)
+    return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)
 
 
 class Agents:
@@ -84,17 +104,27 @@ class Agents:
     Attributes:
         models: Their Stable-Baselines3 models, whose parameters are views of the shared ones.
         settings: Hyper-parameters.
-        memory: Transitions, shape (A, N, 2 O + J + 2).
+        memory: Transitions, shape (A, N, 2 O + J + 3): observation, action, what was gained, the
+            energy that it took, the following observation, whether the episode ended by itself.
+        price: What energy costs each agent now, shape (A, 1); old transitions are paid at it too.
         filled: How many of them there are, the same for every agent.
     """
 
-    def __init__(self, models: Sequence[SAC], settings: Settings, device: torch.device) -> None:
+    def __init__(
+        self,
+        models: Sequence[SAC],
+        settings: Settings,
+        device: torch.device,
+        odd: Sequence[float] | None = None,
+    ) -> None:
         """Take over the parameters of models that share one shape.
 
         Args:
             models: The agents.
             settings: Hyper-parameters.
             device: Where to learn.
+            odd: Columns of an observation that change sign in the mirror; those of the view that
+                the models were made for where None.
         """
         self.models, self.settings, self.device = list(models), settings, device
         A = len(self.models)
@@ -103,19 +133,25 @@ class Agents:
         self.J = int(space.shape[0])
         hidden = settings.hidden
         self.actor = Layers.of(A, (self.O, *hidden, 2 * self.J), device)
-        self.critic = Layers.of(2 * A, (self.O + self.J, *hidden, 1), device)
-        self.target = Layers.of(2 * A, (self.O + self.J, *hidden, 1), device)
+        sizes, norm = (self.O + self.J, *hidden, 1), settings.norm
+        self.critic = Layers.of(2 * A, sizes, device, norm=norm)
+        self.target = Layers.of(2 * A, sizes, device, norm=norm)
         self.log_alpha = torch.zeros(A, device=device)
         self._alpha_gradient = torch.zeros(A, device=device)
         self._alpha_moments = torch.zeros(2, A, device=device)
         self._alpha_count = torch.zeros(1, device=device)
         for a, model in enumerate(self.models):
             self._share(a, model)
-        width = 2 * self.O + self.J + 2
+        self.average = self.actor.flat.clone()
+        self.price = torch.zeros(A, 1, device=device)
+        self._rate = torch.tensor(settings.rate, device=device)
+        self._entropy = torch.tensor(self.J * settings.entropy_target[0], device=device)
+        width = 2 * self.O + self.J + 3
         self.memory = torch.zeros(A, settings.memory, width, device=device)
         self.position, self.filled = 0, 0
         self._filled = torch.zeros(1, device=device)
-        self._odd = mirrored(self.J, device)
+        told: Any = self.models[0]
+        self._odd = mirrored(told.view.odd(self.J) if odd is None else odd, self.J, device)
         self._agent = torch.arange(A, device=device)[:, None]
         self._graph: torch.cuda.CUDAGraph | None = None
 
@@ -137,8 +173,9 @@ class Agents:
         for own, layers in ((model.critic, self.critic), (model.critic_target, self.target)):
             networks: Any = own.q_networks
             for i, network in enumerate(networks):
-                for k in range(len(self.settings.hidden) + 1):
-                    tie(network[2 * k], layers, k, 2 * a + i, every)
+                linear = [module for module in network if isinstance(module, nn.Linear)]
+                for k, module in enumerate(linear):
+                    tie(module, layers, k, 2 * a + i, every)
         log_alpha: Any = model.log_ent_coef
         self.log_alpha[a : a + 1].copy_(log_alpha.data)
         log_alpha.data = self.log_alpha[a : a + 1]
@@ -151,18 +188,25 @@ class Agents:
             observation: What the agents see.
             noise: Standard normal numbers, shape (A, n, J); none for the mean action.
         """
-        out = self.actor.forward(observation)[-1]
+        out = self.actor.forward(observation).output
         mean, log_std = out[..., : self.J], out[..., self.J :]
         if noise is None:
             return torch.tanh(mean)
         return torch.tanh(mean + log_std.clamp(*_LOG_STD).exp() * noise)
 
     def remember(
-        self, observation: Tensor, action: Tensor, reward: Tensor, following: Tensor, done: Tensor
+        self,
+        observation: Tensor,
+        action: Tensor,
+        gain: Tensor,
+        effort: Tensor,
+        following: Tensor,
+        done: Tensor,
     ) -> None:
         """Put transitions into the memories, n for each agent: (A, n, ...) each."""
         n, N = observation.shape[1], self.settings.memory
-        parts = [observation, action, reward[..., None], following, done[..., None].float()]
+        both = torch.stack([gain, effort], dim=2)
+        parts = [observation, action, both, following, done[..., None].float()]
         where = (self.position + torch.arange(n, device=self.device)) % N
         self.memory[:, where] = torch.cat(parts, dim=2)
         self.position = (self.position + n) % N
@@ -172,6 +216,23 @@ class Agents:
         """Say how many transitions the memories hold."""
         self.filled = filled
         self._filled.fill_(filled)
+
+    def set_schedule(self, share: float) -> None:
+        """Set what changes with the share of the training that is done."""
+        s = self.settings
+        self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
+        first, last = s.entropy_target
+        self._entropy.fill_(self.J * (first + (last - first) * share))
+
+    @contextmanager
+    def averaged(self) -> Iterator[None]:
+        """Within this block the actors are the averaged ones, as they are saved."""
+        own = self.actor.flat.clone()
+        self.actor.flat.copy_(self.average)
+        try:
+            yield
+        finally:
+            self.actor.flat.copy_(own)
 
     def learn(self, updates: int) -> None:
         """Update every agent so many times, each from its own memory."""
@@ -191,8 +252,9 @@ class Agents:
         if self.settings.mirror:
             side = 1 - 2 * (torch.rand(*shape, 1, device=self.device) < 0.5).float()
             rows = rows * (self._odd * side + (1 - self._odd))
-        a, b = n + self.J, n + self.J + 1
-        return Batch(rows[..., :n], rows[..., n:a], rows[..., a], rows[..., b:-1], rows[..., -1])
+        a = n + self.J
+        reward = rows[..., a] - self.price * rows[..., a + 1]
+        return Batch(rows[..., :n], rows[..., n:a], reward, rows[..., a + 2 : -1], rows[..., -1])
 
     @torch.no_grad()
     def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
@@ -209,29 +271,32 @@ class Agents:
             both_noises = torch.cat(noise, dim=1)
         pair = torch.cat([batch.observation, batch.following], dim=1)
         seen, actions, log_ps, std = self._policy(pair, both_noises)
-        seen = [layer[:, :B] for layer in seen]
+        seen = seen.first(B)
         action, ahead = actions[:, :B], actions[:, B:]
         log_p = log_ps[:, :B]
         alpha = self.log_alpha.exp()[:, None]
-        torch.sub(self.J, log_p.mean(dim=1), out=self._alpha_gradient)
+        torch.neg(self._entropy + log_p.mean(dim=1), out=self._alpha_gradient)
 
-        q_ahead = self.target.forward(self._twice(batch.following, ahead))[-1].view(A, 2, B)
+        q_ahead = self.target.forward(self._twice(batch.following, ahead)).output.view(A, 2, B)
         value = q_ahead.amin(dim=1) - alpha * log_ps[:, B:]
         goal = torch.addcmul(batch.reward, 1 - batch.done, value, value=s.gamma)
         q = self.critic.forward(self._twice(batch.observation, batch.action))
-        error = q[-1].view(A, 2, B) - goal[:, None]
+        error = q.output.view(A, 2, B) - goal[:, None]
         self.critic.backward(q, error.view(2 * A, B, 1) / B)
-        self.critic.descend(s.rate)
+        self.critic.descend(self._rate)
 
         q = self.critic.forward(self._twice(batch.observation, action))
-        index = q[-1].view(A, 2, B).argmin(dim=1, keepdim=True)
+        index = q.output.view(A, 2, B).argmin(dim=1, keepdim=True)
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
         d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., self.O :].sum(dim=1)
         spread = both_noises[:, :B] * std[:, :B]
         self._descend_policy(seen, action, spread, alpha[..., None] / B, by_action)
-        adam(self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, s.rate)
+        adam(
+            self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
+        )
         self.target.flat.lerp_(self.critic.flat, s.tau)
+        self.average.lerp_(self.actor.flat, s.average)
 
     @torch.no_grad()
     def losses(self) -> Tensor:
@@ -247,7 +312,7 @@ class Agents:
         alpha = self.log_alpha.exp()[:, None]
 
         def least(layers: Layers, observation: Tensor, action: Tensor) -> Tensor:
-            return layers.forward(self._twice(observation, action))[-1].view(A, 2, B)
+            return layers.forward(self._twice(observation, action)).output.view(A, 2, B)
 
         value = least(self.target, batch.following, ahead).amin(dim=1) - alpha * log_p_ahead
         goal = batch.reward + (1 - batch.done) * self.settings.gamma * value
@@ -255,12 +320,10 @@ class Agents:
         actor = (alpha * log_p - least(self.critic, batch.observation, action).amin(dim=1)).mean(1)
         return torch.stack([actor, 0.5 * (error**2).mean(dim=2).sum(dim=1), alpha[:, 0]])
 
-    def _policy(
-        self, observation: Tensor, noise: Tensor
-    ) -> tuple[list[Tensor], Tensor, Tensor, Tensor]:
+    def _policy(self, observation: Tensor, noise: Tensor) -> tuple[Seen, Tensor, Tensor, Tensor]:
         """Layers, actions (A, B, J), their log-probabilities (A, B), standard deviations."""
         seen = self.actor.forward(observation)
-        mean, raw = seen[-1][..., : self.J], seen[-1][..., self.J :]
+        mean, raw = seen.output[..., : self.J], seen.output[..., self.J :]
         log_std = raw.clamp(*_LOG_STD)
         std = log_std.exp()
         action = torch.tanh(mean + std * noise)
@@ -268,16 +331,16 @@ class Agents:
         return seen, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
 
     def _descend_policy(
-        self, seen: list[Tensor], action: Tensor, spread: Tensor, weight: Tensor, by_action: Tensor
+        self, seen: Seen, action: Tensor, spread: Tensor, weight: Tensor, by_action: Tensor
     ) -> None:
         """Gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)."""
         slope = 1 - action**2
         through = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
-        raw = seen[-1][..., self.J :]
+        raw = seen.output[..., self.J :]
         inside = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
         by_log_std = (through * spread - weight) * inside
         self.actor.backward(seen, torch.cat([through, by_log_std], dim=2))
-        self.actor.descend(self.settings.rate)
+        self.actor.descend(self._rate)
 
     def _twice(self, observation: Tensor, action: Tensor) -> Tensor:
         """Input of both critics of each agent, shape (2 A, B, O + J)."""
@@ -303,7 +366,7 @@ class Agents:
     def state(self) -> dict[str, Tensor]:
         """All that an update changes, by name; the tensors themselves."""
         out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
-        out["alpha_count"] = self._alpha_count
+        out |= {"alpha_count": self._alpha_count, "average": self.average}
         for name in ("actor", "critic", "target"):
             layers: Layers = getattr(self, name)
             out[f"{name}"] = layers.flat

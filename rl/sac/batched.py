@@ -16,12 +16,40 @@ from torch import Tensor
 BETAS, EPSILON = (0.9, 0.999), 1e-8
 
 
+NORM_EPSILON = 1e-5
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a forward pass leaves for the way back.
+
+    Attributes:
+        layers: Input, hidden layers and output, each (C, B, width).
+        sums: Of each hidden layer that is normalised: before that, mean and 1 / deviation.
+    """
+
+    layers: list[Tensor]
+    sums: list[tuple[Tensor, Tensor, Tensor]]
+
+    @property
+    def output(self) -> Tensor:
+        """Shape (C, B, width)."""
+        return self.layers[-1]
+
+    def first(self, B: int) -> Seen:
+        """The first rows of the batch."""
+        sums = [(a[:, :B], b[:, :B], c[:, :B]) for a, b, c in self.sums]
+        return Seen([layer[:, :B] for layer in self.layers], sums)
+
+
 @dataclass(frozen=True)
 class Layers:
     """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
 
     Attributes:
         sizes: Width of the input, of each hidden layer, of the output.
+        norm: Whether hidden layers are normalised before the ReLU (Ba, Kiros, Hinton, "Layer
+            normalization", arXiv 1607.06450), without gain and bias of its own.
         flat, gradient: All parameters and their gradients, each one vector.
         weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
         moments: Adam's first and second moments, shape (2, parameters).
@@ -29,6 +57,7 @@ class Layers:
     """
 
     sizes: tuple[int, ...]
+    norm: bool
     flat: Tensor
     gradient: Tensor
     weights: tuple[Tensor, ...]
@@ -39,7 +68,9 @@ class Layers:
     count: Tensor
 
     @classmethod
-    def of(cls, C: int, sizes: Sequence[int], device: torch.device) -> Layers:
+    def of(
+        cls, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
+    ) -> Layers:
         """Room for C networks, all zero."""
         pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
         total = sum(C * (a + 1) * b for a, b in pairs)
@@ -54,20 +85,24 @@ class Layers:
                 at += C * b
         weights, weight_gradients, biases, bias_gradients = (tuple(view) for view in views)
         return cls(
-            tuple(sizes), flat, gradient, weights, biases, weight_gradients, bias_gradients,
+            tuple(sizes), norm, flat, gradient, weights, biases, weight_gradients, bias_gradients,
             torch.zeros(2, total, device=device), torch.zeros(1, device=device),
         )  # fmt: skip
 
-    def forward(self, x: Tensor) -> list[Tensor]:
-        """Input, hidden layers and output, each (C, B, width)."""
-        seen = [x]
+    def forward(self, x: Tensor) -> Seen:
+        """From inputs, shape (C, B, width)."""
+        seen = Seen([x], [])
         last = len(self.weights) - 1
         for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            h = torch.baddbmm(b, seen[-1], W.transpose(1, 2))
-            seen.append(h if k == last else torch.relu_(h))
+            h = torch.baddbmm(b, seen.layers[-1], W.transpose(1, 2))
+            if self.norm and k < last:
+                whole = h
+                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, NORM_EPSILON)
+                seen.sums.append((whole, mean, scale))
+            seen.layers.append(h if k == last else torch.relu_(h))
         return seen
 
-    def backward(self, seen: Sequence[Tensor], d: Tensor, *, inputs_only: bool = False) -> Tensor:
+    def backward(self, seen: Seen, d: Tensor, *, inputs_only: bool = False) -> Tensor:
         """Gradient of the input from that of the output; fills ``gradient`` on the way.
 
         Args:
@@ -77,21 +112,26 @@ class Layers:
         """
         for k in range(len(self.weights) - 1, -1, -1):
             if not inputs_only:
-                torch.bmm(d.transpose(1, 2), seen[k], out=self.weight_gradients[k])
+                torch.bmm(d.transpose(1, 2), seen.layers[k], out=self.weight_gradients[k])
                 torch.sum(d, dim=1, keepdim=True, out=self.bias_gradients[k])
             if k == 0 and not inputs_only:
                 return d
             d = torch.bmm(d, self.weights[k])
             if k > 0:
-                d = torch.ops.aten.threshold_backward(d, seen[k], 0.0)
+                d = torch.ops.aten.threshold_backward(d, seen.layers[k], 0.0)
+                if self.norm:
+                    whole, mean, scale = seen.sums[k - 1]
+                    d = torch.ops.aten.native_layer_norm_backward(
+                        d, whole, d.shape[2:], mean, scale, None, None, [True, False, False]
+                    )[0]
         return d
 
-    def descend(self, rate: float) -> None:
+    def descend(self, rate: Tensor) -> None:
         """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
         adam(self.flat, self.gradient, self.moments, self.count, rate)
 
 
-def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: float) -> None:
+def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
     """One step of Adam, in place.
 
     Args:
@@ -99,7 +139,7 @@ def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: f
         gradient: Their gradients, likewise.
         moments: First and second moments, shape (2, P).
         count: Steps so far, shape (1,).
-        rate: Learning rate.
+        rate: Learning rate, a tensor without axes.
     """
     count += 1
     torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,11 @@ from sim2real.output import write_whole
 
 COLUMNS = (
     "steps", "episodes", "mean_return", "success", "mean_length", "actor_loss", "critic_loss",
-    "entropy_coefficient",
+    "entropy_coefficient", "energy_grown",
 )  # fmt: skip
 CHECKPOINT = "checkpoint.npz"
+EPISODES = 50.0
+"""Episodes over which an agent's success is averaged."""
 
 
 class Progress:
@@ -27,18 +30,36 @@ class Progress:
     Attributes:
         steps: Steps of the environment for each agent so far.
         rows: One list of rows, ``COLUMNS`` each, for every agent.
+        grown: How far each agent's energy weight has grown, from 0 to 1.
+        success: Share of each agent's last episodes that succeeded.
     """
 
     def __init__(self, A: int, steps: int = 0) -> None:
         self.steps = steps
         self.rows: list[list[list[float]]] = [[] for _ in range(A)]
+        self.grown = [0.0] * A
+        self.success = [0.0] * A
 
     def note(self, tally: Tensor, agents: Agents) -> None:
         """Add a row for every agent."""
         losses = agents.losses().cpu()
         for a, rows in enumerate(self.rows):
             episodes, *means = tally[:, a].tolist()
-            rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist()])
+            rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist(), self.grown[a]])
+            if episodes >= 1:
+                kept = math.exp(-episodes / EPISODES)
+                self.success[a] = kept * self.success[a] + (1 - kept) * means[1]
+
+    def noted(self) -> int:
+        """Steps at the last row."""
+        return int(self.rows[0][-1][0]) if self.rows[0] else 0
+
+    def grow(self, grown: Callable[[float, int, int, float], float], before: int) -> None:
+        """Let the energy weights grow by what went by since ``before``, as ``Plan.grown`` says."""
+        self.grown = [
+            grown(one, self.steps, self.steps - before, success)
+            for one, success in zip(self.grown, self.success, strict=True)
+        ]
 
     def said(self) -> str:
         """The last rows in a few words."""
@@ -52,17 +73,18 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
     """Write the checkpoint, and each agent's policy and figures; each whole or not at all."""
     arrays = {name: tensor.cpu().numpy() for name, tensor in agents.state().items()}
     arrays["memory"] = agents.memory[:, : agents.filled].cpu().numpy()
-    rows = json.dumps(progress.rows)
-    arrays["progress"] = np.frombuffer(rows.encode(), np.uint8)
+    told = json.dumps([progress.rows, progress.grown, progress.success])
+    arrays["progress"] = np.frombuffer(told.encode(), np.uint8)
     arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
-    for name, model, own in zip(names, agents.models, progress.rows, strict=True):
-        place = folder / name
-        place.mkdir(parents=True, exist_ok=True)
-        lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in own)]
-        write_whole(place / "progress.csv", "\n".join(lines) + "\n")
-        model.num_timesteps = progress.steps
-        model.save(place / ".policy.zip")
-        os.replace(place / ".policy.zip", place / "policy.zip")
+    with agents.averaged():
+        for name, model, own in zip(names, agents.models, progress.rows, strict=True):
+            place = folder / name
+            place.mkdir(parents=True, exist_ok=True)
+            lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in own)]
+            write_whole(place / "progress.csv", "\n".join(lines) + "\n")
+            model.num_timesteps = progress.steps
+            model.save(place / ".policy.zip")
+            os.replace(place / ".policy.zip", place / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
@@ -80,6 +102,7 @@ def load(folder: Path, agents: Agents) -> Progress | None:
         steps, agents.position, filled = (int(x) for x in held["counts"])
         agents.memory[:, :filled] = torch.from_numpy(held["memory"]).to(agents.device)
         progress = Progress(len(agents.models), steps)
-        progress.rows = json.loads(held["progress"].tobytes().decode())
+        told = json.loads(held["progress"].tobytes().decode())
+        progress.rows, progress.grown, progress.success = told
     agents.set_filled(filled)
     return progress

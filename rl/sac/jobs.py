@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rl.pool import Fidelity, draws_of
-from rl.sac.agents import Settings
-from rl.sac.train import Arm, Plan, train
-from rl.task import TASKS
-from sim2real.errors import InputError
+from rl.sac.recipes import QUICK, plan_of
+from rl.sac.train import Arm, train
 from sim2real.model import read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
-QUICK: dict[str, Any] = {
-    "task": "near",
-    "steps": 200_000,
-    "envs": 32,
-    "segment": 40_000,
-    "updates_per_step": 0.25,
-    "learning_rate": 1e-3,
-    "hidden": [128, 128],
-    "energy_weight": 1e-4,
-}
-"""What ``train --quick`` sets: minutes on two cores, in the twin."""
+__all__ = ["QUICK", "train_run"]
 
 
 def train_run(
@@ -37,23 +23,25 @@ def train_run(
     model: str,
     ranges: str | None = None,
     name: str = "policy",
-    task: str = "point",
-    steps: int = 1_000_000,
-    envs: int = 64,
-    segment: int = 200_000,
     seeds: Sequence[int] = (0,),
     fidelity: Fidelity = "twin",
     device: str = "cpu",
     cell_m: float = 0.02,
     threads: int = 1,
-    updates_per_step: float = 1.0,
-    learning_rate: float = 3e-4,
-    discount: float = 0.99,
-    hidden: Sequence[int] = (256, 256),
+    recipe: str = "default",
+    task: str | None = None,
+    steps: int | None = None,
+    envs: int | None = None,
+    segment: int | None = None,
+    updates_per_step: float | None = None,
+    learning_rate: float | None = None,
+    discount: float | None = None,
+    hidden: Sequence[int] | None = None,
     energy_weight: float | None = None,
-    energy_start: float = 1.0,
+    energy_start: float | None = None,
+    first: Sequence[str] = (),
 ) -> list[Path]:
-    """Train one arm; see ``Plan`` and the command ``train`` for what the options are.
+    """Train one arm; see ``Plan``, ``Recipe`` and the command ``train`` for the options.
 
     Returns:
         The agents' folders.
@@ -61,25 +49,18 @@ def train_run(
     Raises:
         InputError: If a file or an option is at fault.
     """
-    if task not in TASKS:
-        raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
-    if segment < envs * TASKS[task].steps:
-        expected = f"at least {envs * TASKS[task].steps}, or no episode ends in one"
-        raise InputError("train", "--segment", str(segment), expected)
+    given = {
+        "recipe": recipe, "task": task, "steps": steps, "envs": envs, "segment": segment,
+        "updates_per_step": updates_per_step, "learning_rate": learning_rate,
+        "discount": discount, "hidden": hidden, "energy_weight": energy_weight,
+        "energy_start": energy_start,
+    }  # fmt: skip
+    plan = plan_of(
+        given, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m, threads=threads
+    )
     fish, fitted = read_robot(robot), read_model(model)
-    given = None if ranges is None else read_ranges(ranges)
-    chosen = TASKS[task]
-    if energy_weight is not None:
-        chosen = replace(chosen, energy=energy_weight)
-    plan = Plan(
-        chosen, steps=steps, envs=envs, segment=segment, seeds=tuple(seeds), fidelity=fidelity,
-        device=device, cell_m=cell_m, threads=threads,
-        settings=Settings(
-            updates_per_step=updates_per_step, rate=learning_rate, gamma=discount,
-            hidden=tuple(hidden),
-        ),
-        energy_start=energy_start,
-    )  # fmt: skip
-    arm = Arm(name, draws_of(fitted, given, fish, seed=0))
+    drawn = None if ranges is None else read_ranges(ranges)
+    arm = Arm(name, draws_of(fitted, drawn, fish, seed=0))
     inputs = [robot, model, *([] if ranges is None else [ranges])]
-    return train(folder, fish, [arm], plan, provenance(inputs, None))
+    begin = [Path(path) for path in first]
+    return train(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=begin)

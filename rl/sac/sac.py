@@ -1,7 +1,8 @@
-"""Stable-Baselines3's SAC with the paper's hyper-parameters, learning by ``rl.sac.agents``."""
+"""Stable-Baselines3's SAC, learning by ``rl.sac.agents``."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,18 +12,43 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.sac.policies import SACPolicy
+from torch import nn
 
 from rl.env import action_space, observation_space
+from rl.observer import View
 from rl.sac.agents import Agents, Settings
 from rl.world import World
+from sim2real.errors import InputError
+
+
+class NormedPolicy(SACPolicy):
+    """Stable-Baselines3's, with layer normalization in the critics, as in ``batched.Layers``."""
+
+    def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
+        """A critic whose hidden layers are normalised before the ReLU."""
+        critic: Any = super().make_critic(*args, **kwargs)
+        for i, plain in enumerate(critic.q_networks):
+            modules: list[nn.Module] = []
+            for module in plain:
+                if isinstance(module, nn.ReLU):
+                    last: Any = modules[-1]
+                    modules.append(nn.LayerNorm(last.out_features, elementwise_affine=False))
+                modules.append(module)
+            network = nn.Sequential(*modules).to(self.device)
+            critic.q_networks[i] = network
+            setattr(critic, f"qf{i}", network)
+        return critic
 
 
 class SwimSAC(SAC):
     """SAC whose transitions stay on its device and whose update there is one captured graph.
 
-    ``learn``, ``predict`` and ``save`` are Stable-Baselines3's; what is saved is an ordinary model
-    that ``SAC.load`` takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions
-    of -1 and 1 mean, in rad.
+    ``learn``, ``predict`` and ``save`` are Stable-Baselines3's; what is saved is a model that
+    ``SAC.load`` takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions of -1
+    and 1 mean, in rad; and ``view``: how it looks at the task.
+    Under ``learn`` rate and entropy target stay as they are at first and energy costs what the task
+    says; it is ``rl.sac.train`` that changes them as the training goes on.
 
     Attributes:
         agents: What learns, where this model learns by itself.
@@ -59,7 +85,7 @@ class SwimSAC(SAC):
         for e in np.flatnonzero(dones):
             following[e] = infos[e]["terminal_observation"]
             ended[e] = not infos[e]["TimeLimit.truncated"]
-        parts = (self._last_obs, buffer_action, reward, following, ended)
+        parts = (self._last_obs, buffer_action, reward, np.zeros_like(reward), following, ended)
         self.agents.remember(*(torch.as_tensor(x, device=self.device)[None] for x in parts))
         self._last_obs = new_obs
 
@@ -83,7 +109,13 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 def make_sac(
-    world: World, settings: Settings, seed: int, env: VecEnv | None = None, device: str = "cpu"
+    world: World,
+    settings: Settings,
+    seed: int,
+    env: VecEnv | None = None,
+    device: str = "cpu",
+    *,
+    view: View = View(),  # noqa: B008 - frozen
 ) -> SwimSAC:
     """An untrained model for a world's robots.
 
@@ -93,10 +125,11 @@ def make_sac(
         seed: Of the first parameters.
         env: What ``learn`` is to run in; none where ``Agents`` does the learning.
         device: Where the model is to be.
+        view: How it looks at the task.
     """
     model = SwimSAC(
-        "MlpPolicy",
-        env or _Spaces(observation_space(world), action_space(world)),
+        NormedPolicy if settings.norm else "MlpPolicy",
+        env or _Spaces(observation_space(world, view), action_space(world)),
         learning_rate=settings.rate,
         buffer_size=1,  # the memory is that of ``Agents``
         learning_starts=settings.warm_up,
@@ -104,6 +137,7 @@ def make_sac(
         tau=settings.tau,
         gamma=settings.gamma,
         ent_coef=f"auto_{settings.entropy_start}",
+        target_entropy=settings.entropy_target[0] * len(world.low),
         train_freq=1,
         gradient_steps=-1,
         policy_kwargs={"net_arch": list(settings.hidden)},
@@ -111,7 +145,28 @@ def make_sac(
         device=device,
     )
     told: Any = model
+    told.view = view
     told.joints = [joint.name for joint in world.simulator.robot.joints]
     told.joint_low = world.low.cpu().numpy()
     told.joint_high = world.high.cpu().numpy()
     return model
+
+
+def go_on_from(model: SAC, path: Path) -> None:
+    """Give a model the networks and the entropy coefficient of a saved one.
+
+    Raises:
+        InputError: If there is none, or it is of another shape or view.
+    """
+    from rl.deploy.export import read_agent, view_of
+
+    saved: Any = read_agent(path)
+    own: Any = model
+    if view_of(saved) != own.view:
+        raise InputError(path, "view", f"{view_of(saved)}", f"{own.view}, as this training has")
+    try:
+        own.policy.load_state_dict(saved.policy.state_dict())
+    except RuntimeError as error:
+        found = str(error).splitlines()[-1].strip()
+        raise InputError(path, "networks", found, "those of this training's recipe") from None
+    own.log_ent_coef.data.copy_(saved.log_ent_coef.data)

@@ -20,13 +20,14 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.env import desired_angles
+from rl.decisions import Decisions
+from rl.observer import View
 from rl.pool import Fidelity, make_world, own_stream
 from rl.sac.agents import Agents, Settings
 from rl.sac.checkpoint import Progress, load, save
-from rl.sac.sac import make_sac
-from rl.task import CONTROL_S, Task
-from rl.world import Draws, Step, World
+from rl.sac.sac import go_on_from, make_sac
+from rl.task import Task
+from rl.world import Draws, Step
 from sim2real.errors import InputError
 from sim2real.output import write_json
 from sim2real.robot import Robot
@@ -39,10 +40,12 @@ class Arm:
     Attributes:
         name: Names its folder.
         draws: Robots and noise that its episodes are drawn from.
+        energy: Weight of energy in the end; the task's where None.
     """
 
     name: str
     draws: Draws
+    energy: float | None = None
 
 
 @dataclass(frozen=True)
@@ -51,17 +54,22 @@ class Plan:
 
     Attributes:
         task: The task.
-        steps: Steps of the environment for each agent.
+        steps: Control periods of the environments for each agent.
         envs: Environments of each agent.
-        segment: Steps between checkpoints.
+        segment: Control periods between checkpoints.
         seeds: One agent for each.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid.
         threads: CPU threads of the simulator.
         settings: Hyper-parameters.
-        energy_start: Share of the task's energy weight that counts at first; it grows to the whole
-            by half of the steps. A robot that cannot swim yet earns nothing by moving.
+        view: How agents look at the task.
+        energy_start: Share of the task's energy weight that counts at first. A robot that cannot
+            swim yet earns nothing by moving.
+        ramp: Shares of the steps: before the first the weight does not grow, then it is full after
+            the second.
+        gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
+            that one that learns late is not starved.
     """
 
     task: Task
@@ -74,7 +82,10 @@ class Plan:
     cell_m: float = 0.02
     threads: int = 1
     settings: Settings = field(default_factory=Settings)
-    energy_start: float = 1.0
+    view: View = field(default_factory=View)
+    energy_start: float = 0.1
+    ramp: tuple[float, float] = (0.3, 0.35)
+    gate: float = 0.7
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense.
@@ -95,10 +106,24 @@ class Plan:
             if not fits:
                 raise InputError("train", option, str(value), expected)
 
-    def task_at(self, steps: int) -> Task:
-        """The task with the energy weight that counts after so many steps."""
-        share = self.energy_start + (1 - self.energy_start) * min(2 * steps / self.steps, 1.0)
-        return replace(self.task, energy=share * self.task.energy)
+    def grown(self, before: float, steps: int, more: int, success: float) -> float:
+        """How far an agent's energy weight has grown, from 0 to 1.
+
+        Args:
+            before: How far it was.
+            steps: Control periods so far.
+            more: Of them since then.
+            success: Share of its last episodes that succeeded.
+        """
+        begin, length = self.ramp
+        if steps < begin * self.steps or not success >= self.gate:
+            return before
+        return min(before + more / max(length * self.steps, 1.0), 1.0)
+
+    def price(self, arm: Arm, grown: float) -> float:
+        """What energy costs an agent whose weight has grown so far."""
+        whole = self.task.energy if arm.energy is None else arm.energy
+        return whole * (self.energy_start + (1 - self.energy_start) * grown)
 
     def content(self) -> dict[str, Any]:
         """All of it that decides the result, as JSON can hold it."""
@@ -108,7 +133,13 @@ class Plan:
 
 
 def train(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any] | None = None
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    note: dict[str, Any] | None = None,
+    *,
+    first: Sequence[Path] = (),
 ) -> list[Path]:
     """Train an agent for each arm and seed, all of them in one batch of robots.
 
@@ -119,18 +150,24 @@ def train(
         arms: What each group of agents trains in.
         plan: How to train.
         note: Provenance, kept in ``run.json``.
+        first: Policies to go on from, ``policy.zip`` of one agent each, in the agents' order; from
+            random networks where there are none. Their memories are not kept.
 
     Returns:
         The agents' folders: all seeds of the first arm, then those of the next.
 
     Raises:
-        InputError: If the folder holds a run of another plan.
+        InputError: If the folder holds a run of another plan, or the first policies do not fit.
     """
     names = [f"{arm.name}-{seed}" for arm in arms for seed in plan.seeds]
     own = [digest(arm.draws) for arm in arms]
-    _begin(folder, {"plan": plan.content(), "agents": names, "draws": own}, note or {})
+    prices = [arm.energy for arm in arms]
+    content = {"plan": plan.content(), "agents": names, "draws": own, "energy": prices}
+    if first:
+        content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
+    _begin(folder, content, note or {})
     with own_stream(plan.device):
-        _train(folder, robot, arms, plan, names)
+        _train(folder, robot, arms, plan, names, first)
     return [folder / name for name in names]
 
 
@@ -153,16 +190,30 @@ def _begin(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
 
 
 def _train(
-    folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, names: Sequence[str]
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    names: Sequence[str],
+    first: Sequence[Path],
 ) -> None:
     S, A = len(plan.seeds), len(names)
-    draws = [arm.draws for arm in arms for _ in plan.seeds]
+    own = [arm for arm in arms for _ in plan.seeds]
+    draws = [arm.draws for arm in own]
     world = make_world(
         robot, plan.task, draws, n_envs=A * plan.envs, fidelity=plan.fidelity, device=plan.device,
         cell_m=plan.cell_m, threads=plan.threads,
     )  # fmt: skip
-    models = [make_sac(world, plan.settings, plan.seeds[a % S]) for a in range(A)]
-    agents = Agents(models, plan.settings, world.device)
+    decisions = Decisions(world, plan.view)
+    room = -(-plan.steps // plan.view.period)
+    settings = replace(plan.settings, memory=min(plan.settings.memory, room))
+    models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
+    if first:
+        if len(first) != A:
+            raise InputError("train", "--first", f"{len(first)} policies", f"{A}, one an agent")
+        for model, path in zip(models, first, strict=True):
+            go_on_from(model, path)
+    agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(
         total=plan.steps, initial=progress.steps, desc="train", unit="step", disable=None,
@@ -170,53 +221,67 @@ def _train(
     )  # fmt: skip
     while progress.steps < plan.steps:
         last = min(progress.steps + plan.segment, plan.steps)
-        _segment(world, agents, plan, progress, last, bar)
+        _segment(decisions, agents, own, plan, progress, last, bar, swims=bool(first))
         save(folder, agents, progress, names)
     bar.close()
 
 
 def _segment(
-    world: World,
+    decisions: Decisions,
     agents: Agents,
+    arms: Sequence[Arm],
     plan: Plan,
     progress: Progress,
     last: int,
     bar: Any,  # noqa: ANN401
+    *,
+    swims: bool,
 ) -> None:
-    """From one checkpoint to the next."""
-    A, n, settings = len(agents.models), plan.envs, plan.settings
+    """From one checkpoint to the next; agents that swim already do not begin at random."""
+    A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
+    J = len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
     world.seed(seed)
     torch.manual_seed(seed)
-    observed = world.reset()
+    observed = decisions.reset().view(A, n, -1)
     tally = Tally(A, n, world.device)
-    noise = torch.randn(A, n, len(world.low), device=world.device)
-    kept = math.exp(-CONTROL_S / settings.noise_s) if settings.noise_s > 0 else 0.0
-    owed = 0.0
+    noise = torch.randn(A, n, J, device=world.device)
+    late = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
+    owed, each = 0.0, n * plan.view.period
+    _set_price(agents, arms, plan, progress)
     while progress.steps < last:
-        world.task = plan.task_at(progress.steps)
         fresh = torch.randn(noise.shape, device=world.device)
-        noise = kept * noise + (1 - kept * kept) ** 0.5 * fresh
-        if progress.steps < settings.warm_up:
+        noise = late * noise + (1 - late * late) ** 0.5 * fresh
+        if progress.steps < settings.warm_up and not swims:
             action = torch.erf(noise / 2**0.5)  # as likely anywhere between -1 and 1
         else:
-            action = agents.act(observed.view(A, n, -1), noise)
-        step = world.step(desired_angles(world, action.view(A * n, -1)))
+            action = agents.act(observed, noise)
+        step = decisions.step(action.view(A * n, J))
+        gain = step.reward + world.task.energy * step.effort
         agents.remember(
-            observed.view(A, n, -1), action, step.reward.view(A, n), step.final.view(A, n, -1),
+            observed, action, gain.view(A, n), step.effort.view(A, n), step.final.view(A, n, -1),
             step.terminated.view(A, n),
         )  # fmt: skip
-        observed = step.observation
+        observed = step.observation.view(A, n, -1)
         tally.add(step, world.task.waypoints)
-        progress.steps += n
-        bar.update(n)
+        progress.steps += each
+        bar.update(each)
         if progress.steps >= settings.warm_up:
-            owed += settings.updates_per_step * n
+            agents.set_schedule(progress.steps / plan.steps)
+            owed += settings.updates_per_step * each
             agents.learn(int(owed))
             owed -= int(owed)
-        if progress.steps % (20 * n) == 0 and tally.some() or progress.steps >= last:
+        if tally.some() or progress.steps >= last:
+            before = progress.noted()
             progress.note(tally.take(), agents)
+            progress.grow(plan.grown, before)
+            _set_price(agents, arms, plan, progress)
             bar.set_postfix_str(progress.said())
+
+
+def _set_price(agents: Agents, arms: Sequence[Arm], plan: Plan, progress: Progress) -> None:
+    prices = [plan.price(arm, grown) for arm, grown in zip(arms, progress.grown, strict=True)]
+    agents.price.copy_(torch.tensor(prices)[:, None])
 
 
 class Tally:
@@ -229,7 +294,7 @@ class Tally:
         self._steps = 0
 
     def add(self, step: Step, waypoints: int) -> None:
-        """Count one step of every environment."""
+        """Count one decision of every environment."""
         self._steps += 1
         self._return += step.reward
         self._length += 1
@@ -240,8 +305,8 @@ class Tally:
         self._return *= 1 - ended
         self._length *= 1 - ended
 
-    def some(self, least: int = 200) -> bool:
-        """Whether enough steps went by to speak of them."""
+    def some(self, least: int = 50) -> bool:
+        """Whether enough decisions went by to speak of them."""
         return self._steps >= least
 
     def take(self) -> Tensor:

@@ -240,7 +240,7 @@ def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
     """With a training that is too short to learn anything, and as it is."""
     demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
     if not whole:
-        short = replace(demo.QUICK, steps=4000, segment=2000)
+        short = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
         monkeypatch.setattr(demo, "QUICK", short)
         monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
     assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0

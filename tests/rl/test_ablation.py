@@ -12,8 +12,9 @@ import pytest
 import rl.experiments.places
 from rl.commands.ablate import tried_in
 from rl.experiments.ablation import ablate, bootstrap
-from rl.experiments.ablation_report import markdown, worth, write_report
+from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
+from rl.experiments.differences import differences, paired, seeds_needed
 from rl.experiments.reality import read_reality
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
@@ -145,8 +146,48 @@ def test_the_report_is_written(run, tmp_path):
     assert "No arm reached the target" in page
     table = json.loads((tmp_path / "run" / "ablation.json").read_text())["table"]
     assert [row["arm"] for row in table] == ["all", "no-servo"]
-    assert markdown(found).count("\n") == 3
-    assert set(worth(found)) == {"no-servo"}
+    assert markdown(found).count("\n") == 7
+    assert set(differences(found)) == {"no-servo"}
+
+
+def test_pairs_take_out_what_seeds_have_in_common():
+    rng = np.random.default_rng(0)
+    seeds = rng.normal(0, 5, 8)
+    one = paired(20 + seeds + rng.normal(0, 0.1, 8), 17 + seeds + rng.normal(0, 0.1, 8))
+    assert one.told
+    assert abs(one.mean - 3) < 0.2
+    assert one.high - one.low < 0.5
+    assert not paired(np.array([1.0]), np.array([0.0])).told
+
+
+def test_its_intervals_hold_the_truth_nine_times_in_ten():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(600):
+        one = paired(rng.normal(1.0, 1.0, 6), np.zeros(6))
+        inside += one.low < 1.0 < one.high
+    assert inside / 600 == pytest.approx(0.9, abs=0.04)
+
+
+def test_the_seeds_needed_are_those_that_make_intervals_narrow():
+    rng = np.random.default_rng(2)
+    first = rng.normal(0, 1, 400)
+    told = {"a": paired(first[:20] + 3, np.zeros(20)), "b": paired(first[20:40], np.zeros(20))}
+    count = seeds_needed(told)["a"]
+    assert count is not None
+    widths = [
+        2 * (one.high - one.mean)
+        for k in range(0, 400 - count, count)
+        for one in [paired(first[k : k + count], np.zeros(count))]
+    ]
+    assert np.mean(widths) == pytest.approx(told["a"].mean / 3, rel=0.35)
+
+
+def test_the_ceiling_learns_in_realitys_own_parameters(robot, model):
+    real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
+    arm = arm_of("ceiling", model, robot, RANGES, reality=real)
+    assert {j.latency_s for m in arm.draws.models for j in m.joints.values()} == {0.2}
+    assert arm.draws.noise.position_m == 0.002
 
 
 def test_the_bootstrap_knows_agents_from_repeats():

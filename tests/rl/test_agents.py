@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from rl.sac.agents import Agents, Batch, Settings, mirrored
+from rl.decisions import Decisions
+from rl.observer import PAPER, View
+from rl.sac.agents import PLAIN, Agents, Batch, Settings, mirrored
 from rl.sac.sac import make_sac
 from rl.task import Task
 from rl.vec_env import FishVecEnv
 
-SETTINGS = Settings(hidden=(32, 24), memory=500, batch=64)
+SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)
 
 
 def batch_of(A: int, O: int, J: int, generator: torch.Generator, B: int = 64) -> Batch:  # noqa: E741
@@ -53,11 +57,14 @@ def theirs(model: SAC, batches: list[Batch], noises: list, a: int, monkeypatch) 
         assert not queue
 
 
-def test_an_update_is_stable_baselines3s(world_of, monkeypatch):
+@pytest.mark.parametrize("norm", [False, True])
+def test_an_update_is_stable_baselines3s(world_of, monkeypatch, norm):
+    """With layer normalization in the critics, too: there autograd is the reference."""
     world, generator = world_of(1), torch.Generator().manual_seed(3)
-    references = [make_sac(world, SETTINGS, seed) for seed in (0, 1, 2)]
-    own = [make_sac(world, SETTINGS, seed) for seed in (0, 1, 2)]
-    agents = Agents(own, SETTINGS, torch.device("cpu"))
+    settings = replace(SETTINGS, norm=norm, entropy_target=(-1.5, -1.5))
+    references = [make_sac(world, settings, seed, view=PAPER) for seed in (0, 1, 2)]
+    own = [make_sac(world, settings, seed, view=PAPER) for seed in (0, 1, 2)]
+    agents = Agents(own, settings, torch.device("cpu"))
     batches = [batch_of(3, 11, 3, generator) for _ in range(20)]
     noises = [tuple(torch.randn(2, 3, 64, 3, generator=generator)) for _ in range(20)]
     logger = pytest.importorskip("stable_baselines3.common.logger")
@@ -68,7 +75,7 @@ def test_an_update_is_stable_baselines3s(world_of, monkeypatch):
         agents.update(batch, noise)
     moved = 0.0
     for a, reference in enumerate(references):
-        fresh = make_sac(world, SETTINGS, a)
+        fresh = make_sac(world, settings, a, view=PAPER)
         for name, value in reference.policy.state_dict().items():
             ours = own[a].policy.state_dict()[name]
             assert torch.allclose(ours, value, atol=1e-5, rtol=0), name
@@ -79,7 +86,8 @@ def test_an_update_is_stable_baselines3s(world_of, monkeypatch):
 
 def test_saved_models_are_ordinary_ones(world_of, tmp_path):
     world = world_of(1)
-    agents = Agents([make_sac(world, SETTINGS, seed) for seed in (0, 1)], SETTINGS, world.device)
+    models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]
+    agents = Agents(models, SETTINGS, world.device)
     agents.update(batch_of(2, 11, 3, torch.Generator().manual_seed(0)))
     seen = torch.randn(2, 5, 11)
     expected = agents.act(seen)
@@ -93,22 +101,27 @@ def test_saved_models_are_ordinary_ones(world_of, tmp_path):
 
 def test_memories_wrap_and_agents_draw_from_their_own(world_of):
     world = world_of(1)
-    agents = Agents([make_sac(world, SETTINGS, seed) for seed in (0, 1)], SETTINGS, world.device)
+    models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]
+    agents = Agents(models, SETTINGS, world.device)
+    agents.price.fill_(0.5)
     for n in range(30):
         mark = torch.tensor([n + 0.0, 1000.0 + n])[:, None].expand(2, 20)
         agents.remember(
-            torch.zeros(2, 20, 11), torch.zeros(2, 20, 3), mark, torch.zeros(2, 20, 11), mark < 0
-        )
+            torch.zeros(2, 20, 11), torch.zeros(2, 20, 3), mark + 3, torch.full((2, 20), 6.0),
+            torch.zeros(2, 20, 11), mark < 0,
+        )  # fmt: skip
     assert agents.filled == SETTINGS.memory
     drawn = agents._sample().reward
     assert drawn[0].min() >= 5
     assert drawn[0].max() < 30
     assert drawn[1].min() >= 1005
+    agents.price.fill_(0.0)
+    assert agents._sample().reward[0].min() >= 8, "energy is paid at the price of now"
 
 
 def test_learn_is_stable_baselines3s_and_saves_small_zips(world_of, tmp_path):
     world = world_of(4)
-    settings = Settings(hidden=(16, 16), memory=2000, batch=32, warm_up=40)
+    settings = Settings(hidden=(16, 16), memory=2000, batch=32, warm_up=40, updates_per_step=1.0)
     model = make_sac(world, settings, 0, FishVecEnv(world))
     before = {k: v.clone() for k, v in model.policy.state_dict().items()}
     model.learns(settings)
@@ -119,12 +132,13 @@ def test_learn_is_stable_baselines3s_and_saves_small_zips(world_of, tmp_path):
     assert len(changed) == len(before)
     model.save(tmp_path / "policy.zip")
     loaded = SAC.load(tmp_path / "policy.zip", device="cpu")
-    seen = np.random.default_rng(0).normal(size=(9, 11)).astype(np.float32)
+    seen = np.random.default_rng(0).normal(size=(9, View().size(3))).astype(np.float32)
     ours, _ = model.predict(seen, deterministic=True)
     assert np.array_equal(loaded.predict(seen, deterministic=True)[0], ours)
 
 
-def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of):
+@pytest.mark.parametrize("view", [View(), PAPER])
+def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of, view):
     """The world itself, left and right exchanged."""
 
     def placed(rng: np.random.Generator, n: int, J: int):
@@ -133,11 +147,50 @@ def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of):
         return pose, np.array([[0.1, -0.2, 0.3], [-0.1, 0.2, -0.3]]), target
 
     world = world_of(2, Task("placed", placed))
-    odd = mirrored(3, world.device)[:11]
+    decisions = Decisions(world, view)
+    decisions.reset()
+    F = view.size(3)
+    odd = mirrored(view.odd(3), 3, world.device)
+    assert odd[F : F + 6].tolist() == [1, 1, 1, 0, 0, *view.odd(3)[:1]]
+    odd = odd[:F]
     rng = np.random.default_rng(0)
     for _ in range(30):
         action = torch.tensor(rng.uniform(-0.7, 0.7, 3), dtype=torch.float32)
-        step = world.step(torch.stack([action, -action]))
+        step = decisions.step(torch.stack([action, -action]))
         left, right = step.observation
         assert torch.allclose(left * (1 - 2 * odd), right, atol=2e-4)
         assert torch.allclose(step.reward[0], step.reward[1], atol=1e-4)
+
+
+def test_schedules_reach_the_updates(world_of):
+    world = world_of(1)
+    settings = Settings(hidden=(8, 8), memory=100, batch=16, rate=1e-2, rate_end=0.0)
+    agents = Agents([make_sac(world, settings, 0)], settings, world.device)
+    batch = batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16)
+    agents.set_schedule(0.5)
+    assert agents._rate.item() == pytest.approx(5e-3)
+    assert agents._entropy.item() == pytest.approx(-3 * 1.75)
+    before = agents.critic.flat.clone()
+    agents.update(batch)
+    moved = (agents.critic.flat - before).abs().max()
+    assert moved == pytest.approx(5e-3, rel=0.01), "Adam's first step is the rate"
+    agents.set_schedule(1.0)
+    kept = agents.critic.flat.clone()
+    agents.update(batch)
+    assert torch.equal(agents.critic.flat, kept)
+
+
+def test_the_saved_actor_follows_the_one_that_learns(world_of):
+    world = world_of(1)
+    settings = Settings(hidden=(8, 8), memory=100, batch=16, average=0.25)
+    model = make_sac(world, settings, 0)
+    agents = Agents([model], settings, world.device)
+    first = agents.actor.flat.clone()
+    agents.update(batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16))
+    own = agents.actor.flat.clone()
+    bias = model.actor.mu.bias.clone()
+    with agents.averaged():
+        assert torch.allclose(agents.actor.flat, 0.75 * first + 0.25 * own)
+        assert not torch.equal(model.actor.mu.bias, bias)
+    assert torch.equal(agents.actor.flat, own)
+    assert torch.equal(model.actor.mu.bias, bias)

@@ -14,6 +14,7 @@ import torch
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
 from rl.env import FishEnv
+from rl.observer import PAPER, View
 from rl.randomize import Noise
 from rl.registered import FISH
 from rl.task import TASKS, Task, shortened
@@ -22,8 +23,9 @@ from rl.world import Draws
 from sim2real.errors import InputError
 
 
-def test_both_checkers_pass_without_a_warning(world_of):
-    env = FishEnv(world_of(1))
+@pytest.mark.parametrize("view", [View(), PAPER])
+def test_both_checkers_pass_without_a_warning(world_of, view):
+    env = FishEnv(world_of(1), view)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gymnasium.utils.env_checker.check_env(env, skip_render_check=True)
@@ -100,7 +102,7 @@ def marked(rng: np.random.Generator, n: int, J: int):
 def test_no_row_is_swapped_at_resets(world_of):
     """64 robots that end at different times keep their own targets, clocks and observations."""
     task = Task("marked", marked, steps=7)
-    env = FishVecEnv(world_of(64, task))
+    env = FishVecEnv(world_of(64, task), PAPER)
     env.reset()
     world = env.world
     stagger = torch.arange(64) % 7

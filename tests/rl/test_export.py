@@ -15,8 +15,9 @@ from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
 from rl.commands.export import run
+from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_zip, write_policy
-from rl.deploy.forward import Policy, forward, npz, read_npz
+from rl.deploy.forward import Policy, npz, read_npz
 from rl.deploy.header import c_header
 from rl.task import observation_bounds
 from sim2real.errors import InputError
@@ -30,9 +31,12 @@ MAIN = """
 #include <stdio.h>
 #include "policy.h"
 int main(void) {
-    float observation[11], action[3];
-    while (fread(observation, sizeof observation, 1, stdin) == 1) {
-        policy(observation, action);
+    float gone, observation[11], action[3];
+    static policy_memory memory;
+    while (fread(&gone, sizeof gone, 1, stdin) == 1) {
+        if (fread(observation, sizeof observation, 1, stdin) != 1) return 1;
+        if (gone < 0) policy_begin(&memory, observation);
+        policy(&memory, gone < 0 ? 1 : (int)gone, observation, action);
         if (fwrite(action, sizeof action, 1, stdout) != 1) return 1;
     }
     return 0;
@@ -79,22 +83,27 @@ def both(request, observations) -> tuple[Policy, np.ndarray]:
 def test_numpy_says_what_it_says(both, observations, tmp_path):
     policy, action = both
     (tmp_path / "policy.npz").write_bytes(npz(policy))
-    answer = forward(read_npz(tmp_path / "policy.npz"), observations)
+    answer = PolicyController(read_npz(tmp_path / "policy.npz")).act(observations)
     assert answer.dtype == np.float32
     assert np.abs(answer - action).max() < 1e-5
-    assert np.abs(forward(policy, observations[7]) - action[7]).max() < 1e-5
+
+
+def answered_in_c(folder: Path, gone: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    """What the header in ``folder`` answers; -1 periods gone begin a swim."""
+    (folder / "main.c").write_text(MAIN)
+    program = folder / "main"
+    built = [COMPILER, *FLAGS, str(folder / "main.c"), "-o", str(program), "-lm"]
+    subprocess.run(built, check=True, capture_output=True, text=True)
+    sent = np.column_stack([gone, observations]).astype(np.float32).tobytes()
+    told = subprocess.run([program], input=sent, capture_output=True, check=True)
+    return np.frombuffer(told.stdout, dtype=np.float32).reshape(-1, 3)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_c_says_what_it_says(both, observations, tmp_path):
     policy, action = both
     (tmp_path / "policy.h").write_text(c_header(policy))
-    (tmp_path / "main.c").write_text(MAIN)
-    program = tmp_path / "main"
-    built = [COMPILER, *FLAGS, str(tmp_path / "main.c"), "-o", str(program), "-lm"]
-    subprocess.run(built, check=True, capture_output=True, text=True)
-    told = subprocess.run([program], input=observations.tobytes(), capture_output=True, check=True)
-    answer = np.frombuffer(told.stdout, dtype=np.float32).reshape(-1, 3)
+    answer = answered_in_c(tmp_path, np.full(len(observations), -1.0), observations)
     assert answer.shape == action.shape
     assert np.abs(answer - action).max() < 1e-5
 
@@ -105,8 +114,10 @@ def test_onnx_says_what_it_says(both, observations, tmp_path):
 
     policy, action = both
     (file,) = write_policy(policy, tmp_path / "policy.npz", ("onnx",))
-    (answer,) = ReferenceEvaluator(str(file)).run(None, {"observation": observations})
-    assert np.abs(answer - action).max() < 1e-5
+    N = len(observations)
+    given = {"memory": np.zeros((N, 8), np.float32), "begin": np.ones((N, 1), np.float32)}
+    told = ReferenceEvaluator(str(file)).run(None, {"observation": observations, **given})
+    assert np.abs(told[0][:, 0] - action).max() < 1e-5
 
 
 def test_actions_of_one_become_the_joints_angles(observations, tmp_path):
@@ -119,7 +130,7 @@ def test_actions_of_one_become_the_joints_angles(observations, tmp_path):
     assert policy.joints == ("front", "middle", "tail")
     assert policy.observation[3:5] == ("front.position_rad", "middle.position_rad")
     angle = LOW + (action + 1) / 2 * (HIGH - LOW)
-    assert np.abs(forward(policy, observations) - angle).max() < 1e-5
+    assert np.abs(PolicyController(policy).act(observations) - angle).max() < 1e-5
 
 
 def test_the_header_tells_order_units_and_origin(tmp_path):
@@ -193,7 +204,9 @@ def test_a_format_that_fails_leaves_no_file_of_another(tmp_path, monkeypatch):
         ({"low_rad": np.zeros(2, np.float32)}, "low_rad"),
         ({"joints": np.array(["a", "b"])}, "joints"),
         ({"bias_0": np.full(32, np.nan, np.float32)}, "finite"),
-        ({"observation": np.array(["x"] * 10)}, "weight_0"),
+        ({"observation": np.array(["x"] * 10)}, "observation"),
+        ({"view": np.array('{"period": 0}')}, "a view"),
+        ({"view": None}, "view"),
         ({"provenance": np.array("{")}, "none"),
         ({"joints": np.array({"a": 1}, dtype=object)}, "no arrays"),
     ],

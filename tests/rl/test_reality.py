@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rl.deploy.controller import PolicyController
 from rl.deploy.forward import Policy
-from rl.experiments.evaluate import PolicyController, run_episodes
+from rl.experiments.evaluate import run_episodes
 from rl.experiments.places import Crew, Real
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.reality import read_reality
+from rl.metrics import energy
 from rl.pool import make_world
 from rl.task import TASKS, observation_bounds, observation_names, shortened
 from rl.world import Draws
@@ -140,6 +142,9 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
             state = self.twin.state()
             return state.pose, state.measured
 
+        def rate(self):
+            return self.twin.state().rate
+
         def reset(self, pose, joint):
             self.twin.reset(None, pose, joint)
             return self.look()
@@ -148,7 +153,7 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
             self.twin.step(desired)
             return self.look()
 
-    task = replace(shortened(TURN, 120), energy=0.0)
+    task = shortened(TURN, 120)
     controller = PolicyController(policy_of(robot))
     known = run_episodes(make_world(robot, task, Draws((model,)), n_envs=3, seed=4), controller)
     starts = Starts(known.pose[0], np.zeros((3, 3)), known.targets)
@@ -156,6 +161,7 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
     assert np.ptp(known.pose[:, 0, 2]) > 0.1, "it does move"
     assert np.allclose(found.pose, known.pose, atol=1e-4)
     assert np.allclose(found.reward, known.reward, atol=1e-4)
+    assert np.allclose(energy(found.rate), energy(known.rate), rtol=1e-4), "true energy"
 
 
 def test_robots_are_swum_in_groups(glider, robot):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
-from rl.experiments.evaluate import PolicyController
+from rl.observer import PAPER
 from rl.sac.agents import Settings
 from rl.sac.sac import make_sac
 from rl.sac.sampled import SampledController
@@ -16,7 +17,7 @@ from sim2real.errors import InputError
 
 @pytest.fixture
 def zipped(world_of, tmp_path):
-    agent = make_sac(world_of(1), Settings(hidden=(16, 16), memory=10), 0)
+    agent = make_sac(world_of(1), Settings(hidden=(16, 16), memory=10), 0, view=PAPER)
     with torch.no_grad():
         agent.actor.log_std.weight.zero_()
         agent.actor.log_std.bias.fill_(np.log(0.2))

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from rl.commands.swim import run
-from rl.deploy.forward import Policy, forward, npz
+from rl.deploy.controller import PolicyController
+from rl.deploy.forward import Policy, npz
 from rl.deploy.link import (
     Link,
     SetPoints,
@@ -26,10 +27,11 @@ from rl.deploy.link import (
     set_point_bytes,
     telemetry_bytes,
 )
-from rl.deploy.observer import CONTROL_S, Observer
+from rl.deploy.measurements import CONTROL_S, Measurements
 from rl.deploy.pilot import REST_S, Pilot
 from rl.deploy.swim import swim
 from rl.deploy.virtual_robot import VirtualRobot, serve, virtual_robot
+from rl.observer import PAPER, View
 from rl.task import observation_bounds, observation_names
 from sim.inference.swims import swim_of
 from sim.twin.twin import Twin
@@ -42,10 +44,10 @@ LIMIT = np.array(observation_bounds(3), dtype=np.float32)
 FAR = np.array([1.5, 0.4])
 
 
-def random_policy(width: int = 24, seed: int = 5) -> Policy:
+def random_policy(width: int = 24, seed: int = 5, view: View = PAPER) -> Policy:
     """A network that has learnt nothing and moves a lot."""
     rng = np.random.default_rng(seed)
-    sizes = [(width, 11), (3, width)]
+    sizes = [(width, view.size(3)), (3, width)]
     return Policy(
         weights=tuple(rng.normal(0, 1.4 / n**0.5, (m, n)).astype(np.float32) for m, n in sizes),
         biases=tuple(rng.normal(0, 0.5, m).astype(np.float32) for m, _ in sizes),
@@ -54,6 +56,7 @@ def random_policy(width: int = 24, seed: int = 5) -> Policy:
         joints=JOINTS,
         observation=tuple(observation_names(JOINTS)),
         observation_limit=LIMIT,
+        view=view,
     )
 
 
@@ -113,11 +116,13 @@ class TestDatagrams:
             Link(url, 3)
 
 
-class TestObserver:
-    def test_sees_what_it_saw_in_training(self, twin, world_of) -> None:
+class TestMeasurements:
+    @pytest.mark.parametrize("view", [PAPER, View()])
+    def test_sees_what_it_saw_in_training(self, twin, world_of, view) -> None:
         """Steered by one policy, the robot on the air goes where the one in training goes."""
-        policy, robot, world = random_policy(), VirtualRobot(twin), world_of(1)
-        target, observer = np.array([0.7, -0.6]), Observer(LIMIT)
+        policy, robot, world = random_policy(view=view), VirtualRobot(twin), world_of(1)
+        steers, reference = PolicyController(policy), PolicyController(policy)
+        target, observer = np.array([0.7, -0.6]), Measurements(LIMIT)
         place = np.array([[0.3, 0.2, 2.8]])
         world.task = replace(world.task, place=lambda *_: (place, np.zeros((1, 3)), target[None]))
         expected = world.reset()
@@ -129,9 +134,10 @@ class TestObserver:
             assert observer.take(seen)
             observation = observer.observation(target)
             assert observation == pytest.approx(expected[0].numpy(), abs=2e-3), k
-            assert robot.receive(set_point_bytes(SetPoints(k + 1, forward(policy, observation))))
+            (sent,) = steers.act(observation[None])
+            assert robot.receive(set_point_bytes(SetPoints(k + 1, sent)))
             robot.advance()
-            action = forward(policy, expected.numpy())
+            action = reference.act(expected.numpy())
             expected = world.step(world._tensor(action)).observation
             moved.append(observation)
         assert (np.ptp(moved, axis=0) > 0.02).all(), "each column must have moved"
@@ -140,7 +146,7 @@ class TestObserver:
 
     def test_missing_measurements_are_bridged(self) -> None:
         """On an even course, gaps, unseen cells and a faster camera change nothing."""
-        rng, observer = np.random.default_rng(3), Observer(LIMIT)
+        rng, observer = np.random.default_rng(3), Measurements(LIMIT)
         t = np.sort(rng.uniform(0, 0.5, 60))
         heading = 2.2 + 2.0 * t  # comes round in the last moment
         for k in range(60):
@@ -159,7 +165,7 @@ class TestObserver:
         assert not observer.take(Telemetry(now, np.zeros(3), np.zeros(3))), "old news"
 
     def test_knows_how_long_it_has_been_blind(self) -> None:
-        observer = Observer(LIMIT)
+        observer = Measurements(LIMIT)
         assert observer.blind_s == np.inf
         for k in range(11):
             pose = np.zeros(3) if k < 5 else np.array([0.0, np.nan, 0.0])

@@ -11,6 +11,10 @@ import torch
 from stable_baselines3 import SAC
 
 import rl.sac.train
+from rl.experiments import selection
+from rl.experiments.named import controller_of
+from rl.experiments.trials import run_trials
+from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.agents import Settings
 from rl.sac.checkpoint import COLUMNS
@@ -23,13 +27,13 @@ from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, uniform
 
 PLAN = Plan(
-    shortened(TASKS["near"], 10),
-    steps=480,
+    shortened(TASKS["near"], 40),
+    steps=1920,
     envs=8,
-    segment=160,
+    segment=640,
     seeds=(0, 1),
     fidelity="twin",
-    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=80, updates_per_step=0.25),
+    settings=Settings(hidden=(16, 16), memory=400, batch=16, warm_up=320, updates_per_step=0.1),
 )
 
 
@@ -68,7 +72,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
 
 
 def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
-    short = replace(PLAN, steps=80)
+    short = replace(PLAN, steps=320)
     train(tmp_path, robot, arms(model)[:1], short)
     with pytest.raises(InputError, match="another run"):
         train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
@@ -133,11 +137,30 @@ def test_a_world_adopts_other_robots_at_resets(robot, model, world_of):
         assert torch.allclose(a.final, b.final, atol=1e-6)
 
 
-def test_the_energy_weight_grows_until_half_of_the_steps():
-    plan = replace(PLAN, energy_start=0.1)
-    weights = [plan.task_at(steps).energy / plan.task.energy for steps in (0, 120, 240, 480)]
-    assert weights == pytest.approx([0.1, 0.55, 1.0, 1.0])
-    assert PLAN.task_at(0) == PLAN.task
+def test_the_energy_weight_grows_once_an_agent_succeeds():
+    plan = replace(PLAN, steps=1000, energy_start=0.1, ramp=(0.3, 0.4), gate=0.7)
+    assert plan.grown(0.0, 200, 100, 1.0) == 0.0, "too early"
+    assert plan.grown(0.2, 600, 100, 0.5) == 0.2, "an agent that fails is not starved"
+    assert plan.grown(0.2, 600, 100, 0.9) == pytest.approx(0.45)
+    assert plan.grown(0.9, 600, 100, 0.9) == 1.0
+    prices = [plan.price(Arm("a", Draws()), grown) for grown in (0.0, 0.5, 1.0)]
+    assert prices == pytest.approx([1e-4, 5.5e-4, 1e-3])
+    assert plan.price(Arm("b", Draws(), energy=2.0), 1.0) == 2.0
+
+
+def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
+    seen = []
+    saved = rl.sac.train.save
+
+    def watched(folder, agents, progress, names):
+        seen.append(agents.price[:, 0].tolist())
+        saved(folder, agents, progress, names)
+
+    monkeypatch.setattr(rl.sac.train, "save", watched)
+    own = [replace(arm, energy=k) for arm, k in zip(arms(model), (0.01, 0.02), strict=True)]
+    train(tmp_path, robot, own, replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5))
+    assert seen[0] == pytest.approx([0.01, 0.01, 0.02, 0.02], rel=0.5)
+    assert seen[-1] == pytest.approx([0.01, 0.01, 0.02, 0.02])
 
 
 @pytest.mark.parametrize(
@@ -152,3 +175,49 @@ def test_the_energy_weight_grows_until_half_of_the_steps():
 def test_a_plan_that_makes_no_sense_is_refused(change, option):
     with pytest.raises(InputError, match=option):
         replace(PLAN, **change)
+
+
+def test_a_training_goes_on_from_policies(robot, model, tmp_path):
+    first = [f / "policy.zip" for f in train(tmp_path / "a", robot, arms(model)[:1], PLAN)]
+    still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10**9), segment=1920)
+    swum = train(tmp_path / "b", robot, arms(model)[:1], still, first=first)
+    for path, folder in zip(first, swum, strict=True):
+        one, other = (SAC.load(p, device="cpu") for p in (path, folder / "policy.zip"))
+        for x, y in zip(one.policy.parameters(), other.policy.parameters(), strict=True):
+            assert torch.equal(x, y)
+    assert (swum[0] / "progress.csv").read_text() != (first[0].parent / "progress.csv").read_text()
+    with pytest.raises(InputError, match="one an agent"):
+        train(tmp_path / "c", robot, arms(model), PLAN, first=first)
+    with pytest.raises(InputError, match="another run"):
+        train(tmp_path / "b", robot, arms(model)[:1], still, first=first[::-1])
+    with pytest.raises(InputError, match="view"):
+        train(tmp_path / "d", robot, arms(model)[:1], replace(PLAN, view=PAPER), first=first)
+    wide = replace(PLAN, settings=replace(PLAN.settings, hidden=(8, 8)))
+    with pytest.raises(InputError, match="networks"):
+        train(tmp_path / "e", robot, arms(model)[:1], wide, first=first)
+
+
+def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):
+    """The one that does better in the same trials, at one weight, whatever training said."""
+    folders = train(tmp_path, robot, arms(model)[:1], PLAN)
+    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setitem(selection.TASKS, "mixed", shortened(TASKS["mixed"], 60))
+    found = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    scores = {name: rows["score"] for name, rows in found["agents"].items()}
+    assert found["best"] == max(scores, key=scores.__getitem__)
+    assert set(scores) == {"a-0", "a-1"}
+    assert scores["a-0"] != scores["a-1"]
+    again = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    assert again == found
+    dear = selection.held_out(folders, robot, model, None, energy=1.0, episodes=3)
+    assert dear["agents"]["a-0"]["score"] < scores["a-0"]
+
+
+def test_trials_are_the_same_for_all(robot, model):
+    ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
+    limits = [joint.limits_rad for joint in robot.joints]
+    crew = {name: controller_of("pnl", limits, 4) for name in ("one", "other")}
+    swims = run_trials(robot, model, ranges, shortened(TASKS["turn"], 80), crew, episodes=4)
+    one, other = swims["one"], swims["other"]
+    assert np.allclose(one.pose, other.pose, atol=1e-6)
+    assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"

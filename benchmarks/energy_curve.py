@@ -1,0 +1,174 @@
+"""Time against energy: policies trained at several weights of energy, and the controllers' paces.
+
+    python benchmarks/energy_curve.py --out reports/training/curve [--device cuda:0] [--seeds 2]
+
+All weights and seeds learn side by side in one batch, in the twin calibrated to a shipped swim;
+then policies and controllers swim the same randomized trials of each task. ``--fidelity fluid``
+does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already.
+Writes ``TASK.json`` and ``curve.png``: who is left and below the others wins.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import sim2real as s2r
+from rl.controllers import Controller
+from rl.controllers.tuned import PACES
+from rl.experiments.evaluate import summary
+from rl.experiments.named import controller_of
+from rl.experiments.trials import run_trials
+from rl.pool import draws_of
+from rl.sac.recipes import plan_of
+from rl.sac.train import Arm, train
+from rl.task import TASKS
+from sim2real.output import provenance, write_json
+from sim2real.ranges.entry import read_ranges
+from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
+
+POOL = Path("datasets/pool")
+WEIGHTS = (3e-4, 6e-4, 1e-3, 1.5e-3, 2.5e-3)
+MARKS = {"pnl": "s", "adrc": "D"}
+ELSEWHERE = {"pnl": "pnl tuned in the fluid", "adrc": "adrc tuned in the fluid"}
+"""Names of rows of gains from another place, drawn in outline where there are any."""
+
+
+def main() -> None:
+    """Train, try, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
+    parser.add_argument("--cell-m", type=float, default=0.02)
+    parser.add_argument("--weights", type=float, nargs="+", default=list(WEIGHTS))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=500)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--envs", type=int)
+    parser.add_argument("--segment", type=int)
+    parser.add_argument("--updates-per-step", type=float)
+    parser.add_argument("--tasks", nargs="+", default=["turn", "pentagram"])
+    parser.add_argument("--episodes", type=int, default=30)
+    parser.add_argument("--gains", type=Path)
+    parser.add_argument("--trained", nargs="+", metavar="NAME=FOLDER", default=[])
+    parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    found = read(options) if options.draw_only else made(options)
+    draw(found, options.out / "curve.png")
+
+
+def read(options: argparse.Namespace) -> dict[str, Any]:
+    """What an earlier call has written."""
+    import json
+
+    return {
+        task: json.loads((options.out / f"{task}.json").read_text())["results"]
+        for task in options.tasks
+    }
+
+
+def made(options: argparse.Namespace) -> dict[str, Any]:
+    """Train one agent a weight and seed, and swim every task."""
+    robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
+    ranges = read_ranges(POOL / "ranges.json")
+    water: Any = {
+        "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
+    }  # fmt: skip
+    agents = known(options.trained)
+    if not agents:
+        seeds = tuple(range(options.seed, options.seed + options.seeds))
+        plan = plan_of(vars(options), seeds=seeds, **water)
+        draws = draws_of(model, ranges, robot, seed=0)
+        arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
+        agents = {one.name: one for one in train(options.out / "train", robot, arms, plan)}
+    limits = [joint.limits_rad for joint in robot.joints]
+    found = {}
+    for task in options.tasks:
+        n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
+        crew: dict[str, Controller] = {}
+        for name, folder in agents.items():
+            crew[f"{name}/policy.zip"] = controller_of(str(folder / "policy.zip"), limits, n)
+        for kind in MARKS:
+            for pace in PACES:
+                name = f"{kind}-{pace}"
+                crew[name] = controller_of(name, limits, n, gains=options.gains)
+        swims = run_trials(robot, model, ranges, TASKS[task], crew, episodes=n, seed=7, **water)
+        found[task] = {name: summary(one, TASKS[task]) for name, one in swims.items()}
+        content = {"task": task, "fidelity": options.fidelity, "randomized": True}
+        content |= {"results": found[task], "provenance": provenance([], options.seed)}
+        write_json(options.out / f"{task}.json", content)
+    return found
+
+
+def known(trained: list[str]) -> dict[str, Path]:
+    """Folders of agents by "NAME-K", from "NAME=FOLDER" of runs."""
+    out = {}
+    for one in trained:
+        name, _, folder = one.partition("=")
+        for k, path in enumerate(sorted(Path(folder).rglob("policy.zip"))):
+            out[f"{name}-{k}"] = path.parent
+    return out
+
+
+def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """A panel a task: every policy and every pace of a controller."""
+    with house_style():
+        figure = new_figure(330, "Time against energy of policies and controllers")
+        panels = figure.subplots(1, len(found), squeeze=False)[0]
+        for axes, (task, rows) in zip(panels, found.items(), strict=True):
+            axes.set_title(task)
+            axes.set(xlabel="energy (1000 rad²/s²)", ylabel="time (s)", xscale="log", yscale="log")
+            _policies(axes, rows)
+            for kind, mark in MARKS.items():
+                colour = INK if kind == "pnl" else MUTED
+                for name, full in ((kind, colour), (ELSEWHERE[kind], "none")):
+                    own = [rows[f"{name}-{pace}"] for pace in PACES if f"{name}-{pace}" in rows]
+                    points = [(one["energy"] / 1e3, one["time_s"]) for one in own]
+                    style: Any = {"marker": mark, "color": colour, "markerfacecolor": full}
+                    if points:
+                        label = kind.upper() + name.removeprefix(kind)
+                        axes.plot(*np.array(points).T, "--", lw=0.9, ms=4.5, label=label, **style)
+            axes.margins(0.08)
+            _plain_ticks(axes)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=144)
+
+
+def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
+    """All of them, and the mean of each group of seeds."""
+    own: dict[str, list[Any]] = {}
+    for name, row in rows.items():
+        if name.endswith(".zip"):
+            own.setdefault(name.rsplit("-", 1)[0], []).append(row)
+    for k, (name, some) in enumerate(own.items()):
+        points = np.array([(one["energy"] / 1e3, one["time_s"]) for one in some])
+        x, y = points.mean(axis=0)
+        label = "policies, each seed and the mean" if k == 0 else None
+        axes.plot(*points.T, "o", color=ACCENT, ms=3, alpha=0.5)
+        axes.plot([x], [y], "o", color=ACCENT, ms=6, label=label)
+        if len(own) > 1:
+            axes.annotate(
+                name, (x, y), (-7, -11), textcoords="offset points", color=ACCENT, ha="right"
+            )
+
+
+def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 4, 5, 6, 8)))
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+    axes.tick_params(which="minor", length=0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""A trained policy as a controller at 50 Hz, in NumPy alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rl.deploy.forward import Policy, forward
+from rl.observer import Observer
+
+Array = NDArray[np.float32]
+
+
+class PolicyController:
+    """Its mean action through the observer it was trained with; each robot keeps its own time.
+
+    Attributes:
+        policy: The policy.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self._start(0)
+
+    def _start(self, n: int) -> None:
+        self._observer = Observer(self.policy.view, self.policy.low, self.policy.high, n)
+        self._since = np.zeros(n, dtype=np.int64)
+        self._fresh = np.ones(n, dtype=bool)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Robots in ``mask``, shape (E,), begin anew."""
+        if len(mask) != len(self._fresh):
+            self._start(len(mask))
+        self._fresh = self._fresh | mask
+
+    def act(self, observation: Array, gone: int = 1) -> Array:
+        """Set-points in rad of this control period, shape (E, J).
+
+        Args:
+            observation: The task's columns, shape (E, O).
+            gone: Control periods since the last call; more than one where frames were lost.
+        """
+        if len(observation) != len(self._fresh):
+            self._start(len(observation))
+        seen = np.asarray(observation, dtype=np.float32)
+        limit = self.policy.observation_limit
+        seen = np.clip(seen, -limit, limit)
+        if self._fresh.any():
+            self._observer.begin(seen, self._fresh)
+        period = self.policy.view.period
+        self._since = np.where(self._fresh, 0, self._since + gone)
+        due = self._fresh | (self._since >= period)
+        self._since %= period
+        self._fresh = np.zeros_like(self._fresh)
+        if due.any():
+            inputs = self._observer.see(seen, due)
+            self._observer.decide(self.decided(inputs), due)
+        tick = self._since[:, None].astype(np.float32)
+        return np.asarray(self._observer.set_points(tick), dtype=np.float32)
+
+    def decided(self, inputs: Array) -> Array:
+        """Decisions between -1 and 1 from the policy's columns (E, F)."""
+        return forward(self.policy, inputs)

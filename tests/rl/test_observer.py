@@ -1,0 +1,199 @@
+"""The one observer: what it sees, and that all who deploy a policy see and do the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from rl.decisions import Decisions
+from rl.deploy.controller import PolicyController
+from rl.deploy.export import policy_of, write_policy
+from rl.deploy.forward import Policy, read_npz
+from rl.deploy.header import c_header
+from rl.observer import PAPER, Observer, View
+from rl.randomize import Noise
+from rl.sac.agents import Settings
+from rl.sac.sac import make_sac
+from rl.task import TASKS, shortened
+from rl.world import Draws
+from tests.rl.test_export import COMPILER, answered_in_c
+
+LOW, HIGH = np.full(3, -0.8, np.float32), np.array([0.8, 0.7, 0.8], np.float32)
+VIEWS = [View(), PAPER, View(period=3, memory=3, scaled=False), View(1, False, 0, True, True)]
+
+
+def seen_at(bearing: float, distance: float = 1.0) -> np.ndarray:
+    """The task's columns of a robot at rest with a target there."""
+    columns = np.zeros((1, 11), np.float32)
+    columns[0, -2:] = distance * np.cos(bearing), distance * np.sin(bearing)
+    return columns
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_numpy_and_pytorch_see_the_same(view):
+    rng, E = np.random.default_rng(0), 40
+    one = Observer(view, LOW, HIGH, E)
+    other = Observer(view, torch.tensor(LOW), torch.tensor(HIGH), E)
+    raw = rng.normal(size=(E, 11)).astype(np.float32)
+    one.begin(raw)
+    other.begin(torch.tensor(raw))
+    for _ in range(30):
+        raw = (raw + 0.3 * rng.normal(size=raw.shape)).astype(np.float32)
+        rows = rng.random(E) < 0.5
+        told = other.see(torch.tensor(raw), torch.tensor(rows))
+        columns = one.see(raw, rows)
+        assert columns.shape == (E, view.size(3)) == (E, len(view.columns(["a", "b", "c"])))
+        assert columns.dtype == np.float32
+        assert columns == pytest.approx(told.numpy(), abs=1e-5)
+        action = np.tanh(rng.normal(size=(E, 3))).astype(np.float32)
+        one.decide(action, rows)
+        other.decide(torch.tensor(action), torch.tensor(rows))
+        tick = rng.integers(0, view.period, (E, 1)).astype(np.float32)
+        set_points = other.set_points(torch.tensor(tick)).numpy()
+        assert one.set_points(tick) == pytest.approx(set_points, abs=1e-6)
+
+
+def test_the_papers_view_changes_nothing():
+    observer = Observer(PAPER, LOW, HIGH, 5)
+    raw = np.random.default_rng(1).normal(size=(5, 11)).astype(np.float32)
+    observer.begin(raw)
+    assert np.array_equal(observer.see(raw), raw)
+    observer.decide(np.ones((5, 3), np.float32))
+    assert observer.set_points(0) == pytest.approx(np.tile(HIGH, (5, 1)))
+
+
+def test_the_bearing_keeps_its_side_until_far_round():
+    view = View()
+    column = view.columns(["a", "b", "c"]).index("kept_bearing")
+    observer = Observer(view, LOW, HIGH, 1)
+    observer.begin(seen_at(2.5))
+    told = [np.pi * observer.see(seen_at(b))[0, column] for b in (3.0, 3.3, 3.9, 4.0, -3.0, 3.3)]
+    # on the left over half a turn; beyond 225 degrees it has changed its side, and keeps that
+    assert told == pytest.approx([3.0, 3.3, 3.9, 4.0 - 2 * np.pi, -3.0, 3.3 - 2 * np.pi], abs=1e-5)
+
+
+def test_a_stroke_keeps_its_side_and_decisions_are_remembered():
+    view = View()
+    names = view.columns(["a", "b", "c"])
+    side, first = names.index("stroke_side"), names.index("a.decision_1_ago")
+    observer = Observer(view, LOW, HIGH, 1)
+    observer.begin(seen_at(-1.0))
+    assert observer.see(seen_at(-1.0))[0, side] == -1, "at first the target's"
+    for mean, expected in ((0.1, -1), (0.4, 1), (0.0, 1), (-0.4, -1)):
+        observer.decide(np.full((1, 3), mean, np.float32))
+        columns = observer.see(seen_at(-1.0))[0]
+        assert columns[side] == expected
+        assert columns[first] == np.float32(mean)
+    assert columns[first + 3] == 0.0
+
+
+def test_set_points_go_on_a_line_from_where_the_joints_are():
+    observer = Observer(View(), LOW, HIGH, 1)
+    start = seen_at(0.0)
+    start[0, 3:6] = 0.4, 0.3, -0.2
+    observer.begin(start)
+    observer.decide(np.array([[1.0, -1.0, 0.0]], np.float32))
+    line = np.array([observer.set_points(tick)[0] for tick in range(4)])
+    goal = np.array([0.8, -0.8, 0.0])
+    expected = start[0, 3:6] + (goal - start[0, 3:6]) * np.arange(1, 5)[:, None] / 4
+    assert line == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.fixture(scope="module", params=VIEWS[:2], ids=["default", "paper"])
+def trained(request, robot, model):
+    """An agent that moves a lot, as a policy."""
+    from rl.pool import make_world
+
+    world = make_world(robot, TASKS["near"], Draws((model,)), n_envs=1)
+    agent = make_sac(world, Settings(hidden=(24, 24)), 3, view=request.param)
+    with torch.no_grad():
+        for parameter in agent.actor.parameters():
+            parameter.mul_(2.0)
+    return agent, policy_of(agent)
+
+
+def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model):
+    """Decisions on the device, and NumPy at 50 Hz, on one noisy swim."""
+    agent, policy = trained
+    noise = Draws((model,), Noise(0.002, 0.01, (0.003,)))
+    task = shortened(TASKS["chain"], 400)
+    decisions = Decisions(world_of(4, task, noise, seed=2), policy.view)
+    outside = world_of(4, task, noise, seed=2)
+    for one in (decisions.world, outside):
+        one.seed(5)
+    columns = decisions.reset()
+    seen = outside.reset()
+    controller = PolicyController(policy)
+    controller.reset(np.ones(4, dtype=bool))
+    for _ in range(400 // policy.view.period):
+        with torch.no_grad():
+            action = agent.actor(columns, deterministic=True)
+        step = decisions.step(action, begin=False)
+        gained = torch.zeros(4)
+        for _ in range(policy.view.period):
+            told = outside.step(torch.from_numpy(controller.act(seen.numpy())), begin=False)
+            seen = told.observation
+            gained += told.reward
+        assert torch.allclose(outside.pose, decisions.world.pose, atol=1e-3)
+        assert torch.allclose(step.reward, gained, atol=1e-2)
+        columns = step.observation
+    assert float((outside.joint.abs()).max()) > 0.05
+
+
+def swum(policy: Policy, world_of, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A swim of 60 s through latency with every tenth frame lost: what was seen, gone, sent."""
+    world = world_of(
+        1, replace(TASKS["pentagram"], steps=3000), Draws((model,), Noise(0.002, 0.01, (0.003,)))
+    )
+    controller, rng = PolicyController(policy), np.random.default_rng(0)
+    controller.reset(np.ones(1, dtype=bool))
+    seen, gone = world.reset(), -1
+    rows, waits, sent = [], [], []
+    for _ in range(3000):
+        if gone < 0 or rng.random() > 0.1:
+            rows.append(seen[0].numpy())
+            waits.append(gone)
+            sent.append(controller.act(seen.numpy(), max(gone, 1))[0])
+            gone = 0
+        seen = world.step(torch.from_numpy(sent[-1])[None], begin=False).observation
+        gone += 1
+    return np.array(rows), np.array(waits, dtype=np.float32), np.array(sent)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, world_of, model, tmp_path):
+    _, policy = trained
+    rows, gone, sent = swum(policy, world_of, model)
+    assert np.ptp(sent, axis=0).min() > 0.1
+    write_policy(policy, tmp_path / "policy.npz", ("npz",))
+    again = PolicyController(read_npz(tmp_path / "policy.npz"))
+    again.reset(np.ones(1, dtype=bool))
+    told = [again.act(row[None], max(int(k), 1))[0] for row, k in zip(rows, gone, strict=True)]
+    assert np.array_equal(np.array(told), sent)
+    (tmp_path / "policy.h").write_text(c_header(policy))
+    assert np.abs(answered_in_c(tmp_path, gone, rows) - sent).max() < 1e-5
+
+
+def test_onnx_agrees_on_a_swim(trained, world_of, model, tmp_path):
+    pytest.importorskip("onnx", reason="the extra 'onnx' is not installed")
+    from onnx.reference import ReferenceEvaluator
+
+    _, policy = trained
+    period = policy.view.period
+    (file,) = write_policy(policy, tmp_path / "policy.npz", ("onnx",))
+    graph, controller = ReferenceEvaluator(str(file)), PolicyController(policy)
+    world = world_of(3, TASKS["chain"])
+    controller.reset(np.ones(3, dtype=bool))
+    seen, begin = world.reset(), np.ones((3, 1), np.float32)
+    memory = np.zeros((3, max(policy.view.memory, 2) * 3 + 2), np.float32)
+    for _ in range(3000 // period // 10):
+        given = {"observation": seen.numpy(), "memory": memory, "begin": begin}
+        set_points, memory = graph.run(None, given)
+        begin[:] = 0.0
+        for tick in range(period):
+            action = controller.act(seen.numpy())
+            assert np.abs(set_points[:, tick] - action).max() < 1e-5
+            seen = world.step(torch.from_numpy(action), begin=False).observation
