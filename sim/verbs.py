@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from sim.commands.calibrate import table, with_figures
 from sim.commands.simulate import every_period
 from sim.inference import calibrate as bodies
-from sim.inference.calibrate import HELD_OUT_SHARE, Calibrated, law_parameters, servo_parameters
+from sim.inference.calibrate import Calibrated
 from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.parameters import law_parameters, servo_parameters
+from sim.inference.problem import HELD_OUT_SHARE
 from sim.inference.swims import Swim, by_fluid, by_twin, swim_of
 from sim2real.diagnose import diagnose as servos
 from sim2real.diagnose.result import Diagnosis
