@@ -33,6 +33,7 @@ STEPS_PER_RADIAN = 16.0
 _BYTES = {"cpu": 100e6, "cuda": 16e9}
 """Angles held at once by one thread of the processor or by the device."""
 _INERTIA = BASE.index("inertia_kgm2")
+_MORE_INERTIA = ("unmodelled_inertia.inertia_kgm2", "motor.rotor_inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -264,8 +265,8 @@ class Batch:
 
     def _substep(self, problems: Problems) -> Array:
         """One sub-step for all variants on one recording, in s, shape (N, R)."""
-        column = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
-        kp, kd, more = (problems.theta[:, 0, k] for k in (0, 1, column))
+        more = sum(problems.theta[:, 0, COLUMNS.index(name)] for name in _MORE_INERTIA)
+        kp, kd = (problems.theta[:, 0, k] for k in (0, 1))
         recording = np.minimum(np.arange(self.recordings.max()), self.recordings.max() - 1)
         signal = self.first_signal[problems.joint][:, None] + recording
         inertia = self.load[np.minimum(signal, len(self.load) - 1), 0] + more[:, None]

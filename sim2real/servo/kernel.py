@@ -7,6 +7,7 @@ from sim2real.servo.law import (
     SENSOR_BITS,
     Row,
     arrival_time,
+    loop_period,
     measured_angle,
     resting_angle,
     shaft_inertia,
@@ -43,7 +44,7 @@ def simulate_servos(
     inertia = wp.float64(p[3])
     steps = steps_per_radian
     if effects != 0:
-        inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
+        inertia = shaft_inertia(inertia, p, z, effects)
         steps *= wp.float64(2.0)
     fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
     longest_step = wp.min(longest[row], wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
@@ -55,6 +56,10 @@ def simulate_servos(
     now = wp.float64(start)
     sample = int(0)
     arrival = int(0)
+    period = loop_period(p)
+    looks = wp.float64(start)
+    tick = bool(False)
+    ticks = wp.float64(0.0)
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
@@ -67,17 +72,25 @@ def simulate_servos(
                     arrival += 1
                     continue
         until = wp.min(t[sample], arrives)
+        if period > zero:
+            if now >= looks:
+                tick = True
+                ticks += wp.float64(1.0)
+                looks = start + ticks * period
+            until = wp.min(until, looks)
         if until > now:
             count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
             for k in range(count):
                 time = now - start + wp.float64(k) * h
-                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects)
+                look = tick and k == 0
+                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects, look)
                 if (effects & wp.static(SENSOR_BITS)) != 0:
                     angle = measured_angle(
                         state[0], state[0], state[1], state[2], time, h, p, z, effects
                     )
             now = until
+            tick = False
         if arrives <= until:
             u = sent[arrival]
             arrival += 1
@@ -85,7 +98,7 @@ def simulate_servos(
                 kp = zero
                 kd = zero
                 u = zero
-        else:
+        elif until == t[sample]:
             if (effects & wp.static(SENSOR_BITS)) == 0:
                 angle = state[0]
             elif sample == 0:

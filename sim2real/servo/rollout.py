@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import simulate_servos
-from sim2real.servo.parameters import CELLS, COLUMNS, FIRST_COLUMN
+from sim2real.servo.motor import MOTOR_BIT
+from sim2real.servo.parameters import CELLS, COLUMNS, FIRST_COLUMN, FIRST_MOTOR_COLUMN, MOTOR
 
 Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps while the fastest mode turns by one radian: halving them moves nothing by 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
-_MOST_EFFECTS = 31
+_MOST_EFFECTS = 30
 
 
 def rollout(
@@ -85,14 +86,15 @@ def rollout(
 
 
 def active_effects(rows: Array) -> NDArray[np.int32]:
-    """Bit mask of the effects that are on in each parameter row, shape (N,).
+    """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,).
 
     Raises:
         OverflowError: If the catalogue has more effects than the mask has bits.
     """
     if len(CATALOGUE) > _MOST_EFFECTS:
         raise OverflowError(f"{len(CATALOGUE)} effects; the mask has {_MOST_EFFECTS} bits")
-    active = np.zeros(rows.shape[0], dtype=np.int32)
+    motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
+    active = motor.astype(np.int32) * np.int32(MOTOR_BIT)
     for k, effect in enumerate(CATALOGUE):
         first = FIRST_COLUMN[effect.name]
         on = rows[:, first : first + len(effect.parameters)].any(axis=1)
