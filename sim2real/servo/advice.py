@@ -8,8 +8,10 @@ import numpy as np
 
 from sim2real.effects import Effect
 from sim2real.recording import Load, Recording
+from sim2real.robot import Servo
 from sim2real.servo.fit import Fit, residuals, rms
-from sim2real.servo.trace import Trace
+from sim2real.servo.motor_fit import MotorFit
+from sim2real.servo.trace import PER_INERTIA, Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 _SHORT = {
@@ -20,6 +22,8 @@ _SHORT = {
 }
 _STRUCTURED = 2.0
 """Residuals above so many times the noise have something in them."""
+_KEPT = 0.7
+"""Share of what was believed of a parameter's spread above which nothing was learned of it."""
 _MATERIAL = 0.05
 """Share of the stated inertia below which a difference is left to scales and rulers."""
 
@@ -55,6 +59,8 @@ def on_fit(
             )
     low, high = best.low, best.high
     for k in best.at_bound:
+        if best.names[k].startswith("motor.") and best.parameters[k] == low[k] == 0:
+            continue  # a loss that is not there
         end = low[k] if best.parameters[k] - low[k] < high[k] - best.parameters[k] else high[k]
         notes.append(f"{_short(best, k)} ended on its bound of {end:g}")
     if not best.converged:
@@ -67,6 +73,37 @@ def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
     if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
         return []
     return ["unmodelled_inertia cannot show: it takes a pendulum or two known loads"]
+
+
+def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
+    """What of the motor the recordings do not tell, and where they contradict the data sheet."""
+    fit, log = motor.fit, motor.log
+    values = fit.parameters[list(fit.free)]
+    sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
+    names = [_plain(fit.names[k]) for k in fit.free]
+    kept = [n for n, s, b in zip(names, sd, motor.believed_sd, strict=True) if s > _KEPT * b]
+    notes = []
+    known = motor.problem.traces[0].load is not PER_INERTIA
+    if kept:
+        notes.append(f"these recordings do not tell {', '.join(kept)}: believed as the data sheet")
+    for name, stated in (
+        ("motor.stall_torque_Nm", servo.max_torque_Nm),
+        ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),
+    ):
+        k = [fit.names[j] for j in fit.free].index(name)
+        away = abs(np.log(values[k] / stated))
+        if known and away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
+            notes.append(
+                f"{names[k]} is {values[k]:.3g} where the data sheet says {stated:.3g}: is it that "
+                "servo, and at that voltage?"
+            )
+    return notes
+
+
+def _plain(name: str) -> str:
+    for unit in ("_Nms_per_rad", "_Nm_per_rad", "_rad_s", "_kgm2", "_Nm", "_s"):
+        name = name.removesuffix(unit)
+    return name.removeprefix("motor.").replace("_", " ")
 
 
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:

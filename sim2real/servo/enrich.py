@@ -34,7 +34,7 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
 
     Args:
         traces: The joint's recordings.
-        plain: The fit of the plain servo.
+        plain: The fit without them. What it knows of a motor stays as it is.
         effects: What to add to it.
 
     Returns:
@@ -42,9 +42,10 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
         ``effect.parameter``.
     """
     given = _parameters(plain, effects)
-    names = (*PARAMETERS, *given)
+    names = (*plain.names, *given)
     columns = [*range(3), *(COLUMNS.index(name) for name in given)]
-    free = (0, 1, 2, *range(4, len(names)))
+    free = (0, 1, 2, *range(len(plain.names), len(names)))
+    row = _row(plain)
     low = np.array([*plain.low, *(p.low for p in given.values())])
     high = np.array([*plain.high, *(p.high for p in given.values())])
     index, unit = list(free), effect_units(plain, effects)
@@ -52,7 +53,7 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         shifts = _DIFFERENCE * np.vstack([np.zeros(x.size), np.eye(x.size), -np.eye(x.size)])
-        angles = _simulate(traces, (x + shifts) * unit, columns, substep_s)
+        angles = _simulate(traces, (x + shifts) * unit, columns, substep_s, row)
         errors = np.concatenate([_error(a[0], t) for a, t in zip(angles, traces, strict=True)])
         up, down = (
             np.concatenate(
@@ -65,12 +66,12 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
     box = (low[index] / unit, high[index] / unit)
     tried = [
         search(evaluate, np.clip(start / unit, *box), box, rounds=0, evaluations=12)[0]
-        for start in _starts(traces, plain, given, columns, substep_s)
+        for start in _starts(traces, plain, given, columns, substep_s, row)
     ]
     nearest = min(tried, key=lambda x: robust_loss([evaluate(x)[0]], plain.scale_rad))
     x, converged = search(evaluate, nearest, box, rounds=3, evaluations=40)
     errors, slopes = evaluate(x)
-    parameters = np.zeros(len(names))
+    parameters = np.append(plain.parameters, np.zeros(len(given)))
     parameters[index] = x * unit
     cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
     return Fit(
@@ -89,10 +90,17 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
 
 def residuals_with_effects(fit: Fit, traces: Sequence[Trace]) -> tuple[Array, ...]:
     """Simulated minus measured angle at the used samples of each trace, for a fit with effects."""
-    columns = [*range(3), *(COLUMNS.index(name) for name in fit.names[4:])]
-    row = fit.parameters[list(fit.free)][None]
-    angles = _simulate(traces, row, columns, _substep(fit))
+    angles = _simulate(traces, fit.parameters[None, :3], [0, 1, 2], _substep(fit), _row(fit))
     return tuple(_error(a[0], t) for a, t in zip(angles, traces, strict=True))
+
+
+def _row(fit: Fit) -> Array:
+    """The row of a rollout with everything that the fit knows but its load, shape (P,)."""
+    row = np.zeros(len(COLUMNS))
+    row[[COLUMNS.index(name) for name in fit.names[len(PARAMETERS) :]]] = fit.parameters[
+        len(PARAMETERS) :
+    ]
+    return row
 
 
 def _parameters(plain: Fit, effects: Sequence[Effect]) -> dict[str, Parameter]:
@@ -125,6 +133,7 @@ def _starts(
     given: dict[str, Parameter],
     columns: list[int],
     substep_s: float,
+    row: Array,
 ) -> Array:
     """For each strength of each parameter the combination that fits best, gains as fitted."""
     choices = [[min(max(s * p.typical, p.low), p.high) for s in STRENGTHS] for p in given.values()]
@@ -133,7 +142,7 @@ def _starts(
         list(itertools.product(*choices)) if every else list(zip(*choices, strict=True))
     )
     rows = np.hstack([np.tile(plain.parameters[:3], (grid.shape[0], 1)), grid])
-    angles = _simulate(traces, rows, columns, substep_s)
+    angles = _simulate(traces, rows, columns, substep_s, row)
     losses = [
         robust_loss([_error(a[k], t) for a, t in zip(angles, traces, strict=True)], plain.scale_rad)
         for k in range(rows.shape[0])
@@ -148,12 +157,12 @@ def _starts(
 
 
 def _simulate(
-    traces: Sequence[Trace], values: Array, columns: list[int], substep_s: float
+    traces: Sequence[Trace], values: Array, columns: list[int], substep_s: float, row: Array
 ) -> list[Array]:
-    """Angles of servos with ``values`` (B, F) in ``columns``, for each trace of shape (B, T)."""
+    """Angles of servos as ``row`` but ``values`` (B, F) in ``columns``, each trace (B, T)."""
     angles = []
     for trace in traces:
-        theta = np.zeros((values.shape[0], len(COLUMNS)))
+        theta = np.tile(row, (values.shape[0], 1))
         theta[:, BASE.index("inertia_kgm2")] = trace.load.inertia_kgm2
         theta[:, BASE.index("gravity_Nm")] = trace.load.gravity_Nm
         theta[:, columns] = values

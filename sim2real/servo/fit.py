@@ -38,6 +38,8 @@ class Fit:
         jacobians: Its derivatives by the free parameters, one array (n, free) a trace.
         converged: Whether the search ended at a minimum.
         inertia: The stated inertia, kg m2.
+        prior: Precision of what was believed of the free parameters, shape (F, F), if anything.
+        tempering: Variance in rad2 that one sample of the residual had beside that prior.
     """
 
     names: tuple[str, ...]
@@ -50,6 +52,8 @@ class Fit:
     jacobians: tuple[Array, ...]
     converged: bool
     inertia: float
+    prior: Array | None = None
+    tempering: float = 1.0
 
     def loss(self, scale_rad: float) -> float:
         """Robust loss for a given scale of the residual, in rad2; about the sum of squares."""

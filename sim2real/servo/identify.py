@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Load, Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo import advice
 from sim2real.servo.enrich import effect_units, fit_effects, residuals_with_effects
 from sim2real.servo.fit import Fit, fit, residuals, rms
-from sim2real.servo.intervals import intervals, symmetric_intervals
+from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.servo.motor_fit import EXPLAINED, LINE, LOSSES, ROTOR, MotorFit, fit_motor
+from sim2real.servo.motor_prior import motor_prior
 from sim2real.servo.start import first_guess, natural_units
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
 from sim2real.servo.uncertainty import (
@@ -32,6 +34,8 @@ Array = NDArray[np.float64]
 
 _PLAIN = (0, 1, 2)
 _WITH_INERTIA = (0, 1, 2, 3)
+_CLEAR = 6.0
+"""What a choice must gain beyond chance."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ def identify(
     *,
     held_out: str | None = None,
     effects: Sequence[str] = (),
+    law: Law = "motor",
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -60,6 +65,8 @@ def identify(
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
         effects: Names of effects to fit together with the gains of every joint.
+        law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
+            the recordings show it; ``"pd"``: the linear servo.
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -80,7 +87,9 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
     results = {
-        joint: _identify_joint(traces(recordings, joint), held_out, wanted, rng)
+        joint: _identify_joint(
+            traces(recordings, joint), held_out, wanted, rng, _servo(robot, joint, law)
+        )
         for joint in progress(moving)
     }
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
@@ -91,6 +100,12 @@ def identify(
         notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
     )
+
+
+def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
+    """The joint's data sheet; None where the law asks for none."""
+    known = robot.joint(joint)
+    return None if law == "pd" or known is None else known.servo
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
@@ -115,7 +130,11 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 
 
 def _identify_joint(
-    given: list[Trace], held_out: str | None, wanted: list[Effect], rng: np.random.Generator
+    given: list[Trace],
+    held_out: str | None,
+    wanted: list[Effect],
+    rng: np.random.Generator,
+    servo: Servo | None,
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
     noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
@@ -123,8 +142,18 @@ def _identify_joint(
     free, unseen = _influential(fitted, start, noise)
     best, rivals = _best(fitted, start, others, free)
     stated = given[0].load
-    figures = _figures(best, residuals(best.parameters, scored)[0], fitted, noise)
+    unseen_errors = residuals(best.parameters, scored)[0]
     notes: list[str] = []
+    motor: MotorFit | None = None
+    if servo is not None and not unseen:
+        motor = _motor(fitted, best, servo, noise, rng)
+        best = motor.fit
+        unseen_errors = residuals_with_effects(best, scored)
+        units = motor.units
+        spread = uncertainty(best, units)
+        ends = motor_intervals(motor, spread)
+        notes += advice.on_motor(motor, spread, servo)
+    figures = _figures(best, unseen_errors, fitted, noise)
     if wanted:
         units = effect_units(best, wanted)
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
@@ -133,7 +162,7 @@ def _identify_joint(
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals_with_effects(best, scored), fitted, noise) | without
         notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
-    else:
+    elif motor is None:
         if stated is not PER_INERTIA and _shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
         units = natural_units(best.parameters, best.inertia)[list(best.free)]
@@ -142,6 +171,25 @@ def _identify_joint(
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes))
     return JointResult(model, figures, held)
+
+
+def _motor(
+    fitted: list[Trace], plain: Fit, servo: Servo, noise: float, rng: np.random.Generator
+) -> MotorFit:
+    """The motor's line alone where that explains the recordings, else its losses as well.
+
+    Losses are taken where they lower the loss by more than chance and their number account for:
+    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more.
+    """
+    prior = motor_prior(servo, fitted)
+    line = (*LINE, ROTOR) if _shows_inertia(fitted) else LINE
+    first = fit_motor(fitted, plain, prior, line, noise, rng)
+    if rms(first.fit.residuals) < EXPLAINED * noise:
+        return first
+    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), noise, rng, first.x)
+    scale, inflation = full.fit.scale_rad, full.inflation
+    gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
+    return full if gain > 2 * len(LOSSES) + _CLEAR else first
 
 
 def _best(
@@ -216,12 +264,15 @@ def _joint_model(
     for name, value in zip(best.names[4:], best.parameters[4:], strict=True):
         effect, parameter = name.split(".")
         fitted.setdefault(effect, {})[parameter] = float(value)
+    motor = {name: value for name, value in fitted.pop("motor", {}).items() if value > 0}
     return JointModel(
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
         latency_s=latency,
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=not known,
+        law="motor" if motor else "pd",
+        motor=motor,
         load=load if known else None,
         interval=ends,
         correlation={

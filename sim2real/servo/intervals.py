@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.fit import Fit, fit
+from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty
@@ -58,6 +59,23 @@ def symmetric_intervals(
         open_ = k in wide or half > units[k]
         ends = (float(best.low[index]), np.inf) if open_ else (value - half, value + half)
         result[best.names[index]] = (max(ends[0], float(best.low[index])), ends[1])
+    return result
+
+
+def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
+    """90 % intervals of a motor's parameters, what was believed of them included.
+
+    Symmetric in what was searched: in the logarithm of gains, torque and speed.
+    """
+    fit, result = motor.fit, {}
+    for k, index in enumerate(fit.free):
+        value, half = float(fit.parameters[index]), float(spread.half_width[k])
+        ends = value - half, value + half
+        if motor.log[k]:
+            ends = value * float(np.exp(-half / value)), value * float(np.exp(half / value))
+        low, high = float(fit.low[index]), float(fit.high[index])
+        top = np.inf if ends[1] >= high else ends[1]
+        result[fit.names[index]] = (min(max(ends[0], low), value), max(top, value))
     return result
 
 

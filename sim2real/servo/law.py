@@ -134,7 +134,8 @@ def substep(
     load = pendulum_torque(q, p[4])
     weight = load
     error = u - q
-    if active != 0:
+    others = active & wp.static(MOTOR_BIT - 1)
+    if others != 0:
         error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
         error = error_seen(error, q, speed, state[2], time, h, p, z, active)
         load = load_torque(load, q, speed, state[2], time, h, p, z, active)
@@ -144,25 +145,29 @@ def substep(
     if active == 0:
         return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
     still = wp.float64(0.0)
-    if kp > still and (active & wp.static(MOTOR_BIT)) != 0:
-        if tick:
-            z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, p)
-        push = motor_push(kp, kd, error, speed, middle, p)
-        if loop_period(p) > still:
-            push = held_push(z[wp.static(HELD_CELL)], kd, speed, p)
-        damping = half * push.damping / inertia
-        stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
-        after = ((wp.float64(1.0) - damping) * v + impulse * (push.torque + load)) * stiff
-        middle = wp.float64(0.5) * (v + after)
-        torque = push.torque - push.damping * middle
-    if kp > still:
-        made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
-        if made != torque:
-            after = v + impulse * (made + load)
-        torque = made
-    dry = friction_bound(still, q, speed, torque, time, h, p, z, active)
+    dry = wp.float64(0.0)
     if (active & wp.static(MOTOR_BIT)) != 0:
-        dry += gear_friction(speed, torque, weight, p)
+        if kp > still:
+            if tick:
+                z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, p)
+            push = motor_push(kp, kd, error, speed, middle, p)
+            if loop_period(p) > still:
+                push = held_push(z[wp.static(HELD_CELL)], kd, speed, p)
+            damping = half * push.damping / inertia
+            stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
+            after = ((wp.float64(1.0) - damping) * v + impulse * (push.torque + load)) * stiff
+            middle = wp.float64(0.5) * (v + after)
+            torque = push.torque - push.damping * middle
+        dry = gear_friction(speed, torque, weight, p)
+    if others != 0:
+        if kp > still:
+            made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
+            if made != torque:
+                after = v + impulse * (made + load)
+            torque = made
+        if (active & wp.static(MOTOR_BIT)) != 0:
+            dry = gear_friction(speed, torque, weight, p)
+        dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
     stop = impulse * stiff * dry
     if stop > still:
         return slide(state, after, stop, half, torque)

@@ -135,8 +135,8 @@ def weakened(push: Push, v: wp.float64, p: Row) -> Push:
 def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, p: Row) -> wp.float64:
     """Largest torque of dry friction in bearings and gears, N m."""
     bound = p[_COULOMB] + wp.abs(p[_OF_MOTOR] * torque - p[_OF_LOAD] * load)
-    if p[_SLOW] > wp.float64(0.0):
-        slow = v / p[_SLOW]
+    if p[_SLOW_OF_MOTOR] > wp.float64(0.0) or p[_SLOW_OF_LOAD] > wp.float64(0.0):
+        slow = v / wp.max(p[_SLOW], wp.float64(1e-12))
         more = wp.abs(p[_SLOW_OF_MOTOR] * torque - p[_SLOW_OF_LOAD] * load)
         bound += wp.exp(-slow * slow) * more
     return bound

@@ -49,8 +49,12 @@ HELD_CELL = sum(effect.memory for effect in CATALOGUE)
 CELLS = HELD_CELL + 1
 """Cells of memory of one joint."""
 
-COLUMNS = BASE + MOTOR + tuple(
-    f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
+COLUMNS = (
+    BASE
+    + MOTOR
+    + tuple(
+        f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
+    )
 )
 """Names of all columns of one joint."""
 
