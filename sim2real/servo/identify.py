@@ -53,7 +53,7 @@ def identify(
     *,
     held_out: str | None = None,
     effects: Sequence[str] = (),
-    law: Law = "motor",
+    law: Law | None = None,
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -66,7 +66,8 @@ def identify(
             recording the last quarter is held out.
         effects: Names of effects to fit together with the gains of every joint.
         law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
-            the recordings show it; ``"pd"``: the linear servo.
+            the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
+            servo where ``effects`` say what to add to it.
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -78,6 +79,7 @@ def identify(
             lacks an effect.
     """
     _check_inputs(recordings, robot, held_out)
+    law = law or ("pd" if effects else "motor")
     wanted = [named(effect) for effect in dict.fromkeys(effects)]
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
@@ -147,12 +149,9 @@ def _identify_joint(
     motor: MotorFit | None = None
     if servo is not None and not unseen:
         motor = _motor(fitted, best, servo, noise, rng)
-        best = motor.fit
+    if motor is not None and motor.with_gains:
+        best, rivals = motor.fit, []
         unseen_errors = residuals_with_effects(best, scored)
-        units = motor.units
-        spread = uncertainty(best, units)
-        ends = motor_intervals(motor, spread)
-        notes += advice.on_motor(motor, spread, servo)
     figures = _figures(best, unseen_errors, fitted, noise)
     if wanted:
         units = effect_units(best, wanted)
@@ -162,14 +161,21 @@ def _identify_joint(
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals_with_effects(best, scored), fitted, noise) | without
         notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
-    elif motor is None:
+    elif motor is not None and motor.with_gains:
+        spread = uncertainty(best, motor.units)
+        ends = motor_intervals(motor, spread)
+    else:
         if stated is not PER_INERTIA and _shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
         units = natural_units(best.parameters, best.inertia)[list(best.free)]
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
+    if motor is not None and servo is not None:
+        own = uncertainty(motor.fit, motor.units)
+        notes += advice.on_motor(motor, own, servo)
+        ends = motor_intervals(motor, own) | ends
     notes += advice.on_fit(best, spread, ends, unseen, figures)
-    model = _joint_model(best, ends, spread, stated, tuple(notes))
+    model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held)
 
 
@@ -178,15 +184,18 @@ def _motor(
 ) -> MotorFit:
     """The motor's line alone where that explains the recordings, else its losses as well.
 
+    Where the linear servo explains them the gains stay, and the line comes as near as they allow.
     Losses are taken where they lower the loss by more than chance and their number account for:
     twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more.
     """
     prior = motor_prior(servo, fitted)
+    if rms(plain.residuals) < EXPLAINED * noise:
+        return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
     line = (*LINE, ROTOR) if _shows_inertia(fitted) else LINE
-    first = fit_motor(fitted, plain, prior, line, noise, rng)
+    first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
-    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), noise, rng, first.x)
+    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
     scale, inflation = full.fit.scale_rad, full.inflation
     gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
     return full if gain > 2 * len(LOSSES) + _CLEAR else first
@@ -256,6 +265,7 @@ def _joint_model(
     spread: Uncertainty,
     load: Load,
     notes: tuple[str, ...],
+    motor: MotorFit | None,
 ) -> JointModel:
     names = [best.names[k] for k in best.free]
     kp, kd, latency = (float(x) for x in best.parameters[:3])
@@ -264,15 +274,16 @@ def _joint_model(
     for name, value in zip(best.names[4:], best.parameters[4:], strict=True):
         effect, parameter = name.split(".")
         fitted.setdefault(effect, {})[parameter] = float(value)
-    motor = {name: value for name, value in fitted.pop("motor", {}).items() if value > 0}
+    fitted.pop("motor", None)
+    law = {} if motor is None else motor.values
     return JointModel(
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
         latency_s=latency,
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=not known,
-        law="motor" if motor else "pd",
-        motor=motor,
+        law="pd" if motor is None else "motor",
+        motor=law,
         load=load if known else None,
         interval=ends,
         correlation={

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.fit import OUTLIER_SD, Fit, rms, robust_scale
+from sim2real.servo.fit import OUTLIER_SD, Fit, robust_scale
 from sim2real.servo.motor_prior import Prior
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import rollout
@@ -74,12 +74,12 @@ class _Problem:
 
     def terms(self, x: Array) -> Array:
         """The prior's residuals; parameters that are held have none."""
-        held = np.setdiff1d(np.arange(x.shape[1]), self.free)
+        held = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
         safe = x.copy()
         safe[:, held] = [self.prior.beliefs[k].middle for k in held]
         terms = self.prior.terms(safe)
         terms[:, held] = 0.0
-        if not set(range(5)) <= set(self.free):
+        if not {3, 4} <= set(self.free):
             terms[:, -2:] = 0.0
         return terms
 
@@ -137,6 +137,17 @@ class MotorFit:
     rivals: Array
 
     @property
+    def with_gains(self) -> bool:
+        """Whether the gains were fitted along."""
+        return 0 in self.problem.free
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The motor's parameters by name; those that have no effect are left out."""
+        pairs = zip(self.fit.names[4:], self.fit.parameters[4:], strict=True)
+        return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
+
+    @property
     def units(self) -> Array:
         """Sizes of the free parameters' steps in their own units, shape (F,)."""
         values = self.fit.parameters[list(self.fit.free)]
@@ -164,9 +175,10 @@ def fit_motor(
     plain: Fit,
     prior: Prior,
     free_names: Sequence[str],
-    noise: float,
     rng: np.random.Generator,
+    *,
     start: Array | None = None,
+    gains: bool = True,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; what is not free has no effect.
 
@@ -180,17 +192,19 @@ def fit_motor(
         plain: The fit of the plain servo.
         prior: What is believed.
         free_names: Columns to fit beside the gains and the latency.
-        noise: The sensor's, rad.
         rng: For the candidates.
         start: A further start as searched, shape (F,).
+        gains: Whether gains and latency are fitted; else they stay those of the plain servo.
     """
-    free = tuple(k for k, name in enumerate(prior.names) if k < 3 or name in free_names)
+    free = tuple(
+        k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
+    )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.parameters[0]), 1e-9) / inertia)
     substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
     problem = _Problem(traces, prior, free, substep)
     x = _starts(problem, plain, rng, start)
-    if rms(plain.residuals) < EXPLAINED * noise:
+    if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
     else:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
@@ -230,7 +244,8 @@ def _loss(problem: _Problem, x: Array, error: Array, scale: float, inflation: fl
 def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Array | None) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
-    kp, kd, latency = np.maximum(plain.parameters[:3], 1e-9)
+    kp, kd = np.maximum(plain.parameters[:2], 1e-9)
+    latency = float(plain.parameters[2])
     N = _CANDIDATES
     x = np.full((N, len(prior.beliefs)), -np.inf)
     for k, belief in enumerate(prior.beliefs):
