@@ -81,11 +81,12 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     values = fit.parameters[list(fit.free)]
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [_plain(fit.names[k]) for k in fit.free]
-    kept = [n for n, s, b in zip(names, sd, motor.believed_sd, strict=True) if s > _KEPT * b]
+    told = motor.moved | (sd < _KEPT * motor.believed_sd)
+    kept = [name for name, known in zip(names, told, strict=True) if not known]
     notes = []
     known = motor.problem.traces[0].load is not PER_INERTIA
     if kept:
-        notes.append(f"these recordings do not tell {', '.join(kept)}: believed as the data sheet")
+        notes.append(f"these recordings do not tell {', '.join(kept)}: they stay as believed")
     for name, stated in (
         ("motor.stall_torque_Nm", servo.max_torque_Nm),
         ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),

@@ -164,6 +164,14 @@ class MotorFit:
         """Spread of the free parameters before any recording, as searched, shape (F,)."""
         return np.array([self.problem.prior.beliefs[k].sd for k in self.problem.free])
 
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """Which of the free parameters lie far from what was believed, shape (F,)."""
+        beliefs = [self.problem.prior.beliefs[k] for k in self.problem.free]
+        middle = np.array([b.middle for b in beliefs])
+        away = np.abs(self.x[list(self.problem.free)] - middle)
+        return np.asarray(away > 2 * self.believed_sd)
+
     def loss_at(self, scale_rad: float, inflation: float) -> float:
         """The loss for residuals of another scale and correlation."""
         error = np.concatenate(self.fit.residuals)[None]
