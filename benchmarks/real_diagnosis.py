@@ -70,9 +70,9 @@ The intervals are paired bootstraps over the eight predictions.
   friction grows with the torque of motor and load, and more so near standstill
   ([equations](../sim2real/servo/motor.py)).{diagnosed}
 
-What is predicted is never seen by a fit. Published figures, for scale only, as they learn from three
-gains and predict a fourth (mean absolute error, mrad): BAM's best on its own recordings 31, MuJoCo's
-toolbox 62.8, PD and latency 65.5, with load friction 40.3.
+What is predicted is never seen by a fit. Published figures, for scale only, as they learn from
+three gains and predict a fourth (mean absolute error, mrad): BAM's best on its own recordings 31,
+MuJoCo's toolbox 62.8, PD and latency 65.5, with load friction 40.3.
 
 ## Each trajectory from the other three of its gain
 
@@ -90,8 +90,8 @@ this is also leaving one gain out of all that is shared.
 
 {laws}
 
-At gain 200 the bridge never reaches full duty, so no angle shows the stall torque. It comes from the
-data sheet (spread 35 %), from the damping, which in a servo without a derivative term is the
+At gain 200 the bridge never reaches full duty, so no angle shows the stall torque. It comes from
+the data sheet (spread 35 %), from the damping, which in a servo without a derivative term is the
 back-EMF's, and from the drive that the servo itself reports: the slope of `j1.load` by the error,
 read on the training recordings alone, is kp over the stall torque.
 
@@ -103,11 +103,10 @@ quarter in speed. Of the losses none is picked by hand: they are taken together 
 penalised error on the training recordings by more than their number accounts for, which they do in
 all ten fits. All starts of a fit are ranked by that error too.
 
-One choice has seen what is predicted: that the reported drive is used. Without it, the torque learned
-at gain 200 is too small for gain 800: 136 mrad there
-with the data sheet alone, 82 with the back-EMF's tie as well,
-31 the other way; within a gain 25. A bench that records no drive has to expect that, unless it also
-records a gain at which the drive is full.
+One choice has seen what is predicted: that the reported drive is used. Without it, the torque
+learned at gain 200 is too small for gain 800: in a prototype 136 mrad there with the data sheet
+alone, 82 with the back-EMF's tie as well, 31 the other way; within a gain 25. A bench that records
+no drive has to expect that, unless it also records a gain at which the drive is full.
 {findings}
 """
 
@@ -115,7 +114,7 @@ records a gain at which the drive is full.
 DIAGNOSED_TEXT = """
 - *With what is named*: the effects that the diagnosis names beyond that law.
 - *As returned*: the model that `sim2real diagnose` writes, where something stays unexplained
-  searched by least squares and picked by how it predicts recordings left out of those it was given."""
+  searched by least squares and picked by how it predicts recordings left out of those given."""
 PROCESSES = 2
 
 

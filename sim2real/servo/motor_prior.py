@@ -86,7 +86,7 @@ class Prior:
         own = (x - middle) / sd
         kp, kd, stall, fast = (x[:, self.index(n)] for n in _LINE)
         tie = (kd - stall + fast) / _BACK_EMF_SD
-        tie = np.sign(tie) * np.sqrt(2 * (np.sqrt(1 + tie**2) - 1))
+        tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
         reported = np.zeros_like(kp)
         if self.per_rad is not None:
             reported = (kp - stall - np.log(self.per_rad)) / _REPORTED_SD
