@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from tqdm import tqdm
 
+from sim2real.inference.parameters import Parameter, Priors
 from sim2real.output import write_json, write_whole
 from sim2real.posterior.convergence import LEAST_TIMES
-from sim2real.posterior.prior import Prior, Priors
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load, Recording
 from sim2real.report.style import ACCENT, FAINT, RULE, house_style, new_figure
@@ -38,9 +38,9 @@ Array = NDArray[np.float64]
 INERTIA = 0.002
 PRIORS = Priors(
     (
-        Prior("kp_Nm_per_rad", "N m/rad", 0.6, 6.0, log=True),
-        Prior("kd_Nms_per_rad", "N m s/rad", 0.02, 0.2, log=True),
-        Prior("latency_s", "s", 0.02, 0.12),
+        Parameter("kp_Nm_per_rad", 0.6, 6.0, 2.0, log=True),
+        Parameter("kd_Nms_per_rad", 0.02, 0.2, 0.06, log=True),
+        Parameter("latency_s", 0.02, 0.12, 0.05),
     )
 )
 LEVELS = (0.5, 0.8, 0.95)

@@ -12,11 +12,12 @@ from filmed import Film, by_beat, by_regression, errors
 from numpy.typing import NDArray
 
 import sim2real as s2r
-from sim.inference.calibrate import Calibrated, Free, calibrate, law_parameters
-from sim.inference.diagnose_swims import candidates
+from sim.inference.calibrate import Calibrated, calibrate
+from sim.inference.parameters import candidates, law_parameters
 from sim.inference.swims import Simulator, Swim, simulated
 from sim.twin.prescribed import by_film, follower
 from sim.twin.twin import Coefficients
+from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ class Tried:
     """An effect fitted with the law: gain in log-likelihood on its own clips, and the fit."""
 
     effect: str
-    free: tuple[Free, ...]
+    free: tuple[Parameter, ...]
     gain: float
     fit: Calibrated
 
@@ -66,7 +67,7 @@ def fit_law(place: Pool, train: Sequence[Film]) -> Calibrated:
     return calibrate(swims, place.model, law_parameters(), place.simulator, held_out=_SEEN)
 
 
-def catalogue(robot: s2r.Robot) -> list[tuple[str, tuple[Free, ...]]]:
+def catalogue(robot: s2r.Robot) -> list[tuple[str, tuple[Parameter, ...]]]:
     """Effects that a film with prescribed joints could show, with their parameters."""
     return [
         (name if where in ("body", "camera") else f"{name} ({where})", free)
@@ -79,7 +80,7 @@ def try_all(
     place: Pool,
     train: Sequence[Film],
     law: Calibrated,
-    effects: Sequence[tuple[str, tuple[Free, ...]]],
+    effects: Sequence[tuple[str, tuple[Parameter, ...]]],
 ) -> list[Tried]:
     """Each effect, fitted with the law from where the law alone ended; most gain first."""
     swims = [one.swim for one in train]
@@ -117,7 +118,7 @@ def probabilities(tried: Sequence[Tried]) -> Array:
 def leave_out(
     place: Pool,
     films: Sequence[Film],
-    effects: Sequence[tuple[str, tuple[Free, ...]]],
+    effects: Sequence[tuple[str, tuple[Parameter, ...]]],
     kept: int,
     progress: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
@@ -160,7 +161,7 @@ def _split(law: Calibrated, tried: Sequence[Tried]) -> dict[str, Any]:
     edge = [
         p.name.partition(".")[2]
         for p, best in zip(law.free, law.best, strict=True)
-        if min(best - p.low, p.high - best) < 0.02 * p.size
+        if min(best - p.low, p.high - best) < 0.02 * p.typical
     ]
     return {
         "law": {p.name.partition(".")[2]: v for p, v in zip(law.free, law.best, strict=True)},

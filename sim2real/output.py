@@ -16,7 +16,7 @@ from typing import Any
 
 from sim2real.errors import InputError
 
-_LIBRARIES = ("numpy", "scipy", "casadi", "warp-lang")
+_LIBRARIES = ("numpy", "scipy", "warp-lang")
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:

@@ -37,6 +37,7 @@ RECOVERABLE = 1.05
 """Held-out error over its floor from which on a share of it can be told."""
 HARM = 0.01
 NULLS = ("null", "trap")
+NOTHING = ("consistent", "unchanged")
 GIVEN_UP = ("unexplained", "partly_explained")
 
 
@@ -93,7 +94,7 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
     """What was said of one case beside what is true of it."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, oracle, kind = truth["effects"], truth.get("oracle") or {}, truth["kind"]
-    entries = [_entry(given, [] if kind == "outside" else hidden) for given in said["effects"]]
+    entries = [_entry(given, [] if kind == "outside" else hidden) for given in _named(said)]
     first = entries[0] if entries else None
     likely = [entry for entry in entries if entry["probability"] >= LIKELY]
     llr = oracle.get("llr_total", sum(oracle["llr"].values()) if "llr" in oracle else None)
@@ -106,7 +107,7 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
         "llr_least": min(oracle["llr_of_each"].values()) if "llr_of_each" in oracle else llr,
         "oracle_group": oracle.get("group"),
         "verdict": said["verdict"],
-        "flagged": said["verdict"] != "consistent",
+        "flagged": said["verdict"] not in NOTHING or bool(said.get("negligible")),
         "entries": entries,
         "component_right": None,
         "iou": _windows(truth, said, held_out) if hidden else [],
@@ -123,12 +124,18 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
         inside = placed and bool(first and first["effect"] in (group or []))
         row["in_oracle_group"] = inside if group else None
         if row["exact"]:
-            row["parameters"] = _parameters(said["effects"][0], hidden[0]["parameters"])
+            row["parameters"] = _parameters(_named(said)[0], hidden[0]["parameters"])
     if kind == "double":
         row |= _both(hidden, likely)
     if kind == "outside":
         row["abstains"] = said["verdict"] in GIVEN_UP and not likely
     return row | {"failures": _failures(row)}
+
+
+def _named(said: Row) -> list[Row]:
+    """What a verdict names, likeliest first, that which hardly matters included."""
+    every = [*said["effects"], *said.get("negligible", [])]
+    return sorted(every, key=lambda one: -one["probability"])
 
 
 def _entry(given: Row, hidden: list[Row]) -> Row:

@@ -43,7 +43,7 @@ def ranked_by_bic(case: Case) -> Said:
             weights = np.exp(0.5 * (np.array([0.0, *gains.values()]) - gains[best]))
             found = _fitted(fits[best])
             entries.append(entry(best, joint, float(1 / weights.sum()), found))
-            kp, kd, latency = (float(x) for x in fits[best].parameters[:3])
+            kp, kd, latency = (float(x) for x in fits[best].row[:3])
             joints[joint] = replace(
                 joints[joint],
                 kp_Nm_per_rad=kp,
@@ -65,9 +65,9 @@ def _with_effect(some: list[Trace], plain: Fit, name: str) -> Fit | None:
 
 def _bic(one: Fit) -> float:
     errors = np.concatenate(one.residuals)
-    return float(errors.size * np.log(np.mean(errors**2)) + len(one.free) * np.log(errors.size))
+    return float(errors.size * np.log(np.mean(errors**2)) + len(one.names) * np.log(errors.size))
 
 
 def _fitted(one: Fit) -> dict[str, float]:
-    pairs = zip(one.names[4:], one.parameters[4:], strict=True)
+    pairs = zip(one.names[3:], one.values[3:], strict=True)
     return {name.partition(".")[2]: float(value) for name, value in pairs}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim2real.model import JointModel, Model, write_model
 from sim2real.output import write_json
 from sim2real.recording import Commands, read_commands, read_recording
-from sim2real.servo.fit import Fit, fit
+from sim2real.servo.fit import Fit, fit, gains
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import Trace, traces
 
@@ -36,7 +36,7 @@ class Case:
         """The plain servos."""
         joints = {}
         for joint, one in self.plain.items():
-            kp, kd, latency = (float(x) for x in one.parameters[:3])
+            kp, kd, latency = (float(x) for x in one.row[:3])
             joints[joint] = JointModel(kp, kd, latency, one.inertia)
         return Model(joints=joints)
 
@@ -60,7 +60,10 @@ def _fitted(folder: Path, pattern: str, wanted: Path) -> Case:
     recordings = [read_recording(path) for path in sorted(folder.glob(pattern))]
     rng = np.random.default_rng(0)
     given = {joint: traces(recordings, joint) for joint in recordings[0].joints}
-    plain = {joint: fit(some, first_guess(some, rng)[0]) for joint, some in given.items()}
+    plain = {}
+    for joint, some in given.items():
+        start, _ = first_guess(some, rng)
+        plain[joint] = fit(some, start, gains(start, some[0].load.inertia_kgm2))
     return Case(given, plain, read_commands(wanted))
 
 

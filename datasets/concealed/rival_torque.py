@@ -42,7 +42,7 @@ Residual = Callable[[State], Array]
 
 def lacking_torque(some: list[Trace], plain: Fit) -> tuple[State, Array]:
     """States of all recordings of a joint and the torque that the plain servo lacks in them."""
-    kp, kd, latency = plain.parameters[:3]
+    kp, kd, latency = plain.row[:3]
     parts, torques = [], []
     for trace in some:
         step = float(np.median(np.diff(trace.t)))
@@ -76,7 +76,7 @@ def predicted(case: Case, residual: Residual) -> dict[str, Array]:
     """
     wanted, joints = case.wanted, list(case.plain)
     exact = predict(case.model, wanted.t, wanted.by_joint, wanted.loads)
-    kp, kd, latency = np.stack([case.plain[joint].parameters[:3] for joint in joints], axis=1)
+    kp, kd, latency = np.stack([case.plain[joint].row[:3] for joint in joints], axis=1)
     inertia, gravity = np.array(
         [(wanted.loads[j].inertia_kgm2, wanted.loads[j].gravity_Nm) for j in joints]
     ).T

@@ -25,7 +25,8 @@ from rl.experiments.arms import ARMS, arm_of
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
 from rl.task import TASKS
-from sim.inference.calibrate import Calibrated, calibrate, law_parameters, servo_parameters
+from sim.inference.calibrate import Calibrated, calibrate
+from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
 from sim.view.calibration_plot import comparison
 from sim2real.check import check

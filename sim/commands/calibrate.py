@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.calibrate import Calibrated, Free, calibrate, law_parameters, servo_parameters
+from sim.inference.calibrate import Calibrated, calibrate
 from sim.inference.fluid_calibration import InFluid, calibrate_in_fluid
+from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import (
     SIGNALS,
     UNITS,
@@ -22,6 +23,7 @@ from sim.inference.swims import (
 )
 from sim.view.calibration_plot import comparison
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
 from sim2real.recording import read_recording
@@ -65,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _in_twin(
-    swims: list[Swim], model: Model, free: list[Free], twin: Simulator, held_out: float
+    swims: list[Swim], model: Model, free: list[Parameter], twin: Simulator, held_out: float
 ) -> Calibrated:
     with tqdm(total=100, desc="calibrate, twin", unit="%", disable=None) as bar:
         return calibrate(

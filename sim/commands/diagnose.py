@@ -10,20 +10,22 @@ from tqdm import tqdm
 
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.fluid_diagnosis import (
-    Effect,
     diagnose_in_fluid,
     effects_of,
     moves,
     read_water,
     swim_batches,
 )
+from sim.inference.search import Effect
 from sim.inference.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
+from sim.view.diagnosis_page import swims_section
 from sim2real.commands import diagnose as servos
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
 from sim2real.recording import read_recording
+from sim2real.report.page import write_page
 from sim2real.robot import Robot, read_robot
 
 
@@ -61,7 +63,9 @@ def run(options: argparse.Namespace) -> int:
     files = [*options.recordings, *(options.references or ())]
     files += [options.water] if options.water else []
     inputs = [*files, options.robot, options.model]
-    found = replace(found, provenance=provenance(inputs, options.seed))
+    # the search in the twin draws nothing at random
+    seed = options.seed if options.water else None
+    found = replace(found, provenance=provenance(inputs, seed))
     enriched = out.with_name(f"{out.stem}.enriched.json")
     write_model(found.model, enriched)
     write_diagnosis(found, out, enriched.name)
@@ -73,6 +77,11 @@ def run(options: argparse.Namespace) -> int:
         print(f"  error of the speed on what was held out: {before:.4f} m/s, now {after:.4f} m/s")
     for rival in found.rivals[:3]:
         print(f"  considered: {rival.effect} ({rival.component}), {100 * rival.probability:.0f} %")
+    if not options.no_page:
+        title, page = f"Diagnosis of {robot.name}", out.with_suffix(".html")
+        subtitle = f"{len(swims)} swims, verdict: {found.verdict}"
+        write_page(page, title, subtitle, [swims_section(found)], found.provenance)
+        print(f"page: {page}")
     return 0
 
 
@@ -96,7 +105,8 @@ def _in_fluid(
     def search(start: Model, claimed: Sequence[Effect]) -> Diagnosis:
         count = options.rollouts
         batches = [
-            swim_batches(swim, start, robot, fluid, water, claimed, count=count) for swim in swims
+            swim_batches(swim, start, robot, fluid, water, claimed, count=count, seed=options.seed)
+            for swim in swims
         ]
         with tqdm(total=100, desc="diagnose, fluid", unit="%", disable=None) as bar:
             return diagnose_in_fluid(

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from sim.inference.calibrate import Free
 from sim.inference.swims import Simulator, Swim, values_of, with_values
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def rollouts(
     simulator: Simulator,
     swim: Swim,
     model: Model,
-    free: Sequence[Free],
+    free: Sequence[Parameter],
     *,
     count: int = ROLLOUTS,
     seed: int = 0,
@@ -73,7 +73,7 @@ def rollouts(
         raise InputError("emulator", "rollouts", str(count), expected)
     names = tuple(p.name for p in free)
     centre = values_of(model, names)
-    reach = REACH * np.array([p.size for p in free])
+    reach = REACH * np.array([p.typical for p in free])
     low = np.maximum(centre - reach, [p.low for p in free])
     high = np.minimum(low + 2 * reach, [p.high for p in free])
     shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
@@ -97,15 +97,26 @@ class Emulator:
         Raises:
             InputError: If most of a batch was stopped.
         """
-        self._known = {one.swim.command.tobytes(): _Regression(one) for one in batches}
+        self._known: dict[bytes, dict[bytes, _Regression]] = {}
+        for one in batches:
+            alike = self._known.setdefault(one.swim.command.tobytes(), {})
+            alike[one.swim.start.tobytes()] = _Regression(one)
 
     def __call__(self, models: Sequence[Model], command: Array, start: Array) -> Array:
         """Tracks of models, shape (E, T, 3 + J); ``Simulator``.
 
+        Of swims with the same commands each is known by where it began; a lone one is taken from
+        anywhere.
+
         Raises:
-            KeyError: If no batch swam with this command.
+            KeyError: If no batch swam with this command, or several from elsewhere.
         """
-        return self._known[command.tobytes()].track(models, start)
+        alike = self._known[command.tobytes()]
+        lone = next(iter(alike.values())) if len(alike) == 1 else None
+        found = alike.get(start.tobytes(), lone)
+        if found is None:
+            raise KeyError(f"{len(alike)} swims with these commands, none from {start}")
+        return found.track(models, start)
 
 
 class _Regression:

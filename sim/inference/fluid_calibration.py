@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from sim.inference.calibrate import HELD_OUT_SHARE, Free, body_parameters, servo_parameters
 from sim.inference.emulator import ROLLOUTS, Emulator, rollouts
 from sim.inference.fluid_fit import Fitted, fit, rmse
+from sim.inference.parameters import body_parameters, servo_parameters, water_parameters
+from sim.inference.problem import HELD_OUT_SHARE
 from sim.inference.swims import Simulator, Swim, simulated, with_values
-from sim.robot.swimmer import least_viscosity
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -57,7 +58,7 @@ class InFluid:
         return self.fitted.model
 
     @property
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[Parameter, ...]:
         """What was fitted."""
         return self.fitted.free
 
@@ -71,14 +72,6 @@ class InFluid:
         sd = self.fitted.sd if self.grid is None else np.hypot(self.fitted.sd, self.grid)
         reach = float(norm.ppf(0.5 + level / 2)) * sd
         return np.stack([self.best - reach, self.best + reach], axis=1)
-
-
-def water_parameters(robot: Robot, cell_m: float) -> list[Free]:
-    """What cells of a size may have wrong about the water."""
-    free = [p for p in body_parameters(robot) if not p.name.startswith("com_offset")]
-    least = least_viscosity(cell_m)
-    name = "water.viscosity_m2_s"
-    return [*free, Free(name, 1.2 * least, 0.4 * least, least, 20 * least, 0.6 * least)]
 
 
 def calibrate_in_fluid(
@@ -117,7 +110,7 @@ def calibrate_in_fluid(
     """
     water = water_parameters(robot, cell_m)
     viscosity = water[-1]
-    model = with_values(model, {viscosity.name: viscosity.start})
+    model = with_values(model, {viscosity.name: viscosity.nominal})
     offset = [p for p in body_parameters(robot) if p.name.startswith("com_offset")]
     free = [*servo_parameters(model, robot, gains=gains), *water, *offset]
 
@@ -146,4 +139,4 @@ def calibrate_in_fluid(
     return InFluid(found, grid, held, train, np.sqrt(np.mean(noise, axis=0)))
 
 
-__all__ = ["InFluid", "calibrate_in_fluid", "water_parameters"]
+__all__ = ["InFluid", "calibrate_in_fluid"]

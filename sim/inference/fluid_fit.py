@@ -16,13 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from sim.inference.calibrate import BLOCK, HELD_OUT_SHARE, Free, seen
-from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim.inference.problem import BLOCK, HELD_OUT_SHARE, SwimProblem, seen
+from sim.inference.swims import Simulator, Swim
+from sim2real.inference.evidence import log_evidence
+from sim2real.inference.noise import autocorrelation_times
+from sim2real.inference.parameters import Gaussian, Parameter, column
 from sim2real.model import Model
-from sim2real.posterior.convergence import autocorrelation_times
 
 Array = NDArray[np.float64]
 
@@ -41,25 +42,6 @@ _SLOW_NOISE = 0.25
 
 
 @dataclass(frozen=True)
-class Prior:
-    """A normal prior of some parameters.
-
-    Attributes:
-        mean: Shape (F,).
-        covariance: Shape (F, F).
-    """
-
-    mean: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, free: Sequence[Free]) -> Prior:
-        """Independent, as the parameters say."""
-        sd = np.array([p.prior_sd for p in free])
-        return cls(np.array([p.start for p in free]), np.diag(sd**2))
-
-
-@dataclass(frozen=True)
 class Fitted:
     """What a fit found.
 
@@ -74,7 +56,7 @@ class Fitted:
     """
 
     model: Model
-    free: tuple[Free, ...]
+    free: tuple[Parameter, ...]
     best: Array
     covariance: Array
     evidence: float
@@ -90,20 +72,20 @@ class Fitted:
         reach = float(norm.ppf(0.5 + level / 2)) * self.sd
         return np.stack([self.best - reach, self.best + reach], axis=1)
 
-    def marginal(self, names: Sequence[str]) -> Prior:
+    def marginal(self, names: Sequence[str]) -> Gaussian:
         """The posterior of some parameters, as a prior of the next fit."""
         listed = [p.name for p in self.free]
         rows = [listed.index(name) for name in names]
-        return Prior(self.best[rows], self.covariance[np.ix_(rows, rows)])
+        return Gaussian(self.best[rows], self.covariance[np.ix_(rows, rows)])
 
 
 def fit(
     swims: Sequence[Swim],
     model: Model,
-    free: Sequence[Free],
+    free: Sequence[Parameter],
     simulator: Simulator,
     *,
-    prior: Prior | None = None,
+    prior: Gaussian | None = None,
     share: float = SHARE,
     weights: Sequence[Array] | None = None,
     held_out: float = HELD_OUT_SHARE,
@@ -121,67 +103,26 @@ def fit(
         held_out: Share of each swim at its end that the fit does not see.
     """
     free = tuple(free)
-    prior = prior or Prior.of(free)
-    names = [p.name for p in free]
-    root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+    prior = prior or Gaussian.of(free)
+    problem = SwimProblem(swims, model, free, simulator, prior, seen, held_out)
     scale = np.sqrt(np.diag(prior.covariance))
-    low, high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
-    cut = [round(swim.t.size * (1 - held_out)) for swim in swims]
-    shown = [seen(swim.signals) for swim in swims]
-
-    def errors(points: Array) -> list[Array]:
-        models = [with_values(model, _named(names, x)) for x in points]
-        return [
-            np.nan_to_num(seen(simulated(swim, models, simulator)) - was, nan=1e3)
-            for swim, was in zip(swims, shown, strict=True)
-        ]
-
-    def row(points: Array, by: Sequence[Array]) -> Array:
-        parts = [
-            (error * w)[:, :end].reshape(len(points), -1)
-            for error, w, end in zip(errors(points), by, cut, strict=True)
-        ]
-        return np.concatenate([*parts, (points - prior.mean) @ root.T], axis=1)
-
-    inside = _INSIDE * np.minimum([p.size for p in free], high - low)
-    x = np.clip(prior.mean, low + inside, high - inside)
+    low, high = (column(free, end) for end in ("low", "high"))
+    inside = _INSIDE * np.minimum(column(free, "typical"), high - low)
+    best = np.clip(prior.mean, low + inside, high - inside)
     by: Sequence[Array] = ()
     for _ in range(_ROUNDS if weights is None else 1):
         by = weights or [
             _weight(swim, error[0], share, end)
-            for swim, error, end in zip(swims, errors(x[None]), cut, strict=True)
+            for swim, error, end in zip(swims, problem.errors(best[None]), problem.cut, strict=True)
         ]
-
-        def slope(point: Array, by: Sequence[Array] = by) -> Array:
-            own = np.eye(len(free), dtype=bool)
-            ahead = np.minimum(point + _STEP * scale, high)
-            back = np.maximum(point - _STEP * scale, low)
-            points = np.concatenate([np.where(own, ahead, point), np.where(own, back, point)])
-            moved = row(points, by)
-            change = moved[: len(free)] - moved[len(free) :]
-            return np.asarray((change / (ahead - back)[:, None]).T)
-
-        def miss(point: Array, by: Sequence[Array] = by) -> Array:
-            return np.asarray(row(point[None], by)[0])
-
-        found = least_squares(
-            miss,
-            np.clip(x, low + 1e-9 * scale, high - 1e-9 * scale),
-            slope,
-            bounds=(low, high),
-            x_scale=scale,
-            max_nfev=_EVALUATIONS,
-        )
-        x = found.x
-    slopes = np.asarray(found.jac)
-    curve = slopes.T @ slopes
-    size = float(np.linalg.slogdet(curve)[1] + np.linalg.slogdet(prior.covariance)[1])
+        found = problem.minimise(best, by, unit=scale, step=_STEP, evaluations=_EVALUATIONS)
+        best = found.values
     return Fitted(
-        model=with_values(model, _named(names, x)),
+        model=problem.with_values(best),
         free=free,
-        best=x,
-        covariance=np.linalg.inv(curve),
-        evidence=-float(found.cost) - size / 2,
+        best=best,
+        covariance=np.asarray(np.linalg.inv(found.curvature), dtype=np.float64),
+        evidence=log_evidence(found.loss, found.curvature, prior.covariance),
         weights=tuple(by),
     )
 
@@ -192,10 +133,6 @@ def rmse(swim: Swim, track: Array, *, held_out: float = HELD_OUT_SHARE) -> Array
     cut = round(swim.t.size * (1 - held_out))
     parts = (error[:, :cut], error[:, cut:])
     return np.stack([np.sqrt(np.nanmean(part**2, axis=1)) for part in parts])
-
-
-def _named(names: Sequence[str], x: Array) -> dict[str, float]:
-    return {name: float(value) for name, value in zip(names, x, strict=True)}
 
 
 def _weight(swim: Swim, error: Array, share: float, end: int) -> Array:
@@ -212,4 +149,4 @@ def _weight(swim: Swim, error: Array, share: float, end: int) -> Array:
     return np.asarray(1 / (sd * np.sqrt(np.minimum(times, _LONGEST))))
 
 
-__all__ = ["SHARE", "Fitted", "Prior", "fit", "rmse"]
+__all__ = ["SHARE", "Fitted", "fit", "rmse"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull
 from sim2real.body import values
+from sim2real.effects import BODY
+from sim2real.effects.body_effect import BodyEffect, Forces
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -48,51 +50,49 @@ class Outside:
 
 
 def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
-    """The arrays for robots with these models.
-
-    Form drag refers to the largest cross-section, surface friction to the skin of the material's
-    links; both to rho / 2 times the square of the speed along a link. Drag that is linear in the
-    speed is shared by the links according to their lengths.
+    """The arrays for robots with these models: what each effect adds, as its own file says.
 
     Raises:
         InputError: If a model's effect does not exist.
     """
-    given = [values(model) for model in models]
-    E, L = len(models), hull.length.size
+    each = [_forces(robot, model, hull) for model in models]
 
-    def column(name: str) -> Array:
-        return np.array([one.get(name, 0.0) for one in given])
+    def of(name: str) -> Array:
+        return np.array([getattr(one, name) for one in each], dtype=np.float64)
 
-    frontal = np.pi * float((hull.half_width * hull.half_height).max())
-    resist, rough = np.zeros((E, L, 4)), np.zeros((E, L))
-    share = hull.length / hull.length.sum()
-    resist[:, :, 0] = column("linear_drag.coefficient")[:, None] * share
-    resist[:, 0, 1] = 0.5 * WATER_KG_M3 * frontal * column("form_drag.coefficient")
-    for k, link in enumerate(robot.links):
-        rough[:, k] = column(f"surface_friction.{link.material or ''}.coefficient")
-        rough[:, k] += column("surface_friction..coefficient") if link.material else 0.0
-    resist[:, :, 2:] = column("added_mass.ratio")[:, None, None]
-    skin = np.stack(
-        [
-            column("skin_elasticity.stiffness_Nm_per_rad"),
-            column("skin_damping.damping_Nms_per_rad"),
-            column("skin_viscoelasticity.stiffness_Nm_per_rad"),
-            column("skin_viscoelasticity.relaxation_s"),
-        ],
-        axis=-1,
-    )
     return Outside(
-        com=-column("com_offset.x_m")[:, None],
-        side=column("com_offset.y_m")[:, None],
-        rough=rough,
-        resist=resist,
-        skin=np.broadcast_to(skin[:, None], (E, L - 1, 4)),
-        coupling=column("skin_coupling.stiffness_Nm_per_rad"),
-        tether=np.stack([column(f"tether.{n}") for n in ("stiffness_N_per_m", "x_m", "y_m")], -1),
-        trim=column("trim_asymmetry.offset_rad")[:, None],
-        current=np.stack([column(f"pool_current.{n}") for n in ("u_m_s", "v_m_s")], -1),
-        wall=column("wall_effect.ratio"),
+        com=of("com")[:, None],
+        side=of("side")[:, None],
+        rough=of("rough"),
+        resist=of("resist"),
+        skin=of("skin"),
+        coupling=of("coupling"),
+        tether=of("tether"),
+        trim=of("trim")[:, None],
+        current=of("current"),
+        wall=of("wall"),
     )
+
+
+def _forces(robot: Robot, model: Model, hull: Hull) -> Forces:
+    forces = Forces(
+        np.asarray(hull.length),
+        tuple(link.material or "" for link in robot.links),
+        np.pi * float((hull.half_width * hull.half_height).max()),
+        WATER_KG_M3,
+    )
+    given = values(model)
+    for effect in BODY:
+        mine = [name for name in given if name.partition(".")[0] == effect.name]
+        for material in dict.fromkeys(name.split(".")[1] for name in mine if effect.by_material):
+            effect.act(forces, _of(given, effect, f"{effect.name}.{material}"), material)
+        if mine and not effect.by_material:
+            effect.act(forces, _of(given, effect, effect.name), "")
+    return forces
+
+
+def _of(given: Mapping[str, float], effect: BodyEffect, prefix: str) -> dict[str, float]:
+    return {p.name: given.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
 
 
 def surface_drag(outside: Outside, hull: Hull) -> Array:

@@ -1,7 +1,7 @@
 """What else acts on a robot: a skin over its joints, drag that the water lacks, a tether.
 
-These are the body's effects of the catalogue (``sim2real.body``), the same law for the fluid and
-for the reduced-order twin. All are off where their parameters are 0.
+These laws are what the body's effects of the catalogue (``sim2real.effects.body``) add to, the same
+for the fluid and for the reduced-order twin. All are off where their parameters are 0.
 """
 
 import warp as wp

@@ -8,7 +8,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.experiment import write_commands
+from sim2real.diagnose.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
             robot,
             model=model,
             references=references,
+            negligible=options.negligible,
             seed=options.seed,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
@@ -59,6 +60,8 @@ def spoken(found: Diagnosis) -> str:
     lines = [f"verdict: {found.verdict.replace('_', ' ')}"]
     for effect in found.effects:
         lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
+    for effect in found.negligible:
+        lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement} (negligible)")
     for entry in found.mismatch:
         lines.append(
             f"  {entry.component}: {1e3 * entry.rmse:.2f} mrad against "

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.linear import response, through
-from sim2real.diagnose.splits import Simulated, Split, rms
+from sim2real.inference.holdout import rms
+from sim2real.servo.holdout import Side, Split
+from sim2real.servo.linear import through, torque_filter
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def _left(fold: Split, rng: np.random.Generator) -> list[Array]:
     return after
 
 
-def _inputs(one: Simulated, angle: Array, theta: Array) -> Array:
+def _inputs(one: Side, angle: Array, theta: Array) -> Array:
     """What the network sees at each moment, shape (T, I)."""
     t, step = one.trace.t, float(np.median(np.diff(one.trace.t)))
     sent = np.interp(t - theta[2], t, one.trace.command)
@@ -137,14 +138,14 @@ def _network(inputs: Array, rng: np.random.Generator) -> _Network:
     return _Network(inputs.mean(axis=0), size, *ends, weight, offset)
 
 
-def _columns(network: _Network, inputs: Array, one: Simulated, theta: Array) -> Array:
+def _columns(network: _Network, inputs: Array, one: Side, theta: Array) -> Array:
     """What each feature does to the angle, rad for a torque of 1 N m or an angle of 1, (T, D)."""
     # What it has not seen it takes for the nearest that it has seen.
     x = (np.clip(inputs, network.low, network.high) - network.place) / network.size
     hidden = np.tanh(x @ network.weight + network.offset)
     load, step = one.trace.load, float(np.median(np.diff(one.trace.t)))
     kp, kd = float(theta[0]), float(theta[1])
-    servo = response(load.inertia_kgm2, kd, kp + load.gravity_Nm, step)
+    servo = torque_filter(load.inertia_kgm2, kd, kp + load.gravity_Nm, step)
     torque = np.hstack([hidden[:, : UNITS[0]], x])
     # The recording starts at rest: what a constant torque does has been done.
     moved = through(torque - torque[:1], servo) + torque[:1] / (kp + load.gravity_Nm)
@@ -152,7 +153,7 @@ def _columns(network: _Network, inputs: Array, one: Simulated, theta: Array) -> 
 
 
 def _ridge(rows: Array, target: Array) -> tuple[Array, float]:
-    """Weights of least error in cross-validation over stretches, and that error squared."""
+    """Weights of least error in cross-validation over segments, and that error squared."""
     size = np.sqrt((rows**2).mean(axis=0)) + 1e-12
     design = rows / size
     chunks = np.array_split(np.arange(target.size), _CHUNKS)

@@ -2,24 +2,185 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.linear import Response, gain_torques, through
-from sim2real.diagnose.terms import State, Term, terms
-from sim2real.diagnose.unknown import wander_filter
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import Finding
+from sim2real.diagnose.search import Hypothesis
+from sim2real.diagnose.unmodelled import WANDER
+from sim2real.inference.noise import counting
+from sim2real.servo.holdout import simulated
+from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
+from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
 
 MOST_TERMS = 2
-LEAST_SHARE = 0.1
-"""Share of the unseen error's square, before any term, that one must take away to be written."""
-_STRETCHES = 4
+WAVES_PER_RAD = (2, 3, 4, 6, 8, 12, 16)
+"""``k`` of sin(k position): from a lever's to a gear tooth's."""
+SMALL_SPEED = 0.05
+"""Speed in rad/s below which its sign is not known for the noise of the sensor."""
+_SEGMENTS = 4
 _GAINS = 3
+_LAGS = 3
+"""Samples after a gap that do not count."""
+
+
+def nameless(finding: Finding) -> bool:
+    """Whether a joint misses something that no effect in the catalogue explains."""
+    named = any(group.probability >= DECISION.named for group in finding.groups)
+    return finding.mismatch and (finding.unknown > DECISION.named or not named)
+
+
+def guesses(
+    names: Sequence[str],
+    joints: Sequence[Sequence[Trace]],
+    findings: Sequence[Finding],
+    rich: Sequence[Hypothesis],
+    residuals: Sequence[Array],
+) -> Mapping[str, str]:
+    """Formulas by joint, for those joints that have one.
+
+    Args:
+        names: The joints.
+        joints: Their recordings.
+        findings: What was found on them.
+        rich: The servos with what is named.
+        residuals: Simulated minus measured angles of these in rad, shape (R, T) each.
+    """
+    found = {}
+    for k, name in enumerate(names):
+        if nameless(findings[k]):
+            others = [j for j in range(len(names)) if j != k]
+            moving = {names[j]: {t.file: t for t in joints[j]} for j in others}
+            # The same terms for every recording.
+            always = {n: x for n, x in moving.items() if all(t.file in x for t in joints[k])}
+            theta = rich[k].fit.servos.theta[0]
+            left = [
+                what_is_left(trace, row, theta, {n: x[trace.file] for n, x in always.items()})
+                for trace, row in zip(joints[k], residuals[k], strict=False)
+            ]
+            bare = joints[k][0].load is PER_INERTIA
+            text = formula(left, "N m/(kg m²)" if bare else "N m")
+            if text:
+                found[name] = f"missing torque ≈ {text}"
+    return found
+
+
+def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[str, Trace]) -> Left:
+    """What a fitted servo leaves of one recording.
+
+    Args:
+        trace: The recording.
+        residual: Simulated minus measured angle in rad, shape (T,) or longer.
+        theta: Parameters of the servo, shape (P,).
+        others: The same recording of other joints, by name.
+    """
+    kp, kd, latency = (float(x) for x in theta[:3])
+    t, load = trace.t, trace.load
+    besides = {name: np.interp(t, other.t, _position(other)) for name, other in others.items()}
+
+    def state(position: Array) -> State:
+        asked = kp * (np.interp(t - latency, t, trace.command) - position)
+        return State(t - t[0], position, np.gradient(position, t), asked, besides)
+
+    row = np.where(trace.used, residual[: t.size], 0.0)
+    step = float(np.median(np.diff(t)))
+    return Left(
+        residual=row,
+        counts=counting(trace.used, _LAGS),
+        measured=state(_position(trace)),
+        simulated=state(simulated(trace, theta[None])[0]),
+        command=trace.command,
+        servo=(kp, latency),
+        response=torque_filter(load.inertia_kgm2, kd, kp + load.gravity_Nm, step),
+    )
+
+
+def _position(trace: Trace) -> Array:
+    return smooth(trace.t, np.where(trace.used, trace.position, np.nan))
+
+
+@dataclass(frozen=True)
+class State:
+    """One joint of one recording as it moved.
+
+    Attributes:
+        t: Time since the start in s, shape (T,).
+        position: Angle in rad, measured and smoothed or simulated, shape (T,).
+        speed: Its derivative in rad/s, shape (T,).
+        load: Torque that the proportional gain asks for, N m (or per kg m2), shape (T,).
+        others: Measured angles of other joints in rad by name, smoothed, shape (T,) each.
+    """
+
+    t: Array
+    position: Array
+    speed: Array
+    load: Array
+    others: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A torque up to its factor.
+
+    Attributes:
+        words: ``"sgn(speed)"``.
+        unit: What the unit of a torque is followed by in that of the factor, ``"/rad³"``; None
+            where the factor has none.
+        value: Moment by moment, shape (T,).
+    """
+
+    words: str
+    unit: str | None
+    value: Array
+
+
+def terms(state: State) -> list[Term]:
+    """All of them, in the same order for every recording.
+
+    Speed alone and distance from the command are not among them: they are the servo's own gains.
+    Neither is acceleration: with them it would be the servo's whole equation, true of any motion.
+    """
+    q, v, t = state.position, state.speed, state.t
+    sign = np.tanh(v / SMALL_SPEED)
+    listed = [
+        Term("1", "", np.ones_like(q)),
+        Term("position", "/rad", q),
+        Term("position²", "/rad²", q**2),
+        Term("position³", "/rad³", q**3),
+        Term("sgn(speed)", "", sign),
+        Term("|speed| speed", " s²/rad²", np.abs(v) * v),
+        Term("speed³", " s³/rad³", v**3),
+        Term("position · speed", " s/rad²", q * v),
+        Term("position² · speed", " s/rad³", q**2 * v),
+        Term("|position| sgn(speed)", "/rad", np.abs(q) * sign),
+        Term("position · speed²", " s²/rad³", q * v**2),
+        Term("|load| sgn(speed)", None, np.abs(state.load) * sign),
+        Term("|load|", None, np.abs(state.load)),
+        Term("time", "/s", t),
+        Term("time · position", "/(rad s)", t * q),
+        Term("time · speed", "/rad", t * v),
+        Term("time · sgn(speed)", "/s", t * sign),
+        Term("time · load", None, t * state.load),
+    ]
+    for k in WAVES_PER_RAD:
+        listed += [
+            Term(f"sin({k} position)", "", np.sin(k * q)),
+            Term(f"cos({k} position)", "", np.cos(k * q)),
+        ]
+    for name, angle in state.others.items():
+        moving = np.gradient(angle, t)
+        listed += [
+            Term(f"speed of {name}", " s/rad", moving),
+            Term(f"acceleration of {name}", " s²/rad", np.gradient(moving, t)),
+        ]
+    return listed
 
 
 @dataclass(frozen=True)
@@ -42,7 +203,7 @@ class Left:
     simulated: State
     command: Array
     servo: tuple[float, float]
-    response: Response
+    response: Filter
 
 
 def formula(given: Sequence[Left], torque_unit: str) -> str:
@@ -73,7 +234,7 @@ def formula(given: Sequence[Left], torque_unit: str) -> str:
         better = scores[best] < error2
         # A term that helps in one recording and harms in the rest is chance.
         removed = error2.sum() - scores[best].sum()
-        if removed < LEAST_SHARE * whole.sum() or better.mean() <= 0.5:
+        if removed < DECISION.formula_share * whole.sum() or better.mean() <= 0.5:
             break
         chosen.append(left[best])
         error2 = scores[best]
@@ -116,8 +277,8 @@ def _problem(given: Sequence[Left]) -> _Problem:
     targets = [_white(left, -left.residual[:, None])[:, 0] for left in given]
     folds = []
     for r, left in enumerate(given):
-        stretch = np.arange(left.counts.size) * _STRETCHES // left.counts.size
-        fold = stretch if len(given) == 1 else np.full(left.counts.size, r)
+        segment = np.arange(left.counts.size) * _SEGMENTS // left.counts.size
+        fold = segment if len(given) == 1 else np.full(left.counts.size, r)
         folds.append(fold[left.counts])
     measured, simulated = (np.concatenate(some) for some in rows)
     listed = terms(given[0].measured)
@@ -132,7 +293,7 @@ def _rows(left: Left, which: str) -> Array:
 
 
 def _white(left: Left, columns: Array) -> Array:
-    numerator, denominator, _ = wander_filter(float(np.median(np.diff(left.measured.t))))
+    numerator, denominator, _ = WANDER.filter(float(np.median(np.diff(left.measured.t))))
     return np.asarray(lfilter(numerator, denominator, columns, axis=0)[left.counts])
 
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.search import Book, Hypothesis, Set
-from sim2real.servo.minimise import Fits, loglikelihood
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.search import Found, Hypothesis, Set
+from sim2real.inference.evidence import profile_loglikelihood
+from sim2real.servo.problem import Fits
 
 Array = NDArray[np.float64]
 
 DRAWS = 200
-LAW_ERROR = 0.03
-"""How far the law of an effect may be from what a servo does, relative to the effect."""
-GROUP_SHARE = 0.1
-"""A rival this probable, relative to the likeliest, cannot be told from it."""
 
 
 @dataclass(frozen=True)
@@ -58,39 +56,39 @@ class Posterior:
         best = self.sets[0]
         weight = dict(zip(self.sets, self.probability, strict=True))
         taken = set(best)
-        found = []
+        groups = []
         for effect in sorted(best - base, key=lambda e: -self.inclusion(e)):
             swaps = {
                 next(iter(s - best)): p
                 for s, p in weight.items()
                 if len(s) == len(best) and s - best and best - s == {effect}
             }
-            rivals = [f for f, p in swaps.items() if p >= GROUP_SHARE * weight[best]]
+            rivals = [f for f, p in swaps.items() if p >= DECISION.group_share * weight[best]]
             rivals = [f for f in sorted(rivals, key=lambda f: -swaps[f]) if f not in taken]
             taken.update(rivals)
             members = (effect, *rivals)
             there = np.array([bool(s & set(members)) for s in self.sets])
-            found.append(Group(members, self.inclusion(*members), float(self.first[there].sum())))
-        return tuple(found)
+            groups.append(Group(members, self.inclusion(*members), float(self.first[there].sum())))
+        return tuple(groups)
 
 
 def posterior(
-    book: Book, rng: np.random.Generator, log_odds: dict[str, float] | None = None
+    found: Found, rng: np.random.Generator, log_odds: dict[str, float] | None = None
 ) -> Posterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 
-    Averaging keeps a model that is best by a little, or in a few stretches only, from being called
+    Averaging keeps a model that is best by a little, or in a few segments only, from being called
     certain. Source: Huggins, Miller, Reproducible model selection using bagged posteriors, Bayesian
     Analysis 18 (2023) 79-104. In each bootstrap the parameters are refitted to first order.
 
     Args:
-        book: What was tried on the joint.
+        found: What was tried on the joint.
         rng: For the bootstrap.
         log_odds: Additions to the log prior odds of effects, from what else is known.
     """
-    tried = sorted(book.tried.values(), key=lambda h: -h.evidence)
-    tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0 or h.effects == book.base]
-    extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.effects) for h in tried])
+    tried = sorted(found.tried.values(), key=lambda h: -h.evidence)
+    tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0 or h.members == found.base]
+    extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.members) for h in tried])
     blocks = tried[0].fit.gram.shape[1]
     used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)
     draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=DRAWS)
@@ -100,7 +98,7 @@ def posterior(
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
     # A refit to a resampled record gains half a unit a parameter more than one to a new record.
     fixed -= 0.5 * np.array([h.fit.servos.columns.shape[1] for h in tried])
-    scores *= _trust(tried[0], book.plain)
+    scores *= _trust(tried[0], found.plain)
     total = scores + (fixed + extra)[:, None]
     total -= total.max(axis=0)
     share = np.exp(total)
@@ -108,18 +106,18 @@ def posterior(
     probability = share.mean(axis=1)
     first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / DRAWS
     order = np.argsort(-probability)
-    return Posterior(tuple(tried[k].effects for k in order), probability[order], first[order])
+    return Posterior(tuple(tried[k].members for k in order), probability[order], first[order])
 
 
 def _trust(best: Hypothesis, plain: Hypothesis) -> float:
     """Share of a difference in log-likelihood that counts, given that laws are approximations.
 
-    A law that is wrong by ``LAW_ERROR`` of its own effect loses that squared, of the energy that
+    A law that is wrong by ``law_error`` of its own effect loses that squared, of the energy that
     the effect has in the innovations, to one that happens to be shaped right.
     """
     ratio = float(plain.fit.error2[0] / best.fit.error2[0])
     energy = 0.5 * float(best.fit.count[0]) * max(ratio - 1.0, 0.0)
-    return 1.0 / (1.0 + LAW_ERROR**2 * energy)
+    return 1.0 / (1.0 + DECISION.law_error**2 * energy)
 
 
 def _resampled(fit: Fits, weights: Array) -> Array:
@@ -137,6 +135,6 @@ def _resampled(fit: Fits, weights: Array) -> Array:
     normal = normal + ridge[:, None, None] * np.eye(normal.shape[1])
     step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
     error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
-    score = loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
+    score = profile_loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
     # Where the search stopped short, a step promises what it would not keep.
     return np.asarray(score[1:] - (score[0] - fit.loglikelihood[0]))

@@ -13,14 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.candidates import ROUNDING
-from sim2real.diagnose.heldout import held_out
-from sim2real.diagnose.naming import fitted_effects
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import ROUNDING
 from sim2real.diagnose.result import Diagnosis, NamedEffect
-from sim2real.diagnose.search import Book, Hypothesis, baselines, search
+from sim2real.diagnose.search import Found, Hypothesis, baselines, search
+from sim2real.diagnose.wording import fitted_effects
 from sim2real.model import JointModel
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch, Normal, Problems
+from sim2real.servo.holdout import held_out
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
@@ -31,8 +32,6 @@ the former alone uncertain. Source: Efron, Journal of the American Statistical A
 316-331, whose folds are bootstraps."""
 _BEFORE = 0.7
 """Share of the time that a diagnosis takes before it comes to this."""
-CLEARLY = 0.9
-"""Share of the error below which another model is worth having."""
 _MOST = 24
 _LEVEL = 0.01
 _NOTE = (
@@ -86,7 +85,7 @@ def predicting(
     given = [traces(recordings, name) for name in names]
     batch = _White(given, bounded=False)
     rng = np.random.default_rng(seed)
-    books = search(
+    tried, _ = search(
         batch,
         baselines(batch),
         level=_LEVEL,
@@ -94,10 +93,10 @@ def predicting(
         progress=lambda share: progress(_BEFORE + 0.8 * (1 - _BEFORE) * share),
     )
     joints, fit = dict(found.model.joints), dict(found.model.fit)
-    for name, book, data in zip(names, books, given, strict=True):
+    for name, one, data in zip(names, tried, given, strict=True):
         signal = f"{name}.position_rad"
-        best, figures = _best(book, data)
-        if _error(figures) < CLEARLY * _error(fit[signal]):
+        best, figures = _best(one, data)
+        if _error(figures) < DECISION.predictor * _error(fit[signal]):
             joints[name] = _joint(joints[name], best)
             fit[signal] = figures
     progress(1.0)
@@ -110,10 +109,10 @@ def _had_effects(found: Diagnosis) -> bool:
     return any(effect.effect != ROUNDING for joint in joints for effect in joint.effects)
 
 
-def _best(book: Book, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, float | None]]:
+def _best(tried: Found, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, float | None]]:
     """The set of effects that predicts best, with its error on fitted and unseen recordings."""
-    order = sorted(book.tried.values(), key=lambda h: -h.evidence)
-    some = order[:_MOST] + [h for h in order[_MOST:] if len(h.effects) < 2]
+    order = sorted(tried.tried.values(), key=lambda h: -h.evidence)
+    some = order[:_MOST] + [h for h in order[_MOST:] if len(h.members) < 2]
     unseen = held_out([data] * len(some), [h.fit.servos for h in some])
     figures: list[dict[str, float | None]] = [
         {

@@ -1,4 +1,4 @@
-"""What has changed: a robot's recordings against those of the same robot from before."""
+"""Against references: the question is what has changed since, not what a servo lacks."""
 
 from __future__ import annotations
 
@@ -7,24 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
-from sim2real.diagnose.candidates import ROUNDING
 from sim2real.diagnose.case import Case, Joint, prepared, servo
-from sim2real.diagnose.contrast import Change, change, contrast
-from sim2real.diagnose.investigate import MOST_CERTAIN, Finding, investigate
-from sim2real.diagnose.loads import misstated
-from sim2real.diagnose.naming import NAMED
-from sim2real.diagnose.pool import pooled, shared_servo
-from sim2real.diagnose.posterior import Group, Posterior
-from sim2real.diagnose.rounding import COARSER
-from sim2real.diagnose.search import BLOCKS, Hypothesis, Set
-from sim2real.diagnose.sharpen import sharpened
+from sim2real.diagnose.change import Change, what_changed
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
+from sim2real.diagnose.posterior import Posterior
+from sim2real.diagnose.search import BLOCKS, Hypothesis, Set, with_effects
 from sim2real.model import Model
 from sim2real.noise import quantization_step
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Servos, minimise
 from sim2real.servo.parameters import BASE, joint_row
+from sim2real.servo.problem import minimise
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
@@ -96,27 +90,31 @@ def against_references(
 def _changed(
     batch: Batch, case: Case, joint: Joint, before: Sequence[Trace], finding: Finding
 ) -> Finding:
-    book = finding.book
-    plain = book.plain.fit.servos
+    tried = finding.tried
+    plain = tried.plain.fit.servos
     starts = [plain.theta[0]]
     if case.model is not None and joint.name in case.model.joints:
         starts.append(joint_row(case.model.joints[joint.name], None, joint.name))
     inertia = before[0].load.inertia_kgm2
-    servos = [shared_servo(plain, book.base, theta, inertia) for theta in starts]
+    kp, first = float(plain.theta[0, 0]), np.zeros(1, dtype=np.int32)
+    servos = [
+        replace(with_effects(plain, tried.base, theta, kp, inertia), joint=first, theta=theta[None])
+        for theta in starts
+    ]
     groups, found, theta = what_changed(before, joint.traces, servos, batch.device)
-    named = groups[0].probability >= NAMED
-    rich = book.base | {group.members[0] for group in groups if named}
-    if rich != book.base and theta is not None:
+    named = groups[0].probability >= DECISION.named
+    rich = tried.base | {group.members[0] for group in groups if named}
+    if rich != tried.base and theta is not None:
         # As fitted to references and case together: the case alone says less of its servo.
-        one = replace(shared_servo(plain, rich, theta, inertia), joint=plain.joint)
+        one = replace(with_effects(plain, rich, theta, kp, inertia), theta=theta[None].copy())
         fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
-        book.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
+        tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     return replace(
         finding,
         mismatch=finding.mismatch or named,
-        best=book.tried.get(rich, book.plain),
-        posterior=_posterior(book.base, found),
+        best=tried.tried.get(rich, tried.plain),
+        posterior=_posterior(tried.base, found),
         groups=(*coarse, *groups) if _coarser(joint, before) else groups,
         left=finding.left and not named,
         unknown=0.0 if named else finding.unknown,
@@ -124,35 +122,10 @@ def _changed(
     )
 
 
-def what_changed(
-    before: Sequence[Trace], case: Sequence[Trace], servos: Sequence[Servos], device: str = "cpu"
-) -> tuple[tuple[Group, ...], Change, Array | None]:
-    """What of a joint differs from its references.
-
-    Args:
-        before: The joint's references.
-        case: Its recordings in question.
-        servos: Where the servo that they share starts from.
-        device: Warp device.
-
-    Returns:
-        What is likeliest, at least one group; the weighing of all effects; and the parameters of
-        the case with what is likeliest, shape (P,), where that was fitted.
-    """
-    pool = pooled(before, case, servos, device)
-    first = contrast(pool)
-    found = change(sharpened(first, pool, device))
-    load = misstated(before, case, servos, device)
-    wrong = min(float(expit(load.gain / first.common)), MOST_CERTAIN) if load else 0.0
-    if load and wrong >= NAMED:  # a change seen through a wrong load is none
-        return tuple(Group((effect,), wrong, wrong) for effect in load.effects), found, load.theta
-    return (found.group,), found, found.theta
-
-
 def _coarser(joint: Joint, before: Sequence[Trace]) -> bool:
     """Whether a joint's angles lie on a coarser grid than in its references."""
     grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
-    return joint.step_rad is not None and joint.step_rad > COARSER * max(grids)
+    return joint.step_rad is not None and joint.step_rad > DECISION.coarser * max(grids)
 
 
 def _posterior(base: Set, found: Change) -> Posterior:

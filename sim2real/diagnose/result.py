@@ -16,7 +16,9 @@ from sim2real.output import write_json
 SCHEMA = "sim2real.diagnosis/1"
 
 Array = NDArray[np.float64]
-Verdict = Literal["consistent", "explained", "ambiguous", "partly_explained", "unexplained"]
+Verdict = Literal[
+    "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
+]
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Mismatch:
         rmse: Error of the plain servo on data it was not fitted to, rad.
         noise: Standard deviation of the measurement noise, rad.
         share: Share of the error's variance that is not noise, 0 to 1.
-        windows_s: For each recording, by name, the stretches in which the mismatch stands out.
+        windows_s: For each recording, by name, the segments in which the mismatch stands out.
         where: In which states it shows, in words.
         dependence: Share of the residual torque's variance that each state explains by itself.
     """
@@ -141,7 +143,7 @@ class Ladder:
     Attributes:
         baseline: The plain servo.
         enriched: With the named effects; equal to ``baseline`` where none is named.
-        best_decoy: With the best of the effects that mean nothing, chosen where it was fitted.
+        best_decoy: With the best knockoff (it means nothing), chosen where it was fitted.
         black_box: With a black box that knows no physics, only commands and the plain servo.
         noise: Standard deviation of the measurement noise: no predictor does better.
     """
@@ -191,11 +193,12 @@ class Diagnosis:
         verdict: See the field ``verdict`` of the format.
         mismatch: Where simulation and recording differ.
         effects: What was left out, likeliest first.
+        negligible: What was left out and hardly changes the held-out error, likeliest first.
         rivals: What was considered beside them, likeliest first.
         unknown: By joint, the probability that what is missing is not in the catalogue.
         hypothesis: By joint, a formula for what no effect explains: a guess, not a finding.
         false_discovery_rate: Expected share of those that chance would name among the effects named
-            on joints, from decoys; 0 where none is.
+            on joints, from knockoffs; 0 where none is.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
         enriched_fit: The same with the named effects.
         ladders: By signal.
@@ -224,6 +227,7 @@ class Diagnosis:
     model: Model
     baseline: Model | None = None
     evidence: tuple[Evidence, ...] = ()
+    negligible: tuple[NamedEffect, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -247,6 +251,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "mismatch": [_mismatch(m) for m in diagnosis.mismatch],
         "effects": [asdict(effect) for effect in diagnosis.effects],
+        "negligible": [asdict(effect) for effect in diagnosis.negligible],
         "rivals": [asdict(rival) for rival in diagnosis.rivals],
         "unknown": dict(diagnosis.unknown),
         "hypothesis": dict(diagnosis.hypothesis),

@@ -2,16 +2,78 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.candidates import Candidate
+from sim2real.effects import CATALOGUE, named
+from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.minimise import Fits, variants
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Fits, variants
 
 Array = NDArray[np.float64]
+
+FITTED: tuple[Effect, ...] = tuple(effect for effect in CATALOGUE if effect.fitted)
+"""Effects whose parameters a fit finds."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect as a fit sees it, for a servo of given strength.
+
+    Attributes:
+        effect: The effect.
+        columns: Columns of its K parameters, shape (K,).
+        low: Their smallest values, shape (K,).
+        high: Their largest values, shape (K,).
+        unit: Their natural sizes, shape (K,).
+        starts: Values to start from, shape (S, K).
+    """
+
+    effect: Effect
+    columns: NDArray[np.int32]
+    low: Array
+    high: Array
+    unit: Array
+    starts: Array
+
+
+def candidate(effect: Effect, kp: float, inertia: float) -> Candidate:
+    """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2."""
+    given = [p.scaled(kp, inertia) for p in effect.parameters]
+    low, high, unit = (
+        np.array([getattr(p, name) for p in given]) for name in ("low", "high", "typical")
+    )
+    choices = []
+    for k, p in enumerate(given):
+        usual = SHAPES if k else SIGNED if p.low < 0 else STRENGTHS
+        choices.append([start * p.typical for start in p.starts or usual])
+    starts = np.array(list(itertools.product(*choices)))
+    columns = [COLUMNS.index(f"{effect.name}.{p.name}") for p in given]
+    return Candidate(
+        effect=effect,
+        columns=np.array(columns, dtype=np.int32),
+        low=low,
+        high=high,
+        unit=unit,
+        starts=np.unique(np.clip(starts, low, high), axis=0),
+    )
+
+
+def candidates(
+    effects: Sequence[str] | frozenset[str], kp: float, inertia: float
+) -> list[Candidate]:
+    """Every effect that may join these, none of the family of one of them."""
+    families = {named(name).family for name in effects} - {""}
+    return [
+        candidate(effect, kp, inertia)
+        for effect in FITTED
+        if effect.name not in effects and effect.family not in families
+    ]
 
 
 @dataclass(frozen=True)

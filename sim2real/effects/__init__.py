@@ -1,8 +1,9 @@
 """The catalogue of effects: one file an effect, found by itself.
 
-To add an effect, add a file here that defines ``EFFECT`` (see ``effect.Effect``): its equation and
-source in the docstring, its parameters, its term as a Warp function. Rollouts, models and
-predictions then know it.
+To add an effect of a servo, add a file to ``servo`` with its ``EFFECT`` (see ``effect.Effect``):
+its equation and source in the docstring, its parameters, its term as a Warp function. To add one of
+the body or the camera, add a file to ``body`` or ``camera`` (see ``body_effect``). Models, fits,
+simulators, diagnoses and pages then know it.
 """
 
 from __future__ import annotations
@@ -11,29 +12,59 @@ import importlib
 import pkgutil
 import zlib
 from pathlib import Path
+from typing import Any
 
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, CameraEffect
 from sim2real.effects.effect import Effect, Parameter
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
 start_warp()
 
-CATALOGUE: tuple[Effect, ...] = tuple(
-    importlib.import_module(f"{__name__}.{module.name}").EFFECT
-    for module in sorted(pkgutil.iter_modules(__path__), key=lambda module: module.name)
-    if module.name != "effect"
-)
+MOST_EFFECTS = 31
+"""Effects of servos that a simulation can tell apart: bits of the mask of those that are on."""
+
+
+def _found(kind: str) -> list[Any]:
+    package = importlib.import_module(f"{__name__}.{kind}")
+    names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+    return [importlib.import_module(f"{package.__name__}.{name}").EFFECT for name in names]
+
+
+CATALOGUE: tuple[Effect, ...] = tuple(_found("servo"))
+"""Effects of servos, their supply and their link."""
+if len(CATALOGUE) > MOST_EFFECTS:
+    raise InputError(
+        "sim2real/effects/servo", "", f"{len(CATALOGUE)} effects", f"at most {MOST_EFFECTS}"
+    )
+
+BODY: tuple[BodyEffect, ...] = tuple(sorted(_found("body"), key=lambda effect: effect.order))
+"""Effects of the body in the water."""
+
+CAMERA: tuple[CameraEffect, ...] = tuple(sorted(_found("camera"), key=lambda one: one.order))
+"""Effects of the camera, in the order in which they act."""
 
 SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
-    b"".join(path.read_bytes() for path in sorted(Path(__path__[0]).glob("*.py")))
+    b"".join(path.read_bytes() for path in sorted(Path(__path__[0]).rglob("*.py")))
 )
 """Changes with any effect's source; a kernel that names it is compiled anew then."""
 
-__all__ = ["CATALOGUE", "SIGNATURE", "Effect", "Parameter", "named"]
+__all__ = [
+    "BODY",
+    "CAMERA",
+    "CATALOGUE",
+    "SIGNATURE",
+    "BodyEffect",
+    "BodyParameter",
+    "CameraEffect",
+    "Effect",
+    "Parameter",
+    "named",
+]
 
 
 def named(name: str, where: str = "effects") -> Effect:
-    """The effect with this identifier.
+    """The effect of servos with this identifier.
 
     Raises:
         InputError: If the catalogue has none; ``where`` says who asked for it.
@@ -43,3 +74,9 @@ def named(name: str, where: str = "effects") -> Effect:
             return effect
     known = ", ".join(effect.name for effect in CATALOGUE)
     raise InputError(where, "effects", repr(name), f"one of {known}")
+
+
+def plain(name: str) -> str:
+    """Any effect in plain words, to stand in a sentence; its identifier's own if it is new."""
+    known: dict[str, str] = {e.name: e.plain for e in (*CATALOGUE, *BODY, *CAMERA)}
+    return known.get(name, name.replace("_", " "))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
@@ -33,6 +33,16 @@ it, 0 at the start. At ``arrival``, ``time`` is when the set-point was sent and 
 """
 
 
+STRENGTHS = (0.3, 1.0, 3.0, 10.0)
+"""Where a fit of an effect's first parameter starts, in typical values."""
+LIMITS = (*STRENGTHS, 30.0)
+"""The same of a limit, which is weak where it is large."""
+SIGNED = (-2.0, -0.3, 0.3, 2.0)
+"""The same of what may have either sign."""
+SHAPES = (0.4, 1.0, 2.5)
+"""The same of further parameters."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect.
@@ -45,12 +55,19 @@ class Parameter:
         low: Smallest value that means anything.
         high: Largest value that means anything.
         typical: A value often met on servos of this class.
+        starts: Where its fits start, in typical values; by the rules above where empty.
     """
 
     name: str
     low: float
     high: float
     typical: float
+    starts: tuple[float, ...] = ()
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether it is weak where it is large."""
+        return self.starts == LIMITS
 
     def scaled(self, kp_Nm_per_rad: float, inertia_kgm2: float) -> Parameter:
         """The same parameter for a servo of another strength and load."""
@@ -61,7 +78,9 @@ class Parameter:
             size = kp_Nm_per_rad / 2.0
         elif "kgm2" in self.name:
             size = inertia_kgm2 / 0.002
-        return Parameter(self.name, self.low * size, self.high * size, self.typical * size)
+        return replace(
+            self, low=self.low * size, high=self.high * size, typical=self.typical * size
+        )
 
 
 @dataclass(frozen=True)
@@ -82,6 +101,13 @@ class Effect:
         order: Effects at one site act in ascending order, those of equal order by name.
         family: Effects of one family describe the same mechanism: a joint has one of them at most.
         also: Further terms of the effect, each with its site.
+        fitted: Whether a fit can follow it; not so where it is drawn anew for each set-point, or
+            read off the recorded numbers themselves.
+        everywhere: Whether every servo has a little of it, which is then no finding.
+        either_sign: Whether a recording may have less of it than another.
+        load: What of a stated load it makes up for: a column of the plain servo.
+        mimics: Effects of one joint that one of the supply or the link looks like there: beside it
+            they are no finding.
     """
 
     name: str
@@ -95,6 +121,11 @@ class Effect:
     order: int = 0
     family: str = ""
     also: tuple[tuple[Site, Any], ...] = ()
+    fitted: bool = True
+    everywhere: bool = False
+    either_sign: bool = False
+    load: Literal["", "gravity_Nm", "inertia_kgm2"] = ""
+    mimics: tuple[str, ...] = ()
 
     def statement(self, values: Mapping[str, float]) -> str:
         """The finding as a clause, for these values of the parameters (SI)."""

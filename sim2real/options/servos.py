@@ -89,6 +89,13 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--rollouts", type=int, default=48, metavar="N", help="of a batch in the fluid (default 48)"
     )
+    command.add_argument(
+        "--negligible",
+        type=float,
+        default=0.05,
+        metavar="SHARE",
+        help="what changes the held-out error by less is listed, no verdict (default 0.05)",
+    )
     command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
 
 

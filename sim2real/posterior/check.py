@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.holdout import rms
 from sim2real.model import JointModel
 from sim2real.posterior.likelihood import loaded
 from sim2real.posterior.servo import ServoPosterior
-from sim2real.servo.fit import rms
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import Trace
 

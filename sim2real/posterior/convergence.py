@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
+from sim2real.inference.noise import autocorrelation_times
 from sim2real.posterior.chain import Chain
 
 Array = NDArray[np.float64]
@@ -59,24 +60,6 @@ def convergence(chain: Chain) -> Convergence:
     times = autocorrelation_times(chain.coordinates)
     tries = max(chain.steps * chain.accepted.size, 1)
     return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
-
-
-def autocorrelation_times(series: Array) -> Array:
-    """Integrated autocorrelation times in samples, at least 1; the length of a series without one.
-
-    That of emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
-
-    Args:
-        series: Shape (T,), or (T, walkers, F).
-
-    Returns:
-        Shape (F,).
-    """
-    from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
-
-    with np.errstate(invalid="ignore", divide="ignore"):
-        times = np.asarray(integrated_time(series, quiet=True, tol=0))
-    return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
 
 
 def require(found: Convergence, what: str, names: tuple[str, ...]) -> None:

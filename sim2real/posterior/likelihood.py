@@ -9,12 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.noise import counting
+from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
-from sim2real.posterior.prior import RANDOM_EFFECTS, Priors
+from sim2real.posterior.prior import RANDOM_EFFECTS
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
 from sim2real.servo.innovations import WhitenedServo
-from sim2real.servo.parameters import BASE, COLUMNS, FIRST_COLUMN, joint_row
+from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN
 from sim2real.servo.trace import PER_INERTIA, Trace
 
@@ -49,13 +51,6 @@ class ServoData:
         return Batch([self.traces], threads=THREADS, bounded=False)
 
     @property
-    def substep_s(self) -> float:
-        """Longest sub-step of rollouts in s, fine enough for the parameters in ``row``."""
-        inertia = min(trace.load.inertia_kgm2 for trace in self.traces)
-        fastest = max(np.sqrt(self.row[0] / inertia), 0.5 * self.row[1] / inertia)
-        return float(min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest)))
-
-    @property
     def columns(self) -> list[int]:
         """Columns of the sampled parameters."""
         return [COLUMNS.index(name) for name in self.priors.names]
@@ -68,7 +63,7 @@ class ServoData:
 
     def counts(self, lags: int) -> list[Mask]:
         """Samples that are used, as are the ``lags`` before them, one array (T,) a recording."""
-        return [_whole_past(trace.used, lags) for trace in self.traces]
+        return [counting(trace.used, lags) for trace in self.traces]
 
 
 def servo_data(traces: Sequence[Trace], joint: JointModel, priors: Priors) -> ServoData:
@@ -109,19 +104,27 @@ class Likelihood:
     data: ServoData
     autoregression: Array
 
-    @property
-    def exact(self) -> bool:
-        """Whether the servo has a closed form: no effect is on, and no pendulum is there."""
-        effects = any(column >= len(BASE) for column in self.data.columns)
-        effects |= bool(self.data.row[len(BASE) :].any())
-        return not effects and all(one.load.gravity_Nm == 0 for one in self.data.traces)
-
     @cached_property
     def servo(self) -> WhitenedServo:
-        """The recordings, ready for servos of any parameters."""
-        counts = self.data.counts(self.autoregression.size)
-        substep = None if self.exact else self.data.substep_s
-        return WhitenedServo(self.data.traces, counts, self.autoregression, substep, THREADS)
+        """The recordings, ready for servos of any parameters.
+
+        Exact where the servo is linear, else with one sub-step, fine enough for the model's gains.
+        """
+        found = WhitenedServo(
+            self.data.traces,
+            self.data.counts(self.autoregression.size),
+            self.autoregression,
+            threads=THREADS,
+        )
+        if not found.is_linear(self.data.theta(np.ones((1, len(self.data.columns))))):
+            row = self.data.row[None]
+            found.substep_s = found.substep(row, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+        return found
+
+    @property
+    def exact(self) -> bool:
+        """Whether the servo is solved exactly between events."""
+        return bool(np.isinf(self.servo.substep_s))
 
     @cached_property
     def freedom(self) -> int:
@@ -134,10 +137,3 @@ class Likelihood:
         with np.errstate(divide="ignore", invalid="ignore"):
             found = -0.5 * self.freedom * np.log(self.servo.energy(self.data.theta(values)))
         return np.where(np.isfinite(found), found, -np.inf)
-
-
-def _whole_past(used: Mask, lags: int) -> Mask:
-    missing = np.convolve(~used, np.ones(lags + 1))[: used.size]
-    whole = missing < 0.5
-    whole[:lags] = False
-    return np.asarray(whole)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sim2real.effects import SIGNATURE
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     Chain,
@@ -24,7 +25,7 @@ from sim2real.posterior.chain import (
 from sim2real.posterior.convergence import Convergence, convergence, sample
 from sim2real.posterior.laplace import Laplace, laplace, sharpened
 from sim2real.posterior.likelihood import Likelihood, ServoData, loaded, servo_data
-from sim2real.posterior.prior import Priors, servo_priors
+from sim2real.posterior.prior import servo_priors
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Fits, Servos, minimise
 from sim2real.servo.parameters import COLUMNS, joint_row
+from sim2real.servo.problem import Fits, Servos, minimise
 from sim2real.servo.start import natural_units
 from sim2real.servo.trace import Trace
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from sim2real.body import body_effect, values
 from sim2real.density import Density
+from sim2real.inference.parameters import unit_of
 from sim2real.model import Model
-from sim2real.posterior.prior import unit_of
 from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.structured import finite_number
 

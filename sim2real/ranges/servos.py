@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from sim2real.inference.parameters import unit_of
 from sim2real.model import JointModel
-from sim2real.posterior.prior import unit_of
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Range, uniform
 

@@ -25,7 +25,11 @@ _LEAD = (
     "should be right."
 )
 _VERDICTS = {
-    "consistent": ("good", "The plain servo explains these recordings: nothing is missing."),
+    "consistent": (
+        "good",
+        "The plain servo explains these recordings: nothing is missing that would matter.",
+    ),
+    "unchanged": ("good", "Nothing has changed since the references were recorded."),
     "explained": ("good", "Something was missing from the simulation, and it has a name now."),
     "ambiguous": (
         "info",
@@ -78,9 +82,10 @@ _LIMITS = (
 )
 _DOUBTFUL, _WORTH_A_BAR = 0.1, 0.05
 _DOUBT = (
-    "Made-up effects that mean nothing do nearly as well here as those that are named: decoys put "
-    "the share of wrong names at {rate}. Something is missing, but don't trust what it is called; "
-    "the names are no surer than that, and the bars below are what the evidence says by itself."
+    "Made-up effects that mean nothing do nearly as well here as those that are named: knockoffs "
+    "put the share of wrong names at {rate}. Something is missing, but don't trust what it is "
+    "called; the names are no surer than that, and the bars below are what the evidence says by "
+    "itself."
 )
 
 
@@ -114,7 +119,7 @@ def _verdict(diagnosis: Diagnosis) -> Note:
 
 
 def _effect(effect: NamedEffect, most: float) -> Note:
-    """The finding, no surer than the decoys let it be."""
+    """The finding, no surer than the knockoffs let it be."""
     probability = min(effect.probability, most)
     if len(effect.group) < 2:
         return Note("info", f"{effect.statement} {how_sure(probability)}")

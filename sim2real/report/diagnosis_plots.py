@@ -107,12 +107,12 @@ def mean_figure(evidence: Sequence[Evidence], state: str, unit: str) -> Figure:
 def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     """Mean of ``y`` in bins of ``x`` and its standard error; bins rarely visited are left out.
 
-    Neighbouring samples are not independent, so what falls into one stretch of the smoothing's
+    Neighbouring samples are not independent, so what falls into one segment of the smoothing's
     length counts once.
     """
     if not x.size:
         return x, y, x
-    from sim2real.diagnose.torque import WINDOW_S  # it loads scipy.signal
+    from sim2real.servo.linear import WINDOW_S  # it loads scipy.signal
 
     low, high = np.percentile(x, [0.5, _INSIDE])
     edges = np.linspace(low, high, _BINS + 1)

@@ -31,14 +31,18 @@ _LADDER = (
 )
 _WORTH = (
     " What is named is worth having where its bar is clearly shorter than that of the plain servo"
-    "{decoy}."
+    "{knockoff}."
 )
-_DECOY = " and than that of a decoy, a made-up effect that means nothing"
+_KNOCKOFF = " and than that of a knockoff, a made-up effect that means nothing"
 _FLOOR = (
     "A black box, which knows no physics but what the plain servo does with the commands, shows "
     "how much can be explained without any name. "
 )
 _PARAMETERS = "How large each effect is; below it the range that holds the truth nine times in ten."
+_NEGLIGIBLE = (
+    "Detectable, negligible: these are there, too, and hardly change the error on what the fit has "
+    "not seen."
+)
 _SHIFTS = (
     "What the plain fit had been hiding: without the missing effect, its stiffness (kp), damping "
     "(kd) and latency were bent to make up for it. How far each moved once the effect was there, "
@@ -60,6 +64,9 @@ def what_blocks(diagnosis: Diagnosis) -> list[Block]:
     rows = [row for effect in diagnosis.effects for row in _parameter_rows(diagnosis, effect)]
     if rows:
         blocks.append(Table(("effect", "number", "estimate"), rows, _PARAMETERS))
+    small = [row for effect in diagnosis.negligible for row in _parameter_rows(diagnosis, effect)]
+    if small:
+        blocks.append(Table(("effect", "number", "estimate"), small, _NEGLIGIBLE))
     return blocks + _shifts(diagnosis)
 
 
@@ -111,7 +118,7 @@ def _removed(diagnosis: Diagnosis) -> str:
         )
     rate = diagnosis.false_discovery_rate
     if rate > 0:
-        sentences.append(f"Tests with decoys put the share of wrong names at {sure(rate)}.")
+        sentences.append(f"Tests with knockoffs put the share of wrong names at {sure(rate)}.")
     every = "Every effect in the catalogue was tried in turn, alone and with others."
     return " ".join([every, *sentences, *_written(diagnosis)])
 
@@ -149,9 +156,9 @@ def _ladders(diagnosis: Diagnosis) -> list[Block]:
 
 
 def _ladder_caption(ladders: Mapping[str, Ladder], *, named: bool) -> str:
-    decoy = any(ladder.best_decoy is not None for ladder in ladders.values())
+    knockoff = any(ladder.best_decoy is not None for ladder in ladders.values())
     floor = any(ladder.black_box is not None for ladder in ladders.values())
-    worth = _WORTH.format(decoy=_DECOY if decoy else "") if named else ""
+    worth = _WORTH.format(knockoff=_KNOCKOFF if knockoff else "") if named else ""
     return _LADDER.format(named=worth, floor=_FLOOR if floor else "")
 
 
@@ -159,7 +166,7 @@ def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
     rungs: list[tuple[str, float | None, bool]] = [
         ("plain servo", ladder.baseline, False),
         ("with what is named", ladder.enriched if named else None, True),
-        ("with the best decoy", ladder.best_decoy, False),
+        ("with the best knockoff", ladder.best_decoy, False),
         ("with a black box", ladder.black_box, False),
         ("noise of the sensor", ladder.noise, False),
     ]

@@ -8,28 +8,6 @@ from collections.abc import Sequence
 from sim2real.diagnose.result import Diagnosis
 from sim2real.report.quantity import printable
 
-# Servos' effects say it themselves, in ``sim2real.effects``; these are the others of the interface.
-_BEYOND_THE_SERVO = {
-    "skin_elasticity": "a skin that springs back",
-    "skin_damping": "a skin that damps",
-    "skin_viscoelasticity": "a skin that springs back slowly",
-    "skin_coupling": "a skin that ties neighbouring joints together",
-    "linear_drag": "drag that grows with speed",
-    "surface_friction": "friction with the ground",
-    "form_drag": "drag of the body's shape",
-    "added_mass": "water that is carried along",
-    "pool_current": "a current in the pool",
-    "tether": "a tether that pulls",
-    "wall_effect": "a wall nearby",
-    "com_offset": "a centre of mass that is off",
-    "trim_asymmetry": "a straight posture that is off to one side",
-    "camera_latency": "a camera that sees late",
-    "camera_scale": "a camera whose scale is off",
-    "camera_rotation": "a camera that is turned",
-    "marker_offset": "a marker that sits elsewhere",
-    "pose_filter": "a filter on the camera's poses",
-    "dropped_frames": "lost camera frames",
-}
 _SURE = (
     (0.99, "practically certain"),
     (0.95, "almost certain"),
@@ -54,12 +32,9 @@ _METRIC = (
 
 def plain(effect: str) -> str:
     """An effect in plain words, to stand in a sentence; its identifier's own if it is new."""
-    if effect in _BEYOND_THE_SERVO:
-        return _BEYOND_THE_SERVO[effect]
-    from sim2real.effects import CATALOGUE
+    from sim2real.effects import plain as known  # it starts Warp
 
-    known = {one.name: one.plain for one in CATALOGUE}
-    return known.get(effect, printable(effect).replace("_", " "))
+    return printable(known(effect))
 
 
 def sure(share: float) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim2real.recording import Array, Recording
 from sim2real.report.quantity import printable
-from sim2real.report.series import drawable, largest_move, lone, stretches
+from sim2real.report.series import drawable, largest_move, lone, segments
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _draw_residual(axes: Axes, t: Array, residual: Array, noise_rad: float | Non
 
 
 def _shade(top: Axes, bottom: Axes, t: Array, heldout: NDArray[np.bool_]) -> None:
-    for number, (first, last) in enumerate(stretches(heldout)):
+    for number, (first, last) in enumerate(segments(heldout)):
         for axes in (top, bottom):
             axes.axvspan(t[first], t[last], color=RULE, alpha=0.45, linewidth=0, zorder=0)
         if number == 0:

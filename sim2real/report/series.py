@@ -43,7 +43,7 @@ def lone(values: Array) -> NDArray[np.bool_]:
     return alone
 
 
-def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def segments(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First and last index of every run of True in ``mask (T,)``."""
     edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
     starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.effects import Effect
+from sim2real.inference.holdout import rms
 from sim2real.recording import Load, Recording
 from sim2real.robot import Servo
-from sim2real.servo.fit import Fit, residuals, rms
+from sim2real.servo.fit import Fit, residuals
 from sim2real.servo.motor_fit import MotorFit
+from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import PER_INERTIA, Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
@@ -18,7 +20,7 @@ _SHORT = {
     "kp_Nm_per_rad": "kp",
     "kd_Nms_per_rad": "kd",
     "latency_s": "latency",
-    "unmodelled_inertia_kgm2": "inertia left out",
+    "unmodelled_inertia.inertia_kgm2": "inertia left out",
 }
 _STRUCTURED = 2.0
 """Residuals above so many times the noise have something in them."""
@@ -41,28 +43,26 @@ def on_fit(
     best: Fit,
     spread: Uncertainty,
     ends: Mapping[str, tuple[float, float]],
-    unseen: tuple[int, ...],
+    unseen: Sequence[str],
     figures: Mapping[str, float | None],
 ) -> list[str]:
     """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
     notes = [
-        f"{_short(best, k)} has no influence on these recordings; its value is only a start"
-        for k in unseen
+        f"{_short(name)} has no influence on these recordings; its value is only a start"
+        for name in unseen
     ]
     for direction in dict.fromkeys(spread.open_directions):
-        notes.append(_open([_short(best, best.free[k]) for k in direction]))
-    named = {best.free[k] for direction in spread.open_directions for k in direction}
-    for k in set(best.free) - named:
-        if not np.isfinite(ends[best.names[k]][1]):
-            notes.append(
-                f"{_short(best, k)} cannot be told from above: these recordings set no bound"
-            )
-    low, high = best.low, best.high
-    for k in best.at_bound:
-        if best.names[k].startswith("motor.") and best.parameters[k] == low[k] == 0:
+        notes.append(_open([_short(best.names[k]) for k in direction]))
+    named = {k for direction in spread.open_directions for k in direction}
+    for k, name in enumerate(best.names):
+        if k not in named and not np.isfinite(ends[name][1]):
+            notes.append(f"{_short(name)} cannot be told from above: these recordings set no bound")
+    for p in best.at_bound:
+        if p.name.startswith("motor.") and p.low == 0:
             continue  # a loss that is not there
-        end = low[k] if best.parameters[k] - low[k] < high[k] - best.parameters[k] else high[k]
-        notes.append(f"{_short(best, k)} ended on its bound of {end:g}")
+        value = best.values[best.names.index(p.name)]
+        end = p.low if value - p.low < p.high - value else p.high
+        notes.append(f"{_short(p.name)} ended on its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
     return notes + _on_misfit(figures)
@@ -77,23 +77,23 @@ def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     """What of the motor the recordings do not tell, and where they contradict the data sheet."""
-    fit, log = motor.fit, motor.log
-    values = fit.parameters[list(fit.free)]
+    values, log = motor.fit.values, motor.log
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
-    names = [_plain(fit.names[k]) for k in fit.free]
+    names = [_words(name) for name in motor.fit.names]
     told = motor.moved | (sd < _KEPT * motor.believed_sd)
     kept = [name for name, known in zip(names, told, strict=True) if not known]
     notes = []
-    known = motor.problem.traces[0].load is not PER_INERTIA
     if kept:
         notes.append(f"these recordings do not tell {', '.join(kept)}: they stay as believed")
+    if motor.problem.traces[0].load is PER_INERTIA:
+        return notes
     for name, stated in (
         ("motor.stall_torque_Nm", servo.max_torque_Nm),
         ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),
     ):
-        k = [fit.names[j] for j in fit.free].index(name)
+        k = motor.fit.names.index(name)
         away = abs(np.log(values[k] / stated))
-        if known and away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
+        if away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
             notes.append(
                 f"{names[k]} is {values[k]:.3g} where the data sheet says {stated:.3g}: is it that "
                 "servo, and at that voltage?"
@@ -101,7 +101,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     return notes
 
 
-def _plain(name: str) -> str:
+def _words(name: str) -> str:
     for unit in ("_Nms_per_rad", "_Nm_per_rad", "_rad_s", "_kgm2", "_Nm", "_s"):
         name = name.removesuffix(unit)
     return name.removeprefix("motor.").replace("_", " ")
@@ -112,15 +112,15 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
 
     It takes an inertia that is clearly not the stated one, and a better fit of held-out data too.
     """
-    unit = np.array([*freed.parameters[:2], 0.05, freed.inertia])
+    unit = np.array([*freed.row[:2], 0.05, freed.inertia])
     spread = uncertainty(freed, np.maximum(unit, 1e-9))
-    extra, sd = float(freed.parameters[3]), float(spread.sd[3])
+    extra, sd = float(freed.row[INERTIA_LEFT_OUT]), float(spread.sd[3])
     before, after = (rms(f.residuals) for f in (held, freed))
-    unseen = [rms(residuals(f.parameters, scored)[0]) for f in (held, freed)]
+    unseen = [rms(residuals(f.row, scored)) for f in (held, freed)]
     clear = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
     if not clear or after > 0.95 * before or (scored and unseen[1] > unseen[0]):
         return []
-    moved = 1e3 * (freed.parameters[2] - held.parameters[2])
+    moved = 1e3 * (freed.row[2] - held.row[2])
     return [
         f"the data contradict the stated inertia of {stated.inertia_kgm2:.4g} kg m2: "
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
@@ -129,8 +129,8 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
     ]
 
 
-def _short(best: Fit, k: int) -> str:
-    return _SHORT.get(best.names[k], best.names[k])
+def _short(name: str) -> str:
+    return _SHORT.get(name, name)
 
 
 def _open(names: list[str]) -> str:

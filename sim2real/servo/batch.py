@@ -11,29 +11,21 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim2real.inference.noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
 from sim2real.servo.kernel import simulate_servos
 from sim2real.servo.parameters import BASE, CELLS, COLUMNS
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, active_effects, to_warp
+from sim2real.servo.rollout import active_effects, longest_substep, to_warp
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int32]
 
-MEMORY_S = 0.5
-"""Time over which the autoregression of the noise reaches back."""
-FEWEST_LAGS, MOST_LAGS = 4, 25
-WANDER_S, WANDER_SHARE = 4.0, 2.5
-"""Slowest and largest wander of a sensor: its time constant, and its size relative to the noise.
-
-Without such a bound an autoregression takes any constant error for noise.
-"""
 STEPS_PER_RADIAN = 16.0
 """Sub-steps per radian of the fastest mode: an error of 1e-4 rad, mostly taken up by the gains."""
 _BYTES = {"cpu": 100e6, "cuda": 16e9}
 """Angles held at once by one thread of the processor or by the device."""
 _INERTIA = BASE.index("inertia_kgm2")
-_MORE_INERTIA = ("unmodelled_inertia.inertia_kgm2", "motor.rotor_inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -99,9 +91,8 @@ class Batch:
         longest = max(trace.t.size for trace in every)
         period = float(np.median(np.concatenate([np.diff(trace.t) for trace in every[:64]])))
         self.device, self.threads, self.period = device, threads, period
-        bound = float(np.sqrt(period / (2 * WANDER_S)) / WANDER_SHARE)
-        self.least_gain = bound if bounded else 0.0
-        self.lags = int(np.clip(round(MEMORY_S / period), FEWEST_LAGS, MOST_LAGS))
+        self.least_gain = WANDER.least_gain(period) if bounded else 0.0
+        self.lags = lags(period)
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
         self.length = np.array([trace.t.size for trace in every], dtype=np.int32)
@@ -112,7 +103,7 @@ class Batch:
             part = np.s_[s, : trace.t.size]
             t[part], command[part] = trace.t, trace.command
             position[part] = np.where(trace.used, trace.position, np.nan)
-            counts[part] = _counting(trace, self.lags)
+            counts[part] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
         self._signals = [to_warp(x, device) for x in (t, command, self.length)]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
@@ -206,7 +197,7 @@ class Batch:
         wp.launch(
             simulate_servos,
             dim=rows.size,
-            inputs=[theta, masks, memory, signals, *self._signals, 0.0, put(steps)],
+            inputs=[theta, masks, memory, signals, *self._signals, put(steps)],
             outputs=[angle],
             device=dev,
         )
@@ -228,7 +219,7 @@ class Batch:
                 outputs=[products],
                 device=dev,
             )
-            model = _autoregression(_values(products), self.least_gain)
+            model = autoregression(_values(products), self.least_gain)
         wp.launch(
             whitening.whiten,
             dim=rows.size,
@@ -265,43 +256,16 @@ class Batch:
 
     def _substep(self, problems: Problems) -> Array:
         """One sub-step for all variants on one recording, in s, shape (N, R)."""
-        more = sum(problems.theta[:, 0, COLUMNS.index(name)] for name in _MORE_INERTIA)
-        kp, kd = (problems.theta[:, 0, k] for k in (0, 1))
         recording = np.minimum(np.arange(self.recordings.max()), self.recordings.max() - 1)
         signal = self.first_signal[problems.joint][:, None] + recording
-        inertia = self.load[np.minimum(signal, len(self.load) - 1), 0] + more[:, None]
-        fastest = np.maximum(np.sqrt(kp[:, None] / inertia), 0.5 * kd[:, None] / inertia)
-        steps: Array = 1 / np.maximum(STEPS_PER_RADIAN * fastest, 1e-9)
-        return np.minimum(LONGEST_SUBSTEP_S, steps)
+        inertia = self.load[np.minimum(signal, len(self.load) - 1), 0]
+        return longest_substep(problems.theta[:, :1], inertia, STEPS_PER_RADIAN)
 
 
 def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
     """A Warp array as a NumPy array."""
     taken: Array = values.numpy()
     return taken
-
-
-def _counting(trace: Trace, lags: int) -> NDArray[np.bool_]:
-    """Samples that are used, as are the ``lags`` before them, shape (T,)."""
-    missing = np.cumsum(np.concatenate([np.zeros(lags + 1), ~trace.used]))
-    whole = missing[lags + 1 :] == missing[: -lags - 1]
-    whole[:lags] = False
-    return np.asarray(whole)
-
-
-def _autoregression(products: Array, least_gain: float) -> Array:
-    """Coefficients by least squares from lag products (N, p + 1, p + 1), shape (N, p).
-
-    They add up to at most ``1 - least_gain``, the whitening filter's gain at frequency 0.
-    """
-    past, now = products[:, 1:, 1:].copy(), products[:, 1:, 0]
-    size = np.einsum("nii->n", past) / past.shape[1]
-    past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
-    free, ones = np.moveaxis(
-        np.linalg.solve(past, np.stack([now, np.ones_like(now)], axis=2)), 2, 0
-    )
-    excess = np.maximum(free.sum(axis=1) - (1 - least_gain), 0.0)
-    return np.ascontiguousarray(free - (excess / ones.sum(axis=1))[:, None] * ones)
 
 
 def _unpacked(

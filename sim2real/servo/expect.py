@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
 from sim2real.recording import Recording
-from sim2real.servo.fit import residuals
-from sim2real.servo.start import first_guess, natural_units
+from sim2real.servo.fit import fit, gains, inertia_left_out
+from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, traces
 
 Array = NDArray[np.float64]
@@ -33,15 +34,17 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
         return ("nothing can be identified: the joint does not move under command",)
     trace = given[0]
     start, _ = first_guess(given, np.random.default_rng(seed))
-    slopes = residuals(start, given)[1][0]
     pendulum = trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0
-    free = [0, 1, 2, 3] if pendulum else [0, 1, 2]
-    unit = natural_units(start, trace.load.inertia_kgm2)
+    inertia = trace.load.inertia_kgm2
+    every = (*gains(start, inertia), inertia_left_out(start, inertia))
+    free = range(4 if pendulum else 3)
+    slopes = fit(given, start, [every[k] for k in free], rounds=0, evaluations=1).jacobians[0]
+    unit = column([every[k] for k in free], "typical")
     noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
-    scaled = slopes[:, free] * unit[free] / noise
+    scaled = slopes * unit / noise
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
-    half = _Z90 * np.sqrt(variance) * unit[free]
+    half = _Z90 * np.sqrt(variance) * unit
     seen = np.sqrt(variance) < 1
     can = [_precision(k, half[i], start) for i, k in enumerate(free) if seen[i]]
     cannot = [_NAMES[k] for i, k in enumerate(free) if not seen[i]]

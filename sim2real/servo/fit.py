@@ -1,26 +1,32 @@
-"""Least squares on simulated angles: gains, latency and, where wanted, inertia left out."""
+"""Robust least squares on simulated angles: gains, latency and, where wanted, effects."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from sim2real.servo.symbolic import PARAMETERS, simulate
+from sim2real.effects import Effect
+from sim2real.inference.least_squares import (
+    OUTLIER_SD,
+    central,
+    minimise_robustly,
+    robust_loss,
+    robust_scale,
+)
+from sim2real.inference.parameters import Parameter, column
+from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-LOW = np.array([1e-9, 0.0, 0.0, -0.9])
-"""Smallest values, in units of the load's inertia for kp, kd and inertia."""
-HIGH = np.array([1.6e5, 1.6e3, 0.5, 20.0])
-"""Largest values, likewise; latency in s."""
-OUTLIER_SD = 3.0
-"""Residuals beyond so many standard deviations lose weight."""
-_SAME_SCALE = 0.05
+STEPS_PER_RADIAN = 64.0
+"""Sub-steps per radian of the fastest mode, where there is no exact solution."""
+_DIFFERENCE = 1e-4
+"""Step of the central differences, in natural units."""
 
 
 @dataclass(frozen=True)
@@ -28,25 +34,19 @@ class Fit:
     """A fit that has converged, or says that it has not.
 
     Attributes:
-        names: Names of all N parameters; the first four are ``symbolic.PARAMETERS``.
-        parameters: Their values, shape (N,).
-        low: Their smallest values, shape (N,).
-        high: Their largest values, shape (N,).
-        free: Indices of those that were fitted.
+        parameters: What was fitted, F of them, named as columns are.
+        row: All parameters of the servo, shape (P,); loads are the recordings'.
         scale_rad: Robust standard deviation of the residual.
         residuals: Simulated minus measured angle at the used samples, one array a trace.
-        jacobians: Its derivatives by the free parameters, one array (n, free) a trace.
+        jacobians: Its derivatives by the fitted parameters, one array (n, F) a trace.
         converged: Whether the search ended at a minimum.
         inertia: The stated inertia, kg m2.
         prior: Precision of what was believed of the free parameters, shape (F, F), if anything.
         tempering: Variance in rad2 that one sample of the residual had beside that prior.
     """
 
-    names: tuple[str, ...]
-    parameters: Array
-    low: Array
-    high: Array
-    free: tuple[int, ...]
+    parameters: tuple[Parameter, ...]
+    row: Array
     scale_rad: float
     residuals: tuple[Array, ...]
     jacobians: tuple[Array, ...]
@@ -55,160 +55,127 @@ class Fit:
     prior: Array | None = None
     tempering: float = 1.0
 
-    def loss(self, scale_rad: float) -> float:
-        """Robust loss for a given scale of the residual, in rad2; about the sum of squares."""
-        return robust_loss(self.residuals, scale_rad)
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what was fitted."""
+        return tuple(p.name for p in self.parameters)
 
     @property
-    def at_bound(self) -> tuple[int, ...]:
-        """Indices of the free parameters that ended on a bound."""
-        room = np.minimum(self.parameters - self.low, self.high - self.parameters)
-        return tuple(k for k in self.free if room[k] < 1e-6 * (self.high[k] - self.low[k]))
+    def values(self) -> Array:
+        """Values of what was fitted, shape (F,)."""
+        return self.row[[COLUMNS.index(name) for name in self.names]]
+
+    def loss(self, scale_rad: float) -> float:
+        """Robust loss for a given scale of the residual, in rad2; about the sum of squares."""
+        return robust_loss(np.concatenate(self.residuals), OUTLIER_SD * scale_rad)
+
+    @property
+    def at_bound(self) -> tuple[Parameter, ...]:
+        """What ended on a bound."""
+        ends = zip(self.parameters, self.values, strict=True)
+        return tuple(p for p, x in ends if min(x - p.low, p.high - x) < 1e-6 * (p.high - p.low))
 
 
-def bounds(inertia: float) -> tuple[Array, Array]:
-    """Smallest and largest value of each parameter for a load of ``inertia`` kg m2."""
-    unit = np.array([inertia, inertia, 1.0, inertia])
-    return LOW * unit, HIGH * unit
+def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
+    """Gains and latency, in sizes at which a change would matter to a servo like ``row`` (P,)."""
+    kp = max(float(row[0]), 1e-9)
+    kd = max(float(row[1]), 0.4 * float(np.sqrt(kp * (inertia + row[INERTIA_LEFT_OUT]))))
+    return (
+        Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, kp, kp),
+        Parameter("kd_Nms_per_rad", 0.0, 1.6e3 * inertia, kd, float(row[1])),
+        Parameter("latency_s", 0.0, 0.5, 0.05, float(row[2])),
+    )
 
 
-def residuals(
-    parameters: Array, traces: Sequence[Trace]
-) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Simulated minus measured angle and its derivatives by all parameters, for each trace."""
-    errors, slopes = [], []
-    for trace in traces:
-        angle, slope = simulate(parameters, trace.load, trace.t, trace.command)
-        errors.append((angle - trace.position)[trace.used])
-        slopes.append(slope[trace.used])
-    return tuple(errors), tuple(slopes)
+def inertia_left_out(row: Array, inertia: float) -> Parameter:
+    """Inertia that the stated load lacks, or has too much."""
+    size = inertia + float(row[INERTIA_LEFT_OUT])
+    return Parameter(COLUMNS[INERTIA_LEFT_OUT], -0.9 * inertia, 20.0 * inertia, size)
+
+
+def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
+    """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
+    found = []
+    for effect in effects:
+        for one in effect.parameters:
+            p = one.scaled(float(row[0]), inertia)
+            name = f"{effect.name}.{p.name}"
+            found.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
+    return tuple(found)
 
 
 def fit(
     traces: Sequence[Trace],
-    start: Array,
+    row: Array,
+    free: Sequence[Parameter],
     *,
-    free: tuple[int, ...] = (0, 1, 2),
     rounds: int = 3,
     evaluations: int = 60,
 ) -> Fit:
-    """Fit the free parameters to all traces at once.
+    """Fit some parameters to all traces at once; the rest of the row stays.
+
+    Derivatives are central differences, all of them and the point itself in one batch of rollouts.
 
     Args:
         traces: The joint's recordings.
-        start: All parameters, shape (4,); those not free stay as they are.
-        free: Indices of the parameters to fit.
-        rounds: Most robust rounds after the plain one.
-        evaluations: Most simulations of all traces in one round.
-    """
-    inertia = traces[0].load.inertia_kgm2
-    low, high = bounds(inertia)
-    index = list(free)
-    unit = np.maximum(np.abs(start), [1e-6 * inertia, 1e-2 * inertia, 1e-2, 1e-1 * inertia])[index]
-    parameters = np.clip(start, low, high).astype(np.float64)
-
-    def evaluate(x: Array) -> tuple[Array, Array]:
-        trial = parameters.copy()
-        trial[index] = x * unit
-        errors, slopes = residuals(trial, traces)
-        return np.concatenate(errors), np.concatenate(slopes)[:, index] * unit
-
-    x, converged = search(
-        evaluate,
-        parameters[index] / unit,
-        (low[index] / unit, high[index] / unit),
-        rounds=rounds,
-        evaluations=evaluations,
-    )
-    parameters[index] = x * unit
-    errors, slopes = residuals(parameters, traces)
-    return Fit(
-        names=PARAMETERS,
-        parameters=parameters,
-        low=low,
-        high=high,
-        free=free,
-        scale_rad=robust_scale(np.concatenate(errors)),
-        residuals=errors,
-        jacobians=tuple(slope[:, index] for slope in slopes),
-        converged=converged,
-        inertia=inertia,
-    )
-
-
-def search(
-    evaluate: Callable[[Array], tuple[Array, Array]],
-    start: Array,
-    box: tuple[Array, Array],
-    *,
-    rounds: int,
-    evaluations: int,
-) -> tuple[Array, bool]:
-    """Least squares, first plain, then robust (soft L1) with the scale taken anew until it stays.
-
-    Args:
-        evaluate: Residuals (n,) and their derivatives (n, F) at a point (F,).
-        start: Where to begin, shape (F,).
-        box: Smallest and largest values, each of shape (F,).
+        row: Where to start, shape (P,).
+        free: What to fit.
         rounds: Most robust rounds after the plain one.
         evaluations: Most evaluations in one round.
-
-    Returns:
-        The minimum, shape (F,), and whether the search converged to it.
     """
-    cache: dict[bytes, tuple[Array, Array]] = {}
+    simulator = Simulator(traces)
+    columns = [COLUMNS.index(p.name) for p in free]
+    unit, low, high = (column(free, name) for name in ("typical", "low", "high"))
+    box = low / unit, high / unit
+    step = np.full(len(free), _DIFFERENCE)
 
-    def at(x: Array) -> tuple[Array, Array]:
-        key = x.tobytes()
-        if key not in cache:
-            cache.clear()
-            cache[key] = evaluate(x)
-        return cache[key]
+    def rows(x: Array) -> Array:
+        every = np.tile(row, (len(x), 1))
+        every[:, columns] = x * unit
+        return every
 
-    margin = 1e-9 * (box[1] - box[0])
-    point, scale, converged = start, 1.0, True
-    for number in range(rounds + 1):
-        if number:
-            before, scale = scale, robust_scale(at(point)[0])
-            if number > 1 and abs(scale / before - 1) < _SAME_SCALE:
-                break
-        result = least_squares(
-            lambda x: at(x)[0],  # type: ignore[misc]
-            np.clip(point, box[0] + margin, box[1] - margin),
-            jac=lambda x: at(x)[1],  # type: ignore[misc]
-            bounds=box,
-            loss="soft_l1" if number else "linear",
-            f_scale=OUTLIER_SD * scale,
-            method="dogbox",
-            xtol=1e-9,
-            ftol=1e-9,
-            gtol=1e-12,
-            max_nfev=evaluations,
+    def evaluate(x: Array) -> tuple[Array, Array]:
+        # beside the point, where effects are on that are absent at it
+        fine = simulator.substep(rows(x[None] + step), STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+        return central(
+            lambda points: np.concatenate(errors(simulator, rows(points), fine), axis=1),
+            x,
+            step,
+            *box,
         )
-        point, converged = result.x, result.status > 0
-    return point, converged
+
+    start = np.clip(row[columns] / unit, *box)
+    x, converged = minimise_robustly(evaluate, start, *box, rounds=rounds, evaluations=evaluations)
+    error, slope = evaluate(x)
+    cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
+    return Fit(
+        parameters=tuple(free),
+        row=rows(x[None])[0],
+        scale_rad=robust_scale(error),
+        residuals=tuple(np.split(error, cuts)),
+        jacobians=tuple(np.split(slope / unit, cuts)),
+        converged=converged,
+        inertia=traces[0].load.inertia_kgm2,
+    )
 
 
-def robust_loss(errors: Sequence[Array], scale_rad: float) -> float:
-    """Soft L1 loss of residuals of a given scale, in rad2; about their sum of squares."""
-    size2 = (OUTLIER_SD * scale_rad) ** 2
-    return sum(float(np.sum(np.sqrt(1 + e**2 / size2) - 1)) for e in errors) * 2 * size2
+def errors(simulator: Simulator, rows: Array, substep_s: float | None = None) -> list[Array]:
+    """Simulated minus measured angle of servos (B, P) at used samples, (B, n) a trace."""
+    if substep_s is None:
+        substep_s = simulator.substep(rows, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+    angles = simulator.angles(rows, substep_s)
+    return [(a - t.position)[:, t.used] for a, t in zip(angles, simulator.traces, strict=True)]
 
 
-def rms(errors: Sequence[Array]) -> float:
-    """Root mean square over all arrays; 0 where there is no sample."""
-    count = sum(error.size for error in errors)
-    return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))
+def residuals(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
+    """Simulated minus measured angle of one servo at the used samples of each trace."""
+    if not traces:
+        return ()
+    return tuple(error[0] for error in errors(Simulator(traces), row[None]))
 
 
-def robust_scale(error: Array) -> float:
-    """Standard deviation that a tenth of wild samples cannot spoil, never 0.
-
-    Solves mean(min((error / scale)^2, 9)) = 0.995, its value for normal errors: Huber's proposal
-    2 (Annals of Mathematical Statistics 35 (1964) 73-101) with the limit at 3 standard deviations.
-    """
-    scale = max(float(np.sqrt(np.mean(error**2))), 1e-9)
-    for _ in range(60):
-        limited = np.minimum((error / scale) ** 2, OUTLIER_SD**2)
-        scale = max(scale * float(np.sqrt(np.mean(limited) / 0.995)), 1e-9)
-    return scale
+def plain_row(kp: float, kd: float, latency: float) -> Array:
+    """The parameters of a servo without effects, shape (P,)."""
+    row = np.zeros(len(COLUMNS))
+    row[: len(BASE)] = kp, kd, latency, 1.0, 0.0
+    return row

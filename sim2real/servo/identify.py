@@ -10,30 +10,27 @@ from numpy.typing import NDArray
 
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
+from sim2real.inference.holdout import rms
+from sim2real.inference.noise import correlation_samples, whiteness
+from sim2real.inference.parameters import Parameter, column
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo import advice
-from sim2real.servo.enrich import effect_units, fit_effects, residuals_with_effects
-from sim2real.servo.fit import Fit, fit, residuals, rms
+from sim2real.servo.enrich import fit_effects
+from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
 from sim2real.servo.motor_fit import EXPLAINED, LINE, LOSSES, ROTOR, MotorFit, fit_motor
 from sim2real.servo.motor_prior import motor_prior
-from sim2real.servo.start import first_guess, natural_units
+from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
-from sim2real.servo.uncertainty import (
-    Uncertainty,
-    correlation_samples,
-    uncertainty,
-    whiteness,
-)
+from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 
-_PLAIN = (0, 1, 2)
-_WITH_INERTIA = (0, 1, 2, 3)
 _CLEAR = 6.0
 """What a choice must gain beyond chance."""
 
@@ -142,24 +139,20 @@ def _identify_joint(
     noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
     start, others = first_guess(fitted, rng)
     free, unseen = _influential(fitted, start, noise)
-    best, rivals = _best(fitted, start, others, free)
+    best, rivals = best_of(fitted, [start, *others], free)
     stated = given[0].load
-    unseen_errors = residuals(best.parameters, scored)[0]
     notes: list[str] = []
-    motor: MotorFit | None = None
-    if servo is not None and not unseen:
-        motor = _motor(fitted, best, servo, noise, rng)
+    motor = None if servo is None or unseen else _motor(fitted, best, servo, noise, rng)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
-        unseen_errors = residuals_with_effects(best, scored)
-    figures = _figures(best, unseen_errors, fitted, noise)
+    figures = _figures(best, residuals(best.row, scored), fitted, noise)
     if wanted:
-        units = effect_units(best, wanted)
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
         best = fit_effects(fitted, best, wanted)
+        units = column(best.parameters, "typical")
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)
-        figures = _figures(best, residuals_with_effects(best, scored), fitted, noise) | without
+        figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
         notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
@@ -167,7 +160,7 @@ def _identify_joint(
     else:
         if stated is not PER_INERTIA and _shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
-        units = natural_units(best.parameters, best.inertia)[list(best.free)]
+        units = _units(best)
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
     if motor is not None and servo is not None:
@@ -201,30 +194,49 @@ def _motor(
     return full if gain > 2 * len(LOSSES) + _CLEAR else first
 
 
-def _best(
-    fitted: list[Trace], start: Array, others: Array, free: tuple[int, ...]
+def best_of(
+    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
 ) -> tuple[Fit, list[Fit]]:
-    """The best fit of all starts, and those of the others that settled elsewhere."""
-    fits = [fit(fitted, start, free=free)]
-    fits += [fit(fitted, other, free=free, rounds=1, evaluations=20) for other in others]
+    """The best fit of all starts (P,), and those of the others that settled elsewhere.
+
+    Args:
+        fitted: The joint's recordings.
+        starts: Where to begin; the first is followed further than the others.
+        names: What is fitted.
+    """
+    free = [_plain(start, fitted[0].load.inertia_kgm2, names) for start in starts]
+    fits = [fit(fitted, starts[0], free[0])]
+    fits += [
+        fit(fitted, other, by, rounds=1, evaluations=20)
+        for other, by in zip(starts[1:], free[1:], strict=True)
+    ]
     scale = min(one.scale_rad for one in fits)
     fits.sort(key=lambda one: one.loss(scale))
     return fits[0], fits[1:]
 
 
+def _plain(row: Array, inertia: float, names: Sequence[str]) -> list[Parameter]:
+    return [p for p in gains(row, inertia) if p.name in names]
+
+
+def _units(best: Fit) -> Array:
+    """Sizes at which a change of each fitted parameter would matter now, shape (F,)."""
+    now = {p.name: p.typical for p in gains(best.row, best.inertia)}
+    return np.array([now[name] for name in best.names])
+
+
 def _influential(
     fitted: list[Trace], start: Array, noise: float
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Split parameters into those that move the simulated angles above the noise and the others."""
-    _, slopes = residuals(start, fitted)
-    slope = np.concatenate(slopes)
-    unit = natural_units(start, fitted[0].load.inertia_kgm2)
-    effect = np.linalg.norm(slope * unit, axis=0)
-    seen = tuple(k for k in _PLAIN if effect[k] > noise)
+    free = gains(start, fitted[0].load.inertia_kgm2)
+    slope = np.concatenate(fit(fitted, start, free, rounds=0, evaluations=1).jacobians)
+    effect = np.linalg.norm(slope * column(free, "typical"), axis=0)
+    seen = tuple(p.name for p, size in zip(free, effect, strict=True) if size > noise)
     if not seen:
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
-    return seen, tuple(k for k in _PLAIN if k not in seen)
+    return seen, tuple(p.name for p in free if p.name not in seen)
 
 
 def _shows_inertia(fitted: list[Trace]) -> bool:
@@ -234,13 +246,14 @@ def _shows_inertia(fitted: list[Trace]) -> bool:
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
     """Fit again with inertia free, from the fit that held it and from one with more of it."""
-    more = best.parameters * np.array([1.3, 1.3, 0.3, 0.0])
-    more[3] = 0.3 * best.inertia
-    starts = [best.parameters, more]
-    return min(
-        (fit(fitted, s, free=_WITH_INERTIA) for s in starts),
-        key=lambda one: one.loss(best.scale_rad),
-    )
+    more = best.row.copy()
+    more[:3] *= 1.3, 1.3, 0.3
+    more[INERTIA_LEFT_OUT] = 0.3 * best.inertia
+    fits = [
+        fit(fitted, row, (*gains(row, best.inertia), inertia_left_out(row, best.inertia)))
+        for row in (best.row, more)
+    ]
+    return min(fits, key=lambda one: one.loss(best.scale_rad))
 
 
 def _figures(
@@ -267,15 +280,15 @@ def _joint_model(
     notes: tuple[str, ...],
     motor: MotorFit | None,
 ) -> JointModel:
-    names = [best.names[k] for k in best.free]
-    kp, kd, latency = (float(x) for x in best.parameters[:3])
+    names = best.names
+    kp, kd, latency = (float(x) for x in best.row[:3])
     known = load is not PER_INERTIA
     fitted: dict[str, dict[str, float]] = {}
-    for name, value in zip(best.names[4:], best.parameters[4:], strict=True):
-        effect, parameter = name.split(".")
-        fitted.setdefault(effect, {})[parameter] = float(value)
+    for name, value in zip(names, best.values, strict=True):
+        effect, _, parameter = name.rpartition(".")
+        if effect:
+            fitted.setdefault(effect, {})[parameter] = float(value)
     fitted.pop("motor", None)
-    law = {} if motor is None else motor.values
     return JointModel(
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
@@ -283,7 +296,7 @@ def _joint_model(
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=not known,
         law="pd" if motor is None else "motor",
-        motor=law,
+        motor={} if motor is None else motor.values,
         load=load if known else None,
         interval=ends,
         correlation={

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.fit import Fit, fit
+from sim2real.servo.fit import Fit, fit, gains
 from sim2real.servo.motor_fit import MotorFit
-from sim2real.servo.symbolic import PARAMETERS
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty
 
@@ -25,26 +25,26 @@ def intervals(
 ) -> dict[str, tuple[float, float]]:
     """90 % interval of every plain parameter and of inertia, if that is free, by name.
 
-    Symmetric ends from the covariance where that is small; by profile likelihood elsewhere. An
-    upper end is infinite where the recordings set none; no end is below what is possible. An
-    interval spans every rival that accounts for the recordings as well.
+    Symmetric ends from the covariance where that is small and no rival is elsewhere; else by
+    profile likelihood. An upper end is infinite where the recordings set none; no end is below what
+    is possible. An interval spans every rival that accounts for the recordings as well.
     """
-    low, high = best.low, best.high
     equal = [one for one in rivals if _excess(one, best, spread.inflation) < _CHI2_90]
     wide = {k for direction in spread.open_directions for k in direction}
-    result = {PARAMETERS[k]: (float(low[k]), float(np.inf)) for k in range(3) if k not in best.free}
-    for k, index in enumerate(best.free):
-        value, half = float(best.parameters[index]), float(spread.half_width[k])
-        ends = (max(value - half, float(low[index])), min(value + half, float(high[index])))
-        if k in wide or half > _NOT_LINEAR * units[k]:
+    result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
+    for k, p in enumerate(best.parameters):
+        value, half = float(best.values[k]), float(spread.half_width[k])
+        ends = (max(value - half, p.low), min(value + half, p.high))
+        values = [float(one.row[COLUMNS.index(p.name)]) for one in (best, *equal)]
+        elsewhere = any(abs(other - value) > half for other in values)
+        if k in wide or elsewhere or half > _NOT_LINEAR * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
-                _profiled(best, index, -first, float(low[index]), fitted, spread.inflation),
-                _profiled(best, index, first, float(high[index]), fitted, spread.inflation),
+                _profiled(best, k, -first, p.low, fitted, spread.inflation),
+                _profiled(best, k, first, p.high, fitted, spread.inflation),
             )
-        values = [float(one.parameters[index]) for one in (best, *equal)]
         ends = (min(ends[0], *values), max(ends[1], *values))
-        result[PARAMETERS[index]] = (ends[0], np.inf if ends[1] == high[index] else ends[1])
+        result[p.name] = (ends[0], np.inf if ends[1] == p.high else ends[1])
     return result
 
 
@@ -54,11 +54,11 @@ def symmetric_intervals(
     """90 % intervals from the covariance alone, infinite upwards along directions not seen."""
     wide = {k for direction in spread.open_directions for k in direction}
     result = {}
-    for k, index in enumerate(best.free):
-        value, half = float(best.parameters[index]), float(spread.half_width[k])
+    for k, (p, value) in enumerate(zip(best.parameters, best.values, strict=True)):
+        half = float(spread.half_width[k])
         open_ = k in wide or half > units[k]
-        ends = (float(best.low[index]), np.inf) if open_ else (value - half, value + half)
-        result[best.names[index]] = (max(ends[0], float(best.low[index])), ends[1])
+        ends = (p.low, np.inf) if open_ else (float(value) - half, float(value) + half)
+        result[p.name] = (max(ends[0], p.low), ends[1])
     return result
 
 
@@ -67,20 +67,19 @@ def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[flo
 
     Symmetric in what was searched: in the logarithm of gains, torque and speed.
     """
-    fit, result = motor.fit, {}
-    for k, index in enumerate(fit.free):
-        value, half = float(fit.parameters[index]), float(spread.half_width[k])
+    result = {}
+    for k, (p, found) in enumerate(zip(motor.fit.parameters, motor.fit.values, strict=True)):
+        value, half = float(found), float(spread.half_width[k])
         ends = value - half, value + half
-        if motor.log[k]:
+        if p.log:
             ends = value * float(np.exp(-half / value)), value * float(np.exp(half / value))
-        low, high = float(fit.low[index]), float(fit.high[index])
-        top = np.inf if ends[1] >= high else ends[1]
-        result[fit.names[index]] = (min(max(ends[0], low), value), max(top, value))
+        top = np.inf if ends[1] >= p.high else ends[1]
+        result[p.name] = (min(max(ends[0], p.low), value), max(top, value))
     return result
 
 
 def _profiled(
-    best: Fit, index: int, first: float, limit: float, fitted: list[Trace], inflation: float
+    best: Fit, k: int, first: float, limit: float, fitted: list[Trace], inflation: float
 ) -> float:
     """End of the interval of one parameter: ``limit`` where the recordings set none before it.
 
@@ -88,20 +87,21 @@ def _profiled(
     refitted from where they were, until twice the fall of the log-likelihood exceeds ``_CHI2_90``.
     The proportional gain moves by factors, the others by differences.
     """
-    value = float(best.parameters[index])
-    others = tuple(k for k in best.free if k != index)
-    held = best.parameters.copy()
+    value, name = float(best.values[k]), best.names[k]
+    held = best.row.copy()
 
     def moved(step: float) -> float:
-        trial = value * float(np.exp(step / value)) if index == 0 else value + step
+        trial = value * float(np.exp(step / value)) if name == COLUMNS[0] else value + step
         return min(trial, limit) if first > 0 else max(trial, limit)
 
     def accounts(trial: float) -> bool:
-        held[index] = trial
-        other = fit(fitted, held, free=others, rounds=1, evaluations=8)
+        held[COLUMNS.index(name)] = trial
+        own = {p.name: p for p in gains(held, best.inertia)}
+        others = [own.get(p.name, p) for p in best.parameters if p.name != name]
+        other = fit(fitted, held, others, rounds=1, evaluations=8)
         if _excess(other, best, inflation) > _CHI2_90:
             return False
-        held[:] = other.parameters
+        held[:] = other.row
         return True
 
     inside, outside = 0.0, first

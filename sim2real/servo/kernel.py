@@ -7,6 +7,7 @@ from sim2real.servo.law import (
     SENSOR_BITS,
     Row,
     arrival_time,
+    exact_motion,
     loop_period,
     measured_angle,
     resting_angle,
@@ -24,11 +25,14 @@ def simulate_servos(
     times: wp.array2d(dtype=wp.float64),
     command: wp.array2d(dtype=wp.float64),
     length: wp.array(dtype=wp.int32),
-    steps_per_radian: wp.float64,
     longest: Row,
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``."""
+    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``.
+
+    Sub-steps of at most ``longest``; a servo that is linear is solved exactly where that is
+    infinite.
+    """
     _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     row = wp.tid()
     p = theta[row]
@@ -42,12 +46,12 @@ def simulate_servos(
     kd = wp.float64(p[1])
     latency = p[2]
     inertia = wp.float64(p[3])
-    steps = steps_per_radian
     if effects != 0:
         inertia = shaft_inertia(inertia, p, z, effects)
-        steps *= wp.float64(2.0)
-    fastest = wp.max(wp.sqrt(wp.abs(kp) / inertia), wp.float64(0.5) * kd / inertia)
-    longest_step = wp.min(longest[row], wp.float64(1.0) / wp.max(steps * fastest, wp.float64(1e-9)))
+    longest_step = longest[row]
+    exact = int(0)
+    if wp.isinf(longest_step):
+        exact = int(1)
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
     state[2] = kp * (u - state[0])
@@ -63,6 +67,9 @@ def simulate_servos(
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
+            if exact == 1 and arrival > 0 and sent[arrival] == sent[arrival - 1]:
+                arrival += 1  # it changes nothing
+                continue
             arrives = t[arrival] + latency
             if effects != 0:
                 number = wp.float64(arrival)
@@ -79,7 +86,11 @@ def simulate_servos(
                 looks = start + ticks * period
             until = wp.min(until, looks)
         if until > now:
-            count = int(wp.ceil((until - now) / longest_step))
+            count = int(0)
+            if exact == 1:
+                state = exact_motion(state, u, until - now, kp, kd, inertia)
+            else:
+                count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
             for k in range(count):
                 time = now - start + wp.float64(k) * h

@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.fit import OUTLIER_SD, Fit, robust_scale
+from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
+from sim2real.inference.noise import correlation_samples
+from sim2real.inference.parameters import Parameter
+from sim2real.servo.fit import Fit, errors, plain_row
 from sim2real.servo.motor_prior import Prior
-from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.rollout import rollout
+from sim2real.servo.parameters import COLUMNS, FIRST_MOTOR_COLUMN, MOTOR
+from sim2real.servo.rollout import Simulator
 from sim2real.servo.start import WINDOW_S
-from sim2real.servo.symbolic import PARAMETERS
 from sim2real.servo.trace import Trace
-from sim2real.servo.uncertainty import correlation_samples
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,6 @@ _ROUNDS, _FIRST, _LATER = 4, 20, 10
 """Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
-_THREADS = 2
 _STEPS_PER_RADIAN = 16.0
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
@@ -51,26 +51,17 @@ class _Problem:
     prior: Prior
     free: tuple[int, ...]
     substep_s: float
+    simulator: Simulator
 
-    def angles(self, x: Array) -> list[Array]:
-        """Angles for parameters as searched (B, F), each trace (B, T)."""
-        theta = np.zeros((x.shape[0], len(COLUMNS)))
-        theta[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
-        made = []
-        for trace in self.traces:
-            theta[:, BASE.index("inertia_kgm2")] = trace.load.inertia_kgm2
-            theta[:, BASE.index("gravity_Nm")] = trace.load.gravity_Nm
-            sent, step = trace.command[:, None], self.substep_s
-            made.append(rollout(theta, trace.t, sent, substep_s=step, threads=_THREADS)[:, :, 0])
-        return made
+    def rows(self, x: Array) -> Array:
+        """Rows of the servo's parameters for those searched, (B, F) to (B, P)."""
+        rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
+        rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
+        return rows
 
     def residuals(self, x: Array) -> Array:
         """Simulated minus measured angles of all traces, shape (B, n)."""
-        parts = [
-            (angle - trace.position)[:, trace.used]
-            for angle, trace in zip(self.angles(x), self.traces, strict=True)
-        ]
-        return np.concatenate(parts, axis=1)
+        return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
 
     def terms(self, x: Array) -> Array:
         """The prior's residuals; parameters that are held have none."""
@@ -144,14 +135,14 @@ class MotorFit:
     @property
     def values(self) -> dict[str, float]:
         """The motor's parameters by name; those that have no effect are left out."""
-        pairs = zip(self.fit.names[4:], self.fit.parameters[4:], strict=True)
+        values = self.fit.row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
+        pairs = zip(MOTOR, values, strict=True)
         return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
 
     @property
     def units(self) -> Array:
         """Sizes of the free parameters' steps in their own units, shape (F,)."""
-        values = self.fit.parameters[list(self.fit.free)]
-        unit = self.problem.box[2]
+        values, unit = self.fit.values, self.problem.box[2]
         return np.where(self.log, unit * values, unit)
 
     @property
@@ -208,15 +199,15 @@ def fit_motor(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
-    fastest = np.sqrt(1.5 * max(float(plain.parameters[0]), 1e-9) / inertia)
+    fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = _Problem(traces, prior, free, substep)
+    problem = _Problem(traces, prior, free, substep, Simulator(traces))
     x = _starts(problem, plain, rng, start)
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
     else:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
-        near = replace(problem, traces=[window])
+        near = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(near.residuals(x)), axis=1)
         size[0] = 0.0
         x = x[np.argsort(size)[:_STARTS]]
@@ -252,8 +243,8 @@ def _loss(problem: _Problem, x: Array, error: Array, scale: float, inflation: fl
 def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Array | None) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
-    kp, kd = np.maximum(plain.parameters[:2], 1e-9)
-    latency = float(plain.parameters[2])
+    kp, kd = np.maximum(plain.row[:2], 1e-9)
+    latency = float(plain.row[2])
     N = _CANDIDATES
     x = np.full((N, len(prior.beliefs)), -np.inf)
     for k, belief in enumerate(prior.beliefs):
@@ -333,16 +324,14 @@ def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses:
     unit = problem.box[2]
     _, belief_by = problem.prior_slopes(x[None])
     tie = belief_by[0] / unit / own
-    names = (*PARAMETERS, *prior.names[3:])  # the inertia left out is the rotor's here
-    parameters = np.insert(values, 3, 0.0)
-    ends = np.array([(b.low, b.high) for b in prior.beliefs]).T
     counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
+    beliefs = [prior.beliefs[k] for k in free]
     fit = Fit(
-        names=names,
-        parameters=parameters,
-        low=np.insert(ends[0], 3, 0.0),
-        high=np.insert(ends[1], 3, 0.0),
-        free=tuple(k if k < 3 else k + 1 for k in free),
+        parameters=tuple(
+            Parameter(b.name, b.low, b.high, u, log=b.log)
+            for b, u in zip(beliefs, unit * own, strict=True)
+        ),
+        row=problem.rows(x[None])[0],
         scale_rad=robust_scale(error[0]),
         residuals=tuple(np.split(error[0], counts)),
         jacobians=tuple(np.split(by[0] / unit / own, counts)),

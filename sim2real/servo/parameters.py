@@ -58,6 +58,12 @@ COLUMNS = (
 )
 """Names of all columns of one joint."""
 
+INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
+"""Column of the inertia that no load states."""
+
+ROTOR_INERTIA = COLUMNS.index("motor.rotor_inertia_kgm2")
+"""Column of the inertia of rotor and gears."""
+
 Array = NDArray[np.float64]
 
 

@@ -1,8 +1,10 @@
-"""Batched rollouts: many parameter sets, one command signal, measured angles out."""
+"""Batched rollouts: many parameter sets, one command signal or some recordings, angles out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,17 @@ from numpy.typing import NDArray
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import simulate_servos
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import CELLS, COLUMNS, FIRST_COLUMN, FIRST_MOTOR_COLUMN, MOTOR
+from sim2real.servo.parameters import (
+    BASE,
+    CELLS,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_MOTOR_COLUMN,
+    INERTIA_LEFT_OUT,
+    MOTOR,
+    ROTOR_INERTIA,
+)
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -53,8 +65,11 @@ def rollout(
     B, (T, J) = theta.shape[0], command.shape
     rows = np.ascontiguousarray(theta, dtype=np.float64).reshape(B * J, len(COLUMNS))
     position = np.empty((B * J, T))
-    fine, step = (steps_per_radian, LONGEST_SUBSTEP_S) if substep_s is None else (0.0, substep_s)
     active = active_effects(rows)
+    longest = np.full(rows.shape[0], substep_s)
+    if substep_s is None:
+        steps = np.where(active > 0, 2 * steps_per_radian, steps_per_radian)
+        longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
     signal = np.tile(np.arange(J, dtype=np.int32), B)
     signals = [
         to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
@@ -62,13 +77,13 @@ def rollout(
 
     def simulate(part: slice) -> None:
         memory = np.zeros((part.stop - part.start, CELLS))
-        longest = np.full(memory.shape[0], step)
         given = (rows[part], active[part], memory, signal[part])
+        step = to_warp(longest[part], device)
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
         wp.launch(
             simulate_servos,
             dim=out.shape[0],
-            inputs=[*(to_warp(x, device) for x in given), *signals, fine, to_warp(longest, device)],
+            inputs=[*(to_warp(x, device) for x in given), *signals, step],
             outputs=[out],
             device=device,
         )
@@ -83,6 +98,103 @@ def rollout(
         with ThreadPoolExecutor(len(parts)) as pool:
             list(pool.map(simulate, parts))
     return np.moveaxis(position.reshape(B, J, T), 1, 2)
+
+
+def longest_substep(
+    theta: Array,
+    inertia: Array,
+    steps_per_radian: float | Array = STEPS_PER_RADIAN,
+    longest_s: float = LONGEST_SUBSTEP_S,
+) -> Array:
+    """The rule for sub-steps, in s: so many while the fastest mode turns by one radian.
+
+    Args:
+        theta: Parameters, shape (..., P).
+        inertia: Inertia on the shaft in kg m2, without what may be left out of it, shape (...).
+        steps_per_radian: How many.
+        longest_s: No sub-step is longer.
+    """
+    kp, kd = np.abs(theta[..., 0]), theta[..., 1]
+    total = inertia + theta[..., INERTIA_LEFT_OUT] + theta[..., ROTOR_INERTIA]
+    fastest = np.maximum(np.sqrt(kp / total), 0.5 * kd / total)
+    steps: Array = 1 / np.maximum(steps_per_radian * fastest, 1e-9)
+    return np.minimum(longest_s, steps)
+
+
+class Simulator:
+    """Recordings of one joint, whose commands are given to servos of any parameters."""
+
+    def __init__(self, traces: Sequence[Trace], threads: int = 2) -> None:
+        """Put the recordings where Warp finds them.
+
+        Args:
+            traces: S recordings of one joint.
+            threads: CPU threads.
+        """
+        self.traces, self.threads = traces, threads
+        S, T = len(traces), max(trace.t.size for trace in traces)
+        t, command, position = (np.full((S, T), x) for x in (0.0, 0.0, np.nan))
+        for s, trace in enumerate(traces):
+            part = np.s_[s, : trace.t.size]
+            t[part], command[part] = trace.t, trace.command
+            position[part] = np.where(trace.used, trace.position, np.nan)
+        length = np.array([trace.t.size for trace in traces], dtype=np.int32)
+        self._signals = [to_warp(x, "cpu") for x in (t, command, length)]
+        self._load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
+        self.position, self.length = to_warp(position, "cpu"), self._signals[2]
+        self._pool = _pool(threads)
+
+    def is_linear(self, theta: Array) -> bool:
+        """Whether servos (B, P) have an exact solution: no effect is on, and no pendulum there."""
+        return not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
+
+    def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
+        """One sub-step in s for all servos (B, P): of the fastest; infinite if all are linear."""
+        if self.is_linear(theta):
+            return np.inf
+        inertia = self._load[:, 0, None]
+        return float(longest_substep(theta, inertia, steps_per_radian, longest_s).min())
+
+    def angles(self, theta: Array, substep_s: float) -> list[Array]:
+        """Angles in rad of servos (B, P), for each recording (B, T); the load is its own.
+
+        ``substep_s`` is the longest sub-step; where it is infinite all must be linear.
+        """
+        parts = [part for part in np.array_split(theta, self.threads) if part.size]
+        done = list(self._pool.map(lambda part: self.run(part, substep_s).numpy(), parts))
+        S = len(self.traces)
+        return [
+            np.concatenate([angle[s::S, : trace.t.size] for angle in done])
+            for s, trace in enumerate(self.traces)
+        ]
+
+    def run(self, theta: Array, substep_s: float) -> Any:  # noqa: ANN401 - Warp has no stubs
+        """Angles of servos (B, P) as a Warp array, one row a servo and recording, (B * S, T).
+
+        Raises:
+            ValueError: If the sub-step is infinite and one of them is not linear.
+        """
+        if np.isinf(substep_s) and not self.is_linear(theta):
+            raise ValueError("no exact solution of servos with effects or a pendulum")
+        S = len(self.traces)
+        rows = np.repeat(theta, S, axis=0)
+        rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
+        signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
+        given = (rows, active_effects(rows), np.zeros((len(rows), CELLS)), signal)
+        longest = np.full(len(rows), substep_s)
+        T = self._signals[0].shape[1]
+        angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
+        inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, to_warp(longest, "cpu")]
+        wp.launch(simulate_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
+        return angle
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)
+
+
+_LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def active_effects(rows: Array) -> NDArray[np.int32]:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from sim2real.servo.fit import plain_row
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -37,8 +39,8 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
         rng: For the candidates.
 
     Returns:
-        The best candidate, shape (4,), and rivals that did nearly as well though their gain is far
-        from its and from each other's, shape (R, 4): none where the recordings are telling.
+        The best candidate, shape (P,), and rivals that did nearly as well though their gain is far
+        from its and from each other's, shape (R, P): none where the recordings are telling.
     """
     trace = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
     points = qmc.Sobol(3, rng=rng).random(CANDIDATES)
@@ -56,14 +58,12 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
         apart = np.abs(points[chosen, 0] - points[candidate, 0]).min()
         if apart > FAR and len(chosen) <= MOST_RIVALS:
             chosen.append(candidate)
-    parameters = np.pad(_parameters(points[chosen], trace), ((0, 0), (0, 1)))
-    return parameters[0], parameters[1:]
+    rows = np.array([plain_row(*one) for one in _parameters(points[chosen], trace)])
+    return rows[0], rows[1:]
 
 
 def _errors(points: Array, trace: Trace) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
-    from sim2real.servo.rollout import rollout
-
     theta = np.zeros((points.shape[0], len(COLUMNS)))
     theta[:, :3] = _parameters(points, trace)
     theta[:, 3 : len(BASE)] = trace.load.inertia_kgm2, trace.load.gravity_Nm

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sim2real.servo.fit import OUTLIER_SD, Fit
+from sim2real.inference.least_squares import OUTLIER_SD
+from sim2real.inference.noise import bandwidth, correlation_samples, long_run
+from sim2real.servo.fit import Fit
 
 Array = NDArray[np.float64]
 
@@ -111,45 +112,3 @@ def _raised(covariance: Array, least: Array) -> Array:
     """Scale a covariance up where its variances fall below those of independent residuals."""
     factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
     return np.asarray(covariance * np.outer(factor, factor))
-
-
-def correlation_samples(error: Array) -> float:
-    """Integrated autocorrelation time in samples: 1 for white residuals.
-
-    1 + 2 sum of autocorrelations up to the first window of at least five times the sum itself
-    (Sokal, in: Functional Integration, Plenum (1997), sec. 3).
-    """
-    x = error - error.mean()
-    n = x.size
-    if n < 8 or not np.any(x):
-        return 1.0
-    spectrum = np.fft.rfft(x, 2 * n)
-    autocorrelation = np.fft.irfft(spectrum * spectrum.conj())[:n]
-    times = 2 * np.cumsum(autocorrelation / autocorrelation[0]) - 1
-    enough = np.flatnonzero(np.arange(n) >= 5 * times)
-    return float(np.clip(times[enough[0] if enough.size else n // 4], 1.0, n / 4))
-
-
-def bandwidth(samples: int, time: float) -> int:
-    """Lags that the long-run covariance spans: three correlation times, at most a quarter."""
-    least = 4 * (samples / 100) ** (2 / 9)
-    return int(np.clip(np.ceil(max(3 * time, least)), 1, max(samples // 4, 1)))
-
-
-def long_run(score: Array, lags: int) -> Array:
-    """Sum of lagged products of ``score`` (n, F) with Bartlett weights 1 - k / lags, shape (F, F).
-
-    Computed as the mean square of sums over all windows of ``lags`` samples, which is the same.
-    """
-    padded = np.zeros((score.shape[0] + 2 * lags, score.shape[1]))
-    padded[lags:-lags] = score
-    sums = np.cumsum(padded, axis=0)
-    windows = sums[lags:] - sums[:-lags]
-    return np.asarray(windows.T @ windows / lags)
-
-
-def whiteness(errors: Sequence[Array]) -> float:
-    """Lag-1 autocorrelation of the residuals: 0 for white ones."""
-    pairs = [(e[1:], e[:-1]) for e in errors if e.size > 2]
-    power = sum(float(np.sum(e**2)) for e in errors)
-    return sum(float(np.sum(a * b)) for a, b in pairs) / power if power > 0 else 0.0

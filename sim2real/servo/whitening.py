@@ -133,3 +133,45 @@ def gram(
     for k in range(part * count / blocks, (part + 1) * count / blocks):
         total += angle[row + i, k] * angle[row + j, k]
     out[problem, block, pair] = total
+
+
+@wp.kernel(enable_backward=False)
+def innovation_energy(
+    signals: int,
+    lags: int,
+    length: wp.array(dtype=wp.int32),
+    position: Table,
+    counts: wp.array2d(dtype=wp.int32),
+    autoregression: Row,
+    angle: Table,
+    energy: Row,
+) -> None:
+    """Sum of squared innovations of simulated minus measured angles, over the samples that count.
+
+    Coefficients come in fours, so that four sums go at once; those
+    beyond the first ``lags`` are 0.
+    """
+    row = wp.tid()
+    s = row % signals
+    for k in range(length[s]):
+        measured = position[s, k]
+        if wp.isnan(measured):
+            angle[row, k] = wp.float64(0.0)
+        else:
+            angle[row, k] = angle[row, k] - measured
+    total = wp.float64(0.0)
+    order = autoregression.shape[0]
+    for k in range(lags, length[s]):
+        if counts[s, k] != 0:
+            x0 = angle[row, k]
+            x1 = wp.float64(0.0)
+            x2 = wp.float64(0.0)
+            x3 = wp.float64(0.0)
+            for i in range(0, order, 4):
+                x0 -= autoregression[i] * angle[row, k - 1 - i]
+                x1 -= autoregression[i + 1] * angle[row, wp.max(k - 2 - i, 0)]
+                x2 -= autoregression[i + 2] * angle[row, wp.max(k - 3 - i, 0)]
+                x3 -= autoregression[i + 3] * angle[row, wp.max(k - 4 - i, 0)]
+            e = x0 + x1 + x2 + x3
+            total += e * e
+    energy[row] = total

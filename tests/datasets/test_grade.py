@@ -10,7 +10,7 @@ import pytest
 
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Commands, Load, Recording, write_recording
-from sim2real.servo.fit import fit
+from sim2real.servo.fit import fit, gains, plain_row
 from sim2real.servo.predict import predict
 from sim2real.servo.trace import Trace
 
@@ -319,8 +319,8 @@ def test_rivals_march_adds_a_torque_to_the_plain_motion(code):
     t = np.arange(0.0, 3.0, 0.02)
     command = 0.3 * np.sin(5 * t)
     trace = Trace("a", "a.csv", t, command, command, LOADS["j1"], np.ones(t.size, bool))
-    plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
-    plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
+    row = plain_row(2.0, 0.08, 0.04)
+    plain = fit([trace], row, gains(row, 0.002)[:1], evaluations=1, rounds=0)
     wanted = Commands(t, {"j1": command}, LOADS)
     case = code["rival_case"].Case({"j1": [trace]}, {"j1": plain}, wanted)
     drag = code["rival_torque"].predicted(case, lambda state: -0.04 * state.v)["j1"]
@@ -337,8 +337,8 @@ def test_rivals_lacking_torque_is_that_of_the_hidden_effect(code):
     true = servos(("gravity_load", "j2", {"torque_Nm": 0.1}))
     position = predict(true, t, command, LOADS)["j2"]
     trace = Trace("a", "a.csv", t, command["j2"], position, LOADS["j2"], np.ones(t.size, bool))
-    plain = fit([trace], np.array([2.0, 0.08, 0.04, 0.0]), free=(0,), evaluations=1, rounds=0)
-    plain = replace(plain, parameters=np.array([2.0, 0.08, 0.04, 0.0]))
+    row = plain_row(2.0, 0.08, 0.04)
+    plain = fit([trace], row, gains(row, 0.002)[:1], evaluations=1, rounds=0)
     state, lacking = code["rival_torque"].lacking_torque([trace], plain)
     np.testing.assert_allclose(lacking, -0.1 * np.sin(state.q), atol=0.01)
 

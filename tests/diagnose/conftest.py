@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.search import Book, baselines, search
+from sim2real.diagnose.search import Found, ServoSearch, baselines, search
 from sim2real.servo.batch import Batch
-from sim2real.servo.minimise import Fits
+from sim2real.servo.problem import Fits
 from sim2real.servo.trace import Trace
 
 
@@ -18,15 +18,21 @@ class Searched:
     traces: Sequence[Trace]
     batch: Batch
     plain: Fits
-    book: Book
+    tried: Found
+    search: ServoSearch
+
+    @property
+    def seen(self):
+        """The screen of the plain servo, and its candidates."""
+        return self.search.seen(self.tried, frozenset())
 
 
 def searched(**effects) -> Searched:
     traces = [traced(1, "a", **effects), traced(2, "b", **effects)]
     batch = Batch([traces])
     plain = baselines(batch)
-    (book,) = search(batch, plain, level=0.01, rng=np.random.default_rng(0))
-    return Searched(traces, batch, plain, book)
+    (tried,), problem = search(batch, plain, level=0.01, rng=np.random.default_rng(0))
+    return Searched(traces, batch, plain, tried, problem)
 
 
 @pytest.fixture(scope="session")

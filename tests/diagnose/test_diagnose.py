@@ -8,8 +8,7 @@ import pytest
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, recording
 from strange import position_damping, strange
 
-from sim2real.diagnose.alike import sampled_alike
-from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model

@@ -1,4 +1,4 @@
-"""What stands beside the held-out error: decoys explain nothing, a black box explains a part."""
+"""What stands beside the held-out error: knockoffs explain nothing, a black box explains a part."""
 
 from dataclasses import replace
 
@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose import decoy_error
+from sim2real.diagnose import knockoffs
 from sim2real.diagnose.black_box import black_box
-from sim2real.diagnose.candidates import REFITTED, RIPPLE, candidate
-from sim2real.diagnose.decoy_error import best_decoy
-from sim2real.diagnose.directions import directions
-from sim2real.diagnose.heldout import held_out
-from sim2real.diagnose.splits import rms, splits
+from sim2real.diagnose.knockoffs import best_knockoff, directions
+from sim2real.diagnose.screen import FITTED, candidate
+from sim2real.inference.holdout import rms
+from sim2real.servo.holdout import held_out, splits
 
 
 class Floors:
     def __init__(self, traces, servo):
         (unseen,) = held_out([traces], [servo])
-        given = [candidate(e, 2.2, 0.002) for e in REFITTED if e.name != RIPPLE]
+        given = [candidate(e, 2.2, 0.002) for e in FITTED if not e.everywhere]
         moved = directions(traces, servo, given).effects
         self.folds = splits(traces, unseen)
         self.plain = unseen.rmse
-        self.decoy = best_decoy(traces, servo, moved, self.folds, np.random.default_rng(0))
+        self.knockoff = best_knockoff(traces, servo, moved, self.folds, np.random.default_rng(0))
         self.black_box = black_box(self.folds, np.random.default_rng(0))
 
 
@@ -33,7 +32,7 @@ def clean(nothing):
 
 @pytest.fixture(scope="module")
 def rough(rubbing):
-    return Floors(rubbing.traces, rubbing.book.plain.fit.servos)
+    return Floors(rubbing.traces, rubbing.tried.plain.fit.servos)
 
 
 def test_splits_are_those_of_the_held_out_error(rough):
@@ -41,16 +40,16 @@ def test_splits_are_those_of_the_held_out_error(rough):
     assert rms(residuals) == pytest.approx(rough.plain, rel=1e-3)
 
 
-def test_a_decoy_is_worth_nothing(clean, rough):
-    assert clean.plain <= clean.decoy < 1.05 * clean.plain
-    assert rough.plain <= rough.decoy < 1.3 * rough.plain
+def test_a_knockoff_is_worth_nothing(clean, rough):
+    assert clean.plain <= clean.knockoff < 1.05 * clean.plain
+    assert rough.plain <= rough.knockoff < 1.3 * rough.plain
 
 
-def test_an_effect_that_means_something_would_win_as_a_decoy(rubbing, monkeypatch):
-    """On equal terms with the real ones: what is no decoy takes its error away."""
-    monkeypatch.setattr(decoy_error, "meaningless", lambda response, t, rng: response)
-    found = Floors(rubbing.traces, rubbing.book.plain.fit.servos)
-    assert found.decoy < 0.6 * found.plain
+def test_an_effect_that_means_something_would_win_as_a_knockoff(rubbing, monkeypatch):
+    """On equal terms with the real ones: what is no knockoff takes its error away."""
+    monkeypatch.setattr(knockoffs, "meaningless", lambda response, t, rng: response)
+    found = Floors(rubbing.traces, rubbing.tried.plain.fit.servos)
+    assert found.knockoff < 0.6 * found.plain
 
 
 def test_a_black_box_explains_friction_that_it_has_no_name_for(rough):
@@ -62,8 +61,8 @@ def test_a_black_box_finds_nothing_where_nothing_is(clean):
 
 
 def test_of_a_lone_recording_the_end_is_predicted(rubbing):
-    lone = Floors(rubbing.traces[:1], rubbing.book.plain.fit.servos)
-    assert lone.decoy > 0.9 * lone.plain
+    lone = Floors(rubbing.traces[:1], rubbing.tried.plain.fit.servos)
+    assert lone.knockoff > 0.9 * lone.plain
     assert lone.black_box < 0.8 * lone.plain
 
 
@@ -87,10 +86,10 @@ def test_the_black_box_never_sees_what_it_is_scored_on(rough):
 
 
 def test_missing_samples_are_neither_fitted_nor_scored(rubbing):
-    servo = rubbing.book.plain.fit.servos
+    servo = rubbing.tried.plain.fit.servos
     whole = traced(1, "a", coulomb_friction={"torque_Nm": 0.05})
     used = np.arange(whole.t.size) % 10 != 0
     gappy = replace(whole, used=used, position=np.where(used, whole.position, np.nan))
     found = Floors([gappy, rubbing.traces[1]], servo)
-    assert np.isfinite([found.decoy, found.black_box]).all()
+    assert np.isfinite([found.knockoff, found.black_box]).all()
     assert found.black_box < 0.6 * found.plain

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from strange import position_damping, shaking, strange
 
-from sim2real.diagnose.formula import formula
-from sim2real.diagnose.guess import what_is_left
+from sim2real.diagnose.formula import formula, what_is_left
 from sim2real.diagnose.search import baselines
-from sim2real.diagnose.unknown import residual_angles
+from sim2real.diagnose.unmodelled import residual_angles
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import traces
 

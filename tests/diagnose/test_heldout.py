@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
-from sim2real.diagnose.heldout import folds, held_out
 from sim2real.diagnose.search import baselines
 from sim2real.servo.batch import Batch
+from sim2real.servo.holdout import folds, held_out
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,8 @@ def test_missing_samples_are_not_scored(three, start):
 
 def test_servos_of_any_number_of_parameters(rubbing):
     """An effect that is there brings the error on unseen data down to the noise."""
-    book = rubbing.book
-    servos = [book.plain.fit.servos, book.tried[frozenset({"coulomb_friction"})].fit.servos]
+    tried = rubbing.tried
+    servos = [tried.plain.fit.servos, tried.tried[frozenset({"coulomb_friction"})].fit.servos]
     plain, rich = held_out([rubbing.traces] * 2, servos)
     assert rich.rmse == pytest.approx(NOISE, rel=0.06)
     assert plain.rmse > 3 * rich.rmse

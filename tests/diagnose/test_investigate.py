@@ -5,8 +5,9 @@ import pytest
 from simulated import NOISE, recording
 from strange import position_damping, strange
 
-from sim2real.diagnose.investigate import STRUCTURED, investigate
-from sim2real.diagnose.unknown import residual_angles
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import investigate
+from sim2real.diagnose.unmodelled import residual_angles
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import trace
 
@@ -18,8 +19,7 @@ def test_a_joint_that_is_looked_at_again_keeps_its_place():
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
     found = investigate(batch, [clean, odd], [[0], [1]], rng=rng)
-    assert found[0].excess < STRUCTURED < found[1].excess
-    for j, (finding, noise) in enumerate(zip(found, (NOISE, 3 * NOISE), strict=True)):
-        assert finding.book.joint == j
-        left = residual_angles(batch, finding.book.plain.fit)
+    assert found[0].excess < DECISION.structured < found[1].excess
+    for finding, noise in zip(found, (NOISE, 3 * NOISE), strict=True):
+        left = residual_angles(batch, finding.tried.plain.fit)
         assert np.sqrt(np.mean(left**2)) == pytest.approx(noise, rel=0.7)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
-from sim2real.diagnose.candidates import candidate
-from sim2real.diagnose.limits import BAR, detection_limits
-from sim2real.diagnose.screen import Screen, screen
+from sim2real.diagnose.checks import detection_limits
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.screen import Screen, candidate, screen
 from sim2real.diagnose.search import baselines
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
 
-NEEDED = np.sqrt(2 * BAR) + 1.28
+NEEDED = np.sqrt(2 * DECISION.detection_gain) + 1.28
 EFFECTS = ("coulomb_friction", "sensor_gain", "backlash")
 
 
@@ -29,10 +29,10 @@ def usual():
 
 
 def test_every_effect_has_a_limit(nothing):
-    book = nothing.book
-    found = detection_limits(book.screens[frozenset()], book.starts[frozenset()], "j1")
-    assert [limit.effect for limit in found] == [c.effect.name for c in book.starts[frozenset()]]
-    for limit, option in zip(found, book.starts[frozenset()], strict=True):
+    seen, options = nothing.seen
+    found = detection_limits(seen, options, "j1")
+    assert [limit.effect for limit in found] == [c.effect.name for c in options]
+    for limit, option in zip(found, options, strict=True):
         assert limit.component == "j1"
         ((name, value),) = limit.smallest.items()
         assert name == option.effect.parameters[0].name
@@ -60,7 +60,10 @@ def noticed(ratio, usual):
         for k in range(6)
     ]
     batch = Batch(traces)
-    return sum(s.gain.max() > BAR for s in screen(batch, baselines(batch), [[option]] * 6))
+    return sum(
+        s.gain.max() > DECISION.detection_gain
+        for s in screen(batch, baselines(batch), [[option]] * 6)
+    )
 
 
 def test_an_effect_well_below_its_limit_is_not_seen(usual):

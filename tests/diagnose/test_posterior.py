@@ -9,7 +9,7 @@ SETS = (frozenset({"a", "x"}), frozenset({"b", "x"}), frozenset({"a"}), frozense
 
 
 def drawn(searched, **more):
-    return posterior(searched.book, np.random.default_rng(0), **more)
+    return posterior(searched.tried, np.random.default_rng(0), **more)
 
 
 @pytest.mark.parametrize("case", ["nothing", "rubbing", "filtered"])

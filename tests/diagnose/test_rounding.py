@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.rounding import coarse_step
+from sim2real.diagnose.case import coarse_step
 
 STATED = 0.00419
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.candidates import REFITTED, candidate
-from sim2real.diagnose.screen import Screen, screen
+from sim2real.diagnose.screen import FITTED, Screen, candidate, screen
 from sim2real.diagnose.search import BLOCKS, baselines
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
@@ -58,18 +57,18 @@ def best(seen, given):
 
 
 def test_the_effect_that_is_there_stands_out(rubbing):
-    seen, given = rubbing.book.screens[frozenset()], rubbing.book.starts[frozenset()]
+    seen, given = rubbing.seen
     assert best(seen, given).family == "dry friction"
     assert seen.gain.max() > seen.threshold(0.01, np.random.default_rng(0))
 
 
 def test_nothing_stands_out_where_nothing_is_missing(nothing):
-    seen = nothing.book.screens[frozenset()]
+    seen = nothing.seen[0]
     assert seen.gain.max() < seen.threshold(0.01, np.random.default_rng(0))
 
 
 def test_blocks_add_up_to_the_score(rubbing):
-    seen = rubbing.book.screens[frozenset()]
+    seen = rubbing.seen[0]
     assert seen.blocks.shape[0] == 2 * BLOCKS
     np.testing.assert_allclose(seen.blocks.sum(axis=0), seen.score)
 
@@ -87,7 +86,7 @@ def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
 
 
 def test_every_start_of_every_candidate_is_looked_at(nothing):
-    given = [candidate(effect, 2.2, 0.002) for effect in REFITTED]
+    given = [candidate(effect, 2.2, 0.002) for effect in FITTED]
     (seen,) = screen(nothing.batch, nothing.plain, [given])
     assert seen.score.size == sum(len(c.starts) for c in given)
     counts = np.bincount(seen.candidate, minlength=len(given))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose.candidates import REFITTED, candidate
-from sim2real.diagnose.search import MOST_EFFECTS, baselines, joined, remains
+from sim2real.diagnose.screen import FITTED, candidate
+from sim2real.diagnose.search import BREADTH, baselines, joined
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
 
@@ -19,46 +19,44 @@ def test_the_plain_servo_comes_back(nothing):
 
 
 def test_coulomb_friction_is_found(rubbing):
-    best = rubbing.book.best
-    assert best.effects == {"coulomb_friction"}
+    best = rubbing.tried.best
+    assert best.members == {"coulomb_friction"}
     theta = best.fit.servos.theta[0]
     assert theta[column("coulomb_friction.torque_Nm")] == pytest.approx(0.05, rel=0.03)
     np.testing.assert_allclose(theta[:3], [KP, KD, LATENCY], rtol=0.02)
 
 
 def test_nothing_is_found_where_nothing_is_missing(nothing):
-    assert nothing.book.best.effects == frozenset()
-    assert not remains(nothing.book, frozenset(), 0.01, np.random.default_rng(0))
+    assert nothing.tried.best.members == frozenset()
+    assert not nothing.search.remains(nothing.tried, frozenset())
 
 
 def test_nothing_remains_once_the_effect_is_there(rubbing):
-    rng = np.random.default_rng(0)
-    assert remains(rubbing.book, frozenset(), 0.01, rng)
-    assert not remains(rubbing.book, frozenset({"coulomb_friction"}), 0.01, rng)
+    assert rubbing.search.remains(rubbing.tried, frozenset())
+    assert not rubbing.search.remains(rubbing.tried, frozenset({"coulomb_friction"}))
 
 
 @pytest.mark.parametrize("case", ["nothing", "rubbing", "filtered"])
 def test_no_set_has_two_effects_of_one_family(case, request):
-    book = request.getfixturevalue(case).book
-    for effects in book.tried:
+    for effects in request.getfixturevalue(case).tried.tried:
         families = [named(name).family for name in effects if named(name).family]
         assert len(set(families)) == len(families)
-        assert len(effects) <= MOST_EFFECTS
+        assert len(effects) <= BREADTH.most
 
 
 def test_every_effect_is_tried_by_itself(rubbing):
-    assert {frozenset({e.name}) for e in REFITTED} <= set(rubbing.book.tried)
+    assert {frozenset({e.name}) for e in FITTED} <= set(rubbing.tried.tried)
 
 
 def test_filters_before_and_behind_look_alike(filtered):
-    tried = filtered.book.tried
+    tried = filtered.tried.tried
     two = [tried[frozenset({name})].evidence for name in ("command_filter", "sensor_filter")]
     assert two[0] == pytest.approx(two[1], abs=5)
-    assert min(two) > filtered.book.plain.evidence + 100
+    assert min(two) > filtered.tried.plain.evidence + 100
 
 
 def test_fits_of_any_width_stand_together(rubbing):
-    some = [h.fit for h in itertools.islice(rubbing.book.tried.values(), 6)]
+    some = [h.fit for h in itertools.islice(rubbing.tried.tried.values(), 6)]
     together = joined(some)
     np.testing.assert_allclose(together.loglikelihood, [f.loglikelihood[0] for f in some])
     np.testing.assert_array_equal(
@@ -77,7 +75,7 @@ def test_a_model_that_is_given_is_a_start_as_well():
     np.testing.assert_allclose(nobody.servos.theta[0, :3], [KP, KD, LATENCY], rtol=0.03)
 
 
-@pytest.mark.parametrize("effect", REFITTED, ids=lambda effect: effect.name)
+@pytest.mark.parametrize("effect", FITTED, ids=lambda effect: effect.name)
 def test_candidates_start_within_their_bounds(effect):
     for kp, inertia in ((2.2, 0.002), (60.0, 1.0), (4e4, 1.0)):
         given = candidate(effect, kp, inertia)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim2real.diagnose.windows import SHORTEST_S, inside, robust_sd, windows
+from sim2real.diagnose.unmodelled import SHORTEST_S, inside, robust_sd, windows
 
 SD = 0.0015
 T = 0.02 * np.arange(750)
@@ -14,7 +14,7 @@ def noise(seed=0, size=T.size):
 
 
 def with_events(*events, seed=0):
-    """Noise, ten times as large in these stretches."""
+    """Noise, ten times as large in these segments."""
     return noise(seed) * np.where(inside(T, events), 10.0, 1.0)
 
 

@@ -60,7 +60,7 @@ def test_the_catalogue_is_complete_and_each_name_stands_once():
 
 @each()
 def test_effect_is_documented_and_bounded(effect):
-    module = sys.modules[f"sim2real.effects.{effect.name}"]
+    module = sys.modules[f"sim2real.effects.servo.{effect.name}"]
     assert "Taken for" in module.__doc__ or "Nothing else" in module.__doc__
     assert effect.parameters
     for parameter in effect.parameters:
@@ -441,26 +441,108 @@ def test_the_readme_lists_it(effect):
     assert any(f"| `{effect.name}` | {site} | {effect.component} |" in text for site in sites)
 
 
-def test_a_new_effect_is_one_file(tmp_path):
-    """A copy of the package with one file more knows, simulates and refuses what that file says."""
+def run_in_a_copy(tmp_path, kind, name, source, program):
+    """A program that imports a copy of the package with one file more."""
     package = Path(inspect.getfile(named)).parents[1]
     shutil.copytree(package, tmp_path / "sim2real")
-    source = (package / "effects" / "sensor_offset.py").read_text()
-    (tmp_path / "sim2real" / "effects" / "squared_sensor.py").write_text(
-        source.replace('"sensor_offset"', '"squared_sensor"').replace(
-            "x + p[c]", "x + p[c] * x * x"
-        )
-    )
+    (tmp_path / "sim2real" / "effects" / kind / f"{name}.py").write_text(source)
+    path = os.pathsep.join([str(tmp_path), str(package.parent)])
+    environment = os.environ | {"PYTHONPATH": path}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, cwd=tmp_path)
+
+
+def test_a_new_effect_of_a_servo_is_one_file(tmp_path):
+    """It is simulated, fitted, named and shown."""
+    source = Path(inspect.getfile(named)).with_name("servo") / "quadratic_drag.py"
+    spring = source.read_text().replace("quadratic_drag", "hard_spring")
+    spring = spring.replace("coefficient_Nms2", "stiffness_Nm_per_rad")
+    law = "x - p[c] * q * q * q"
+    spring = spring.replace("x - p[c] * v * wp.abs(v)", law)
+    assert law in spring
+    spring = spring.replace('plain="', 'plain="a spring that hardens, not ')
+    spring = spring.replace("high=0.5, typical=0.01", "high=20.0, typical=0.5")
     program = """
 import numpy as np
+from sim2real.diagnose.diagnose import diagnose
 from sim2real.model import FittedEffect, JointModel
+from sim2real.recording import Load, Recording
+from sim2real.report.diagnosis import diagnosis_section
+from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
-effect = FittedEffect("squared_sensor", {"offset_rad": 0.5})
-rows = [joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=e), None) for e in ((), (effect,))]
-t = 0.02 * np.arange(100)
-plain, squared = rollout(np.stack(rows), t, np.where(t > 0.2, 0.4, 0.0)[:, None])[:, -1, 0]
-assert abs(squared - plain - 0.5 * plain**2) < 1e-6, (plain, squared)
+effect = FittedEffect("hard_spring", {"stiffness_Nm_per_rad": 3.0})
+row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(effect,)), None)
+def recording(seed):
+    rng = np.random.default_rng(seed)
+    t = 0.02 * np.arange(500)
+    steps = np.repeat(rng.uniform(-0.8, 0.8, 25), 20)
+    command = np.convolve(np.r_[np.zeros(30), steps], np.ones(10) / 10)[: t.size]
+    angle = rollout(row[None], t, command[:, None])[0] + rng.normal(0, 0.0015, (t.size, 1))
+    return Recording(str(seed), "servo", ("j1",), t, command[:, None], angle, {"j1": Load(0.002)})
+links = tuple(Link(n, 0.2, 0.1, 0.05, 0.05) for n in ("frame", "arm"))
+robot = Robot("bench", links, (Joint("j1", Servo("s", 5.0, 20.0, 0.0001), (-1.6, 1.6)),))
+found = diagnose([recording(1), recording(2)], robot)
+(named,) = found.effects
+assert named.effect == "hard_spring", found.effects
+assert abs(named.parameters["stiffness_Nm_per_rad"].mean / 3 - 1) < 0.1, named
+assert "a spring that hardens" in repr(diagnosis_section(found))
 """
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True, cwd=tmp_path)
+    run_in_a_copy(tmp_path, "servo", "hard_spring", spring, program)
+
+
+def test_a_new_effect_of_the_body_is_one_file(tmp_path):
+    """It is simulated by the twin, has parameters to fit, is searched for, and has words."""
+    source = Path(inspect.getfile(named)).with_name("body") / "linear_drag.py"
+    weed = (
+        source.read_text()
+        .replace("linear_drag", "weed")
+        .replace(
+            'robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()',
+            'robot.resist[-1, 0] += p["coefficient"]',
+        )
+    )
+    weed = weed.replace("drag that grows with speed", "weed on the tail")
+    assert "resist[-1, 0]" in weed
+    robot = Path(__file__).parents[1] / "sim"
+    program = f"""
+import sys
+sys.path.insert(0, {str(robot)!r})
+from dataclasses import replace
+import numpy as np
+from sim.inference.diagnose_swims import candidates
+from sim.twin.twin import Twin
+from sim2real.body import listed
+from sim2real.report.diagnosis_words import plain
+from swimming_robots import FISH, servos
+weeds = replace(servos(), body={{"effects": listed({{"weed.coefficient": 1.0}})}})
+twin = Twin(FISH, [servos(), weeds], n_envs=2)
+assert twin.outside.resist[1, -1, 0] == 1.0 and not twin.outside.resist[0].any()
+for k in range(60):
+    turn = np.sin(2 * np.pi * 1.5 * 0.02 * k - 1.2 * np.arange(3))
+    twin.step(np.array([0.3, 0.45, 0.6]) * turn)
+gone = np.abs(twin.state().pose[:, 0])
+assert abs(gone[1] - gone[0]) > 1e-4, gone
+assert "weed" in [name for name, _, free in candidates(FISH) if free[0].name == "weed.coefficient"]
+assert plain("weed") == "weed on the tail"
+"""
+    run_in_a_copy(tmp_path, "body", "weed", weed, program)
+
+
+def test_more_effects_than_the_mask_has_bits_are_refused(tmp_path):
+    source = Path(inspect.getfile(named)).with_name("servo") / "sensor_offset.py"
+    more = source.read_text()
+    program = """
+from pathlib import Path
+import sim2real.errors, importlib
+servo = Path("sim2real/effects/servo")
+for k in range(4):
+    source = (servo / "one_more.py").read_text()
+    (servo / f"one_more_{k}.py").write_text(source.replace("one_more", f"one_more_{k}"))
+try:
+    import sim2real.effects
+except sim2real.errors.InputError as error:
+    assert "at most 31" in str(error), error
+else:
+    raise AssertionError
+"""
+    run_in_a_copy(tmp_path, "servo", "one_more", more.replace("sensor_offset", "one_more"), program)

@@ -293,7 +293,7 @@ def test_only_joints_with_a_finding_show_what_it_is_worth():
     _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
     (drawn,) = [b for b in blocks if isinstance(b, Figure) and "has not seen" in b.caption]
     assert drawn.svg.count("with what is named") == 1
-    assert drawn.svg.count("with the best decoy") == 2
+    assert drawn.svg.count("with the best knockoff") == 2
     assert drawn.svg.count("with a black box") == 2
 
 
@@ -349,7 +349,7 @@ def test_lines_are_thinned_and_keep_gaps_and_extremes():
         assert np.isnan(y).any() == (count > 777)
 
 
-def test_error_of_a_mean_counts_independent_stretches():
+def test_error_of_a_mean_counts_independent_segments():
     """Smoothed noise: means lie within two standard errors of 0 about 95 % of the time."""
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(60000)
@@ -361,9 +361,9 @@ def test_error_of_a_mean_counts_independent_stretches():
     assert 0.85 < np.mean(inside) < 0.99
 
 
-def test_names_are_no_surer_than_the_decoys_let_them_be():
+def test_names_are_no_surer_than_the_knockoffs_let_them_be():
     text, _ = said(replace(EXPLAINED, false_discovery_rate=0.6))
-    assert "decoys put the share of wrong names at 60" in text
+    assert "knockoffs put the share of wrong names at 60" in text
     assert "98\u00a0% sure" not in text.replace(" ", "\u00a0")
     assert "40 % sure" in text.replace("\u00a0", " ")
 

@@ -19,7 +19,7 @@ from sim2real.report.plots import (
     svg,
     timing_figure,
 )
-from sim2real.report.series import drawable, gaps, largest_move, lone, stretches
+from sim2real.report.series import drawable, gaps, largest_move, lone, segments
 
 
 def lines(axes):
@@ -211,7 +211,7 @@ def test_series_helpers():
     assert gaps(t).tolist() == [3]
     nan = np.nan
     assert lone(np.array([1.0, nan, 1.0, 1.0, nan, 1.0])).tolist() == [True, *[False] * 4, True]
-    assert stretches(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
+    assert segments(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
 
 
 def test_largest_move_is_found_where_it_was_measured():

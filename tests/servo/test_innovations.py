@@ -24,7 +24,7 @@ def jittered():
 WHITE = np.zeros(0)
 
 
-def whitened(given, lags=WHITE, substep_s=None):
+def whitened(given, lags=WHITE, substep_s=np.inf):
     counts = [one.used.copy() for one in given]
     for one in counts:
         one[: lags.size] = False
@@ -41,15 +41,14 @@ def rows(*servos, **effects):
 def test_closed_form_is_a_fine_rollout(jittered, kd):
     theta = rows((simulated.KP, kd, 0.0), (simulated.KP, kd, 0.0513))
     fine = rollout(theta, jittered.t, jittered.command[:, None], steps_per_radian=800.0)[:, :, 0]
-    np.testing.assert_allclose(whitened([jittered]).angles(theta)[0], fine, atol=1e-6)
+    np.testing.assert_allclose(whitened([jittered]).angles(theta, np.inf)[0], fine, atol=1e-6)
 
 
 def test_substeps_are_those_of_a_rollout(jittered):
     heavy = simulated.traced(load=Load(0.003, 0.1, 0.1), seconds=2.0)
     theta = rows((2.0, 0.05, 0.04), (2.3, 0.07, 0.06), backlash={"gap_rad": 0.03})
-    for one, angles in zip(
-        [jittered, heavy], whitened([jittered, heavy], substep_s=0.001).angles(theta), strict=True
-    ):
+    every = whitened([jittered, heavy], substep_s=0.001).angles(theta, 0.001)
+    for one, angles in zip([jittered, heavy], every, strict=True):
         theta[:, 3:5] = one.load.inertia_kgm2, one.load.gravity_Nm
         expected = rollout(theta, one.t, one.command[:, None], substep_s=0.001)[:, :, 0]
         assert np.array_equal(angles, expected)
@@ -62,7 +61,7 @@ def test_energy_is_that_of_the_filtered_residual(jittered, lags):
     theta = rows((2.0, 0.05, 0.04), (2.3, 0.07, 0.06), (2.2, 0.06, 0.05))
     found = whitened([jittered, other], lags)
     expected = np.zeros(3)
-    for one, angles in zip([jittered, other], found.angles(theta), strict=True):
+    for one, angles in zip([jittered, other], found.angles(theta, np.inf), strict=True):
         left = np.where(one.used, angles - one.position, 0.0)
         white = lfilter(np.concatenate([[1.0], -lags]), [1.0], left, axis=1)
         counted = one.used.copy()
@@ -73,7 +72,7 @@ def test_energy_is_that_of_the_filtered_residual(jittered, lags):
 
 def test_a_row_does_not_depend_on_its_neighbours(jittered):
     servos = np.random.default_rng(0).uniform([1.5, 0.03, 0.0], [3.0, 0.1, 0.1], (7, 3))
-    for substep_s in (None, 0.002):
+    for substep_s in (np.inf, 0.002):
         found = whitened([jittered], substep_s=substep_s)
         alone = np.concatenate([found.energy(one[None]) for one in rows(*servos)])
         assert np.array_equal(found.energy(rows(*servos)), alone)

@@ -3,10 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
+import symbolic
 import warp as wp
 
 from sim2real.recording import Load
-from sim2real.servo import law, symbolic
+from sim2real.servo import law
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import rollout
 

@@ -8,7 +8,8 @@ from swimming_robots import FISH, servos
 from test_calibrate import swum
 
 import sim.inference.diagnose_swims as rooms
-from sim.inference.calibrate import effect_parameters, seen
+from sim.inference.parameters import effect_parameters
+from sim.inference.problem import seen
 from sim.inference.swims import by_twin
 from sim2real.cli import main
 
@@ -77,3 +78,11 @@ def test_the_command_writes_what_the_format_says(few, tmp_path):
     assert content["schema"] == "sim2real.diagnosis/1"
     assert content["effects"][0]["effect"] == "skin_elasticity"  # the nearest of the few
     assert (tmp_path / content["model"]).exists()
+    assert content["provenance"]["seed"] is None  # nothing is drawn at random
+    page = out.with_suffix(".html")
+    assert "skin over the joints is a spring" in page.read_text()
+    page.unlink()
+    assert main(["diagnose", *given, "--model", "datasets/pool/model.json", "--out", str(out),
+                 "--no-page"]) == 0  # fmt: skip
+    assert not page.exists()
+    assert json.loads(out.read_text())["effects"] == content["effects"]

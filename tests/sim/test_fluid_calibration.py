@@ -10,13 +10,14 @@ import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES, swum
 
-from sim.inference.calibrate import Free, effect_parameters, servo_parameters
 from sim.inference.emulator import Batch, Emulator, places_of, rollouts
-from sim.inference.fluid_calibration import calibrate_in_fluid, water_parameters
-from sim.inference.fluid_fit import Prior, fit
+from sim.inference.fluid_calibration import calibrate_in_fluid
+from sim.inference.fluid_fit import fit
+from sim.inference.parameters import effect_parameters, servo_parameters, water_parameters
 from sim.inference.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
 from sim.robot.swimmer import Swimmer, least_viscosity
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Gaussian, Parameter
 from sim2real.recording import read_recording
 
 NOISE = np.array([0.005, 0.005, 0.02, 0.002, 0.002, 0.002])
@@ -68,6 +69,22 @@ def test_a_path_comes_back_from_its_steps():
     batch = Batch(swim, ("form_drag.coefficient",), np.array([[0.0], [0.0]]), track)
     again = Emulator([batch])([servos()], SENT, np.array([0.3, -0.2, 0.9]))
     assert again == pytest.approx(track[:1], abs=1e-9)
+
+
+def test_swims_with_the_same_commands_are_told_apart_by_where_they_began():
+    free, twin = some("form_drag"), by_twin(FISH)
+    first = recorded({})
+    second = replace(first, start=np.array([0.5, 0.2, 1.0]))
+    batches = [rollouts(twin, swim, servos(), free, count=8) for swim in (first, second)]
+    turned = batches[1].track.copy()
+    turned[..., 3:] += 0.1  # not what the first swim's rollouts show
+    both = Emulator([batches[0], replace(batches[1], track=turned)])
+    for swim, offset in ((first, 0.0), (second, 0.1)):
+        (said,) = both([servos()], SENT, swim.start)
+        (alone,) = Emulator(batches[:1])([servos()], SENT, swim.start)
+        np.testing.assert_allclose(said[:, 3:], alone[:, 3:] + offset, atol=1e-9)
+    with pytest.raises(KeyError, match="2 swims with these commands"):
+        both([servos()], SENT, np.array([9.0, 9.0, 0.0]))
 
 
 def test_a_tethers_anchor_counts_with_its_stiffness():
@@ -145,7 +162,7 @@ def test_a_posterior_is_the_next_prior():
     prior = found.marginal([name])
     assert prior.mean == pytest.approx(found.best[1:])
     assert prior.covariance == pytest.approx(found.covariance[1:, 1:])
-    held = fit([swim], servos(), free, emulator, prior=Prior(found.best, 1e-9 * np.eye(2)))
+    held = fit([swim], servos(), free, emulator, prior=Gaussian(found.best, 1e-9 * np.eye(2)))
     assert held.best == pytest.approx(found.best, abs=1e-4)
 
 
@@ -159,8 +176,8 @@ def test_noise_of_a_shipped_swim_is_what_the_camera_has():
 def test_the_waters_viscosity_begins_where_cells_can_hold_it():
     for cell in (0.01, 0.02):
         viscosity = water_parameters(FISH, cell)[-1]
-        assert viscosity.low == least_viscosity(cell) < viscosity.start < viscosity.high
-    assert isinstance(viscosity, Free)
+        assert viscosity.low == least_viscosity(cell) < viscosity.nominal < viscosity.high
+    assert isinstance(viscosity, Parameter)
     assert least_viscosity(0.01) == pytest.approx(2.4e-5)
     swim = Swim("s", TIMES, SENT, np.zeros(3), np.zeros((TIMES.size, 6)))
     assert swim.noise == 0.0

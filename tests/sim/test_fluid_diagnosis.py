@@ -3,23 +3,22 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import swum
 from test_fluid_calibration import NOISE
 
 import sim.inference.fluid_diagnosis as rooms
-from sim.inference.calibrate import effect_parameters
-from sim.inference.fluid_calibration import water_parameters
-from sim.inference.fluid_fit import Prior
+from sim.inference.parameters import effect_parameters, water_parameters
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.errors import InputError
+from sim2real.inference.parameters import Gaussian
 
 WATER = water_parameters(FISH, 0.01)
-KNOWN = Prior(np.array([p.start for p in WATER]), np.diag([(0.1 * p.prior_sd) ** 2 for p in WATER]))
-START = with_values(servos(), {p.name: p.start for p in WATER})
+USUAL = Gaussian.of(WATER)
+KNOWN = Gaussian(USUAL.mean, 0.01 * USUAL.covariance)
+START = with_values(servos(), {p.name: p.nominal for p in WATER})
 
 
 @pytest.fixture

@@ -1,0 +1,103 @@
+"""What swims may tell: the twin's law, the servos, the water, the body's and camera's effects."""
+
+from __future__ import annotations
+
+from sim.robot.swimmer import least_viscosity
+from sim.twin.twin import FITTED
+from sim2real.body import BODY, CAMERA, body_effect
+from sim2real.inference.parameters import Parameter
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+_LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
+"""What counts as a usual value of a coefficient where the fitted one is smaller."""
+
+
+def law_parameters() -> list[Parameter]:
+    """The twin's own law, each within a factor of a few of what the fluid gave.
+
+    The wake differs most from one water to another. The others (``slender``, ``head`` and so on)
+    stay as the fluid gave them: a few swims cannot tell them from these, and would hide an effect
+    behind them.
+    """
+    out = []
+    for name, least in _LEAST.items():
+        value = float(getattr(FITTED, name))
+        usual = max(value, least)
+        out.append(
+            _about(f"twin.{name}", value, 0.5 * usual, (0.05 * value, 20 * usual), 2 * usual)
+        )
+    return [
+        *out,
+        _about("twin.thrust", FITTED.thrust, 0.1, (0.0, 2.0), 0.5),
+        _about("twin.wake", FITTED.wake, 0.1, (0.0, 0.95), 0.3),
+        _about("twin.wake_s", FITTED.wake_s, 0.3 * FITTED.wake_s, (0.05, 10.0), FITTED.wake_s),
+    ]
+
+
+def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
+    """Latencies of all joints, and their gains if asked.
+
+    The bench gives gains better than a swim does, where the water that goes along hides them; the
+    latency may be another by radio.
+    """
+    out = []
+    names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s") if gains else ("latency_s",)
+    for joint in robot.joints:
+        servo = model.joints[joint.name]
+        for name in names:
+            value = float(getattr(servo, name))
+            size = max(abs(value), 1e-3)
+            sd = 0.5 if name == "latency_s" else 0.1
+            full = f"{joint.name}.{name}"
+            out.append(_about(full, value, 0.2 * size, (0.05 * size, 20 * size), sd * size))
+    return out
+
+
+def body_parameters(robot: Robot) -> list[Parameter]:
+    """What a plain simulator may have wrong about the body; nothing that a diagnosis would name."""
+    out = effect_parameters("form_drag") + effect_parameters("linear_drag")
+    for material in sorted({link.material or "" for link in robot.links}):
+        out += effect_parameters("surface_friction", material)
+    return out + effect_parameters("added_mass") + effect_parameters("com_offset")
+
+
+def effect_parameters(effect: str, material: str | None = None) -> list[Parameter]:
+    """Parameters of a body or camera effect."""
+    known = body_effect(effect)
+    prefix = f"{effect}.{material}" if known.by_material else effect
+    out = []
+    for k, p in enumerate(known.parameters):
+        start = 0.0 if k == 0 or p.low < 0 else p.typical
+        start = max(start, p.low)
+        name, sd = f"{prefix}.{p.name}", 4 * p.typical
+        out.append(Parameter(name, p.low, p.high, p.typical, start, sd, unit=p.unit))
+    return out
+
+
+def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
+    """What cells of a size may have wrong about the water."""
+    free = [p for p in body_parameters(robot) if not p.name.startswith("com_offset")]
+    least = least_viscosity(cell_m)
+    bounds = (least, 20 * least)
+    return [*free, _about("water.viscosity_m2_s", 1.2 * least, 0.4 * least, bounds, 0.6 * least)]
+
+
+def candidates(robot: Robot) -> list[tuple[str, str, tuple[Parameter, ...]]]:
+    """Effects, what they belong to (a material, the body or the camera), their parameters."""
+    out = []
+    for effect in (*BODY, *CAMERA):
+        if effect.by_material:
+            for material in sorted({link.material or "" for link in robot.links}):
+                free = tuple(effect_parameters(effect.name, material))
+                out.append((effect.name, material or "body", free))
+        else:
+            where = "camera" if effect.camera else "body"
+            out.append((effect.name, where, tuple(effect_parameters(effect.name))))
+    return out
+
+
+def _about(
+    name: str, nominal: float, size: float, bounds: tuple[float, float], prior_sd: float
+) -> Parameter:
+    return Parameter(name, *bounds, size, nominal, prior_sd)

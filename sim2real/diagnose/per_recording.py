@@ -1,0 +1,394 @@
+"""One servo for references and case: what each effect would do in each recording, and alone in one.
+
+A parameter is shared by all recordings, or some have one of their own. To first order every effect
+is looked at so, from one launch (``linearised``, ``gains``); the likeliest are fitted for good
+(``fit_own``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from sim2real.diagnose.screen import candidates
+from sim2real.effects import named
+from sim2real.inference import least_squares
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.problem import Fits, Servos, minimise, variants
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int32]
+
+ALIKE = 0.08
+"""Commands that differ by less of their standard deviation are one command."""
+_FARTHEST_S = 0.3
+_OVERLAP = 0.7
+"""Share of a recording that another must cover."""
+_LAGS = 61
+_ROUNDS = 4
+_EVALUATIONS = 15
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The servo that all recordings share, and inner products of innovations in each of them.
+
+    Attributes:
+        gram: Of the shared servo's residual (0), of its derivatives by its F free parameters
+            (1 to F) and of what each of S starts of an effect adds, shape (R, 1 + F + S,
+            1 + F + S), rad2.
+        count: Samples that count, shape (R,).
+        references: How many of the recordings are references; they come first.
+        shared: How many parameters the recordings share (F).
+        directions: For each column but the first the effect, or the plain servo's parameter.
+        signed: Which of them mean something with either sign, shape (F + S,).
+        repeated: Whether what is common to recordings of one command has been taken away.
+        fitted: What it was worked out from; None of one made by hand.
+    """
+
+    gram: Array
+    count: Array
+    references: int
+    shared: int
+    directions: tuple[str, ...]
+    signed: NDArray[np.bool_]
+    repeated: bool
+    fitted: Fitted | None = None
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The servo that recordings share.
+
+    Attributes:
+        traces: The recordings, less what is common to those of one command.
+        servos: The servo, of one row.
+        noise: Its noise model on the references, shape (1, lags).
+        rows: Parameters of each direction, shape (F + S, P).
+    """
+
+    traces: tuple[Trace, ...]
+    servos: Servos
+    noise: Array
+    rows: Array
+
+
+def linearised(
+    references: Sequence[Trace],
+    case: Sequence[Trace],
+    servos: Sequence[Servos],
+    device: str = "cpu",
+) -> Linear:
+    """Fit one servo to all recordings of a joint and look at every effect from there.
+
+    The noise is what this servo leaves of the references: what it cannot explain there is no sign
+    of a change.
+
+    Args:
+        references: The joint's references.
+        case: The joint's recordings in question.
+        servos: Where to start from, each of one row, with the same free parameters.
+        device: Warp device.
+    """
+    every = [*references, *case]
+    batch = Batch([every], device)
+    fits = [minimise(batch, one, iterations=15) for one in servos]
+    best = max(fits, key=lambda fit: float(fit.loglikelihood[0]))
+    alone = Problems(best.servos.joint, best.servos.theta[:, None], np.zeros((1, 1)))
+    left = batch.evaluate(alone, keep=True).residual
+    assert left is not None
+    freed, repeated = freed_of_the_common(every, list(left[0]), len(references))
+    same = bool(repeated[len(references) :].all())
+    if same:
+        every = freed
+        batch = Batch([every], device)
+    noise = Batch([every[: len(references)]], device).evaluate(alone).autoregression
+    directions, signed, problems = _looks(best, batch)
+    noise = _of_length(noise, batch.lags)
+    seen = batch.evaluate(problems, autoregression=noise)
+    shared = best.servos.columns.shape[1]
+    return Linear(
+        _finite(seen.gram[0]),
+        batch.samples.astype(np.float64),
+        len(references),
+        shared,
+        directions,
+        signed,
+        same,
+        Fitted(tuple(every), best.servos, noise, problems.theta[0, 1:]),
+    )
+
+
+def _finite(gram: Array) -> Array:
+    """Inner products without the starts from which a servo is unstable."""
+    clean = gram.copy()
+    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
+    clean[:, bad] = clean[:, :, bad] = 0.0
+    return clean
+
+
+def _of_length(noise: Array, lags: int) -> Array:
+    """Coefficients of a noise model with those of further lags left out or 0, shape (1, lags)."""
+    return np.pad(noise, ((0, 0), (0, max(0, lags - noise.shape[1]))))[:, :lags]
+
+
+def _looks(fit: Fits, batch: Batch) -> tuple[tuple[str, ...], NDArray[np.bool_], Problems]:
+    """The servo, a little more of each free parameter, and every start of every other effect."""
+    own = variants(fit.servos)
+    shared = fit.servos.columns.shape[1]
+    kp, inertia = float(fit.servos.theta[0, 0]), float(batch.load[0, 0])
+    names = [COLUMNS[c].partition(".")[0] for c in fit.servos.columns[0]]
+    known = [name for name in names if name not in BASE]
+    options = [c for c in candidates(known, kp, inertia) if not c.effect.everywhere]
+    rows, effects = [], []
+    for option in options:
+        for start in option.starts:
+            row = fit.servos.theta[0].copy()
+            row[option.columns] = start
+            rows.append(row)
+            effects.append(option.effect.name)
+    theta = np.concatenate([own.theta[0], np.array(rows)])
+    scale = np.concatenate([own.scale[0], np.ones(len(rows))])
+    directions = (*names, *effects)
+    signed = np.array(
+        [k < shared or d not in BASE and named(d).either_sign for k, d in enumerate(directions)]
+    )
+    return directions, signed, Problems(fit.servos.joint, theta[None], scale[None])
+
+
+def gains(linear: Linear, own: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Free each direction in some recordings only, the servo's parameters shared by all.
+
+    Each recording has its own variance, at its best; all is linear in the parameters, so that a
+    few rounds of weighted least squares end at the largest likelihood.
+
+    Args:
+        linear: The recordings.
+        own: Those in which it is free.
+
+    Returns:
+        Gain in log-likelihood, change in multiples of the start, and sum of squared innovations
+        that is left in these recordings, rad2, each of shape (K,).
+    """
+    F, K = linear.shared, linear.gram.shape[1] - 1
+    mine = np.zeros(len(linear.gram))
+    mine[list(own)] = 1.0
+    error2 = linear.gram[:, 0, 0]
+    slope = np.zeros((len(linear.gram), K, F + 1))
+    slope[:, :, :F] = linear.gram[:, None, 1 : 1 + F, 0]
+    slope[:, :, F] = linear.gram[:, 0, 1:] * mine[:, None]
+    normal = np.zeros((len(linear.gram), K, F + 1, F + 1))
+    normal[:, :, :F, :F] = linear.gram[:, None, 1 : 1 + F, 1 : 1 + F]
+    cross = linear.gram[:, 1 : 1 + F, 1:] * mine[:, None, None]
+    normal[:, :, :F, F] = normal[:, :, F, :F] = cross.transpose(0, 2, 1)
+    normal[:, :, F, F] = np.diagonal(linear.gram, axis1=1, axis2=2)[:, 1:] * mine[:, None]
+    plain, _ = _largest(error2, slope[:, :1, :F], normal[:, :1, :F, :F], linear.count)
+    after, x = _largest(error2, slope, normal, linear.count)
+    gain = 0.5 * linear.count @ np.log(plain / after)
+    backwards = (x[:, F] < 0) & ~linear.signed
+    gain = np.where(backwards, 0.0, np.maximum(gain, 0.0))
+    return gain, x[:, F], mine @ after
+
+
+def _largest(error2: Array, slope: Array, normal: Array, count: Array) -> tuple[Array, Array]:
+    """Squared innovations (R, K) and parameters (K, F) where the likelihood is largest."""
+    floor = 1e-9 * error2[:, None]
+    now = np.repeat(error2[:, None], slope.shape[1], axis=1)
+    x = np.zeros(slope.shape[1:])
+    size = np.sqrt(np.einsum("rkff->kf", normal))
+    size[size == 0] = 1.0
+    for _ in range(_ROUNDS):
+        weight = count[:, None] / now
+        matrix = np.einsum("rk,rkfg->kfg", weight, normal) / (size[:, :, None] * size[:, None])
+        right = -np.einsum("rk,rkf->kf", weight, slope) / size
+        inverse = np.linalg.pinv(matrix, rcond=1e-9, hermitian=True)
+        x = np.einsum("kfg,kg->kf", inverse, right) / size
+        change = 2 * np.einsum("rkf,kf->rk", slope, x)
+        change += np.einsum("kf,rkfg,kg->rk", x, normal, x)
+        now = np.maximum(error2[:, None] + change, floor)
+    return now, x
+
+
+@dataclass(frozen=True)
+class Own:
+    """What the case has to itself.
+
+    Attributes:
+        columns: Columns of its K parameters, shape (K,).
+        value: Where they start, shape (K,).
+        unit: Their natural sizes, shape (K,).
+        low: Their smallest values, shape (K,).
+        high: Their largest values, shape (K,).
+    """
+
+    columns: Whole
+    value: Array
+    unit: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class OwnFits:
+    """Where the fits ended, one for each set of own parameters.
+
+    Attributes:
+        loglikelihood: Its logarithm, up to a constant, shape (H,).
+        left: Sum of squared innovations in the case, rad2, shape (H,).
+        theta: Parameters of the case, shape (H, P).
+    """
+
+    loglikelihood: Array
+    left: Array
+    theta: Array
+
+
+def fit_own(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own]) -> OwnFits:
+    """Fit the shared servo together with each set of the case's own parameters.
+
+    Each recording has a variance of its own.
+
+    Args:
+        batch: The references as its first joint and the case as its second.
+        servo: Where the shared servo starts, of one row.
+        noise: The noise model, shape (1, lags).
+        owns: What is free in the case alone, a fit each; it may be nothing.
+    """
+    H, F = len(owns), servo.columns.shape[1]
+    before, case = _both(servo, owns)
+    start = case.values()
+    # Of a parameter that the case has to itself the shared value is the references' alone.
+    start[:, :F] = before.values()
+    moving = case.free.copy()
+    moving[:, :F] = True
+
+    def expand(x: Array, index: least_squares.Index) -> least_squares.Expansion:
+        parts = before[index].at(x[:, :F]), case[index].at(x)
+        return _expansion(batch, parts, np.repeat(noise, len(index), axis=0))
+
+    found = least_squares.minimise(
+        expand,
+        start,
+        case.low / case.unit,
+        case.high / case.unit,
+        free=moving,
+        evaluations=_EVALUATIONS,
+    )
+    # What the case shares stands in its row, too, but for what it has to itself.
+    shared, mine = before.at(found.x[:, :F]).theta, case.at(found.x).theta
+    own = np.zeros(mine.shape, dtype=bool)
+    for h in range(H):
+        own[h, owns[h].columns] = True
+    at = found.expansion
+    return OwnFits(-at.loss, at.aside["left"], np.where(own, mine, shared))
+
+
+def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> least_squares.Expansion:
+    """Profile likelihood of references and case, and what is left of the case."""
+    H, size = parts[1].columns.shape
+    loss, slope, normal = np.zeros(H), np.zeros((H, size)), np.zeros((H, size, size))
+    left = np.zeros(H)
+    ends = np.concatenate([[0], np.cumsum(batch.recordings)])
+    for part, servos in enumerate(parts):
+        count = batch.samples[ends[part] : ends[part + 1]].astype(np.float64)
+        seen = batch.evaluate(variants(servos), autoregression=model)
+        gram = seen.gram[:, : count.size]
+        energy = gram[:, :, 0, 0]
+        free = slice(gram.shape[2] - 1)
+        weight = count / energy
+        loss += 0.5 * np.log(energy) @ count
+        slope[:, free] += np.einsum("hr,hrf->hf", weight, gram[:, :, 1:, 0])
+        normal[:, free, free] += np.einsum("hr,hrfg->hfg", weight, gram[:, :, 1:, 1:])
+        left = energy.sum(axis=1)
+    lost = ~np.isfinite(loss)
+    loss[lost], left[lost] = np.inf, np.inf
+    slope[lost], normal[lost] = 0.0, np.eye(size)
+    return least_squares.Expansion(loss, slope, normal, {"left": left})
+
+
+def _both(servo: Servos, owns: Sequence[Own]) -> tuple[Servos, Servos]:
+    """The references' servo and the case's, for each set of own parameters."""
+    H, F = len(owns), servo.columns.shape[1]
+    K = max(own.columns.size for own in owns)
+    before = servo[np.zeros(H, dtype=np.intp)]
+    before = replace(before, joint=np.zeros(H, dtype=np.int32))
+    pad = ((0, 0), (0, K))
+    columns = np.pad(before.columns, pad, constant_values=-1)
+    unit = np.pad(before.unit, pad, constant_values=1.0)
+    low, high = np.pad(before.low, pad), np.pad(before.high, pad)
+    theta = before.theta.copy()
+    for h, own in enumerate(owns):
+        some = slice(F, F + own.columns.size)
+        columns[h, :F][np.isin(columns[h, :F], own.columns)] = -1
+        columns[h, some], theta[h, own.columns] = own.columns, own.value
+        unit[h, some], low[h, some], high[h, some] = own.unit, own.low, own.high
+    joint = np.ones(H, dtype=np.int32)
+    return before, Servos(joint, theta, columns, unit, low, high)
+
+
+def freed_of_the_common(
+    traces: Sequence[Trace], residuals: Sequence[Array], references: int
+) -> tuple[list[Trace], NDArray[np.bool_]]:
+    """Traces less what a servo leaves of other references with the same command.
+
+    Where a recording was taken twice, the difference of the two knows no missing physics that is in
+    both: their repeatability decides what can be told, not the model.
+
+    Args:
+        traces: The recordings of one joint, the references first.
+        residuals: Simulated minus measured angles of a servo on each, rad.
+        references: How many are references.
+
+    Returns:
+        The traces, with angles corrected by the mean of what is left of those, and which
+        of them have any.
+    """
+    freed = list(traces)
+    for r, one in enumerate(traces):
+        common = []
+        for other, left in zip(traces[:references], residuals, strict=False):
+            if other is one:
+                continue
+            lag, difference = alignment(one, other)
+            if difference < ALIKE:
+                seen = other.used
+                common.append(np.interp(one.t + lag, other.t[seen], left[: seen.size][seen]))
+        if common:
+            freed[r] = replace(one, position=one.position + np.mean(common, axis=0))
+    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
+
+
+def alignment(one: Trace, other: Trace) -> tuple[float, float]:
+    """How much later the other's command comes, s, and what then differs.
+
+    Returns:
+        The lag, and the root mean square difference of the two commands in standard deviations of
+        the first.
+    """
+    size = float(np.std(one.command))
+    if size == 0:
+        return 0.0, np.inf
+
+    def difference(lag: float) -> float:
+        inside = (one.t + lag >= other.t[0]) & (one.t + lag <= other.t[-1])
+        if inside.mean() < _OVERLAP:
+            return float("inf")
+        moved = np.interp(one.t[inside] + lag, other.t, other.command) - one.command[inside]
+        return float(np.sqrt(np.mean(moved**2))) / size
+
+    lags = np.linspace(-_FARTHEST_S, _FARTHEST_S, _LAGS)
+    coarse = [difference(float(lag)) for lag in lags]
+    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
+    if not np.isfinite(coarse[k]):
+        return 0.0, np.inf
+    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    if fine.fun < coarse[k]:
+        return float(fine.x), float(fine.fun)
+    return float(lags[k]), coarse[k]

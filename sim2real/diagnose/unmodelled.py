@@ -1,0 +1,280 @@
+"""Where and when something is missing, and whether it is in the catalogue at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.smooth import Motion, Servo, Smooth, smooth_function_of
+from sim2real.inference.noise import Wander
+from sim2real.processes import shared
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.problem import Fits, minimise
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+Window = tuple[float, float]
+
+LARGER = 5.0
+"""Standard deviation inside a window, relative to that outside."""
+EDGE_COST = 12.0
+"""Log-likelihood that each edge of a window must earn."""
+SHORTEST_S = 0.1
+WANDER = Wander(3.0, 1.5)
+"""Slow wander that sensors have; beyond it a residual is structured."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Unmodelled:
+    """What could be missing, without a name.
+
+    Attributes:
+        excess: Energy of the plain fit's residual that is neither noise nor slow wander, in
+            variances of the noise; about 1 where nothing is missing.
+        smooth: The best smooth function of one state.
+        windows: Segments outside which the plain servo fits, for each recording; None if there
+            are none.
+        windows_evidence: Evidence, against the plain servo's, of something of its own in these
+            segments; -inf without them.
+    """
+
+    excess: float
+    smooth: Smooth
+    windows: tuple[tuple[Window, ...], ...] | None
+    windows_evidence: float
+
+
+def unmodelled(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    robots: Sequence[Sequence[int]],
+    plain: Fits,
+) -> list[Unmodelled]:
+    """Look for physics without a name in every joint of a batch.
+
+    Args:
+        batch: The recordings.
+        joints: The same, as traces.
+        robots: Which joints belong together.
+        plain: The fit of the plain servo, one a joint.
+    """
+    residuals = residual_angles(batch, plain)
+    excesses = [
+        excess(residuals[j], traces, batch, float(np.sqrt(plain.error2[j] / plain.count[j])))
+        for j, traces in enumerate(joints)
+    ]
+    suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
+    separate = intermittent(batch, joints, plain, residuals, suspects)
+    siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
+    smooth = shared(
+        smooth_function_of,
+        [
+            (
+                _motions(batch, joints, residuals, j, siblings[j]),
+                _servo(batch, plain, j),
+                j in suspects,
+            )
+            for j in range(len(joints))
+        ],
+    )
+    nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
+    return [
+        Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
+    ]
+
+
+def residual_angles(batch: Batch, fits: Fits) -> Array:
+    """Simulated minus measured angles of one fit a joint, 0 where missing, shape (N, R, T)."""
+    theta = fits.servos.theta[:, None]
+    seen = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
+    assert seen.residual is not None
+    return seen.residual
+
+
+def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
+    """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
+
+    The residual is whitened for white noise and ``WANDER``.
+    """
+    energy, count = 0.0, 0
+    for row, trace in zip(residual, traces, strict=False):
+        numerator, denominator, spread = WANDER.filter(float(np.median(np.diff(trace.t))))
+        innovation = lfilter(numerator, denominator, row[: trace.t.size])
+        used = trace.used.copy()
+        used[: batch.lags] = False
+        energy += float(np.sum(innovation[used] ** 2)) / (1 + spread)
+        count += int(used.sum())
+    scale = noise_rad**2 / (1 + spread)
+    return energy / count / scale
+
+
+def intermittent(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    plain: Fits,
+    residuals: Array,
+    suspects: Sequence[int],
+) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
+    """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
+    found: dict[int, tuple[tuple[Window, ...], ...]] = {}
+    now = {j: residuals[j] for j in suspects}
+    scores: dict[int, float] = {}
+    for _ in range(_ROUNDS):
+        found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
+        found = {
+            j: w
+            for j, w in found.items()
+            if any(w) and _share(w, joints[j]) < DECISION.window_share
+        }
+        if not found:
+            return {}
+        order = list(found)
+        outside = Batch(
+            [[_without(t, w) for t, w in zip(joints[j], found[j], strict=True)] for j in order],
+            batch.device,
+            batch.threads,
+        )
+        start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
+        fits = minimise(
+            outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
+        )
+        level = -0.5 * np.log(fits.error2 / fits.count)
+        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
+        seen = residual_angles(batch, whole)
+        now = {j: seen[k] for k, j in enumerate(order)}
+        before = plain.loglikelihood
+        scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
+    costs = {
+        j: sum(
+            DECISION.window_cost + DECISION.window_second_cost * (b - a)
+            for some in w
+            for a, b in some
+        )
+        for j, w in found.items()
+    }
+    return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
+
+
+def _windows(
+    residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
+) -> tuple[tuple[Window, ...], ...]:
+    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    masks = [
+        inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
+        for k, t in enumerate(traces)
+    ]
+    sd = robust_sd(np.concatenate(rows), np.concatenate(masks))
+    return tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
+
+
+def _share(given: tuple[tuple[Window, ...], ...], traces: Sequence[Trace]) -> float:
+    inside_s = sum(b - a for some in given for a, b in some)
+    return inside_s / sum(float(t.t[-1] - t.t[0]) for t in traces)
+
+
+def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
+    wider = tuple((a - 0.1, b + 0.3) for a, b in given)
+    return replace(trace, used=trace.used & ~inside(trace.t, wider))
+
+
+def _motions(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    residuals: Array,
+    joint: int,
+    siblings: Sequence[int],
+) -> list[Motion]:
+    motions = []
+    for r, trace in enumerate(joints[joint]):
+        counts = trace.used.copy()
+        counts[: batch.lags] = False
+        others = [
+            _angle(residuals[i], joints[i], k)
+            for i in siblings
+            for k, same in enumerate(joints[i])
+            if same.file == trace.file and same.t.size == trace.t.size
+        ]
+        motions.append(
+            Motion(
+                trace.t,
+                trace.command,
+                _angle(residuals[joint], joints[joint], r),
+                residuals[joint][r, : trace.t.size],
+                counts,
+                np.array(others).reshape(len(others), trace.t.size),
+            )
+        )
+    return motions
+
+
+def _angle(residual: Array, traces: Sequence[Trace], r: int) -> Array:
+    """Simulated angles of a recording; where none was measured, between its neighbours."""
+    trace = traces[r]
+    used = np.flatnonzero(trace.used)
+    angle = residual[r, used] + trace.position[used]
+    return np.asarray(np.interp(trace.t, trace.t[used], angle))
+
+
+def _servo(batch: Batch, plain: Fits, joint: int) -> Servo:
+    kp, kd, latency = (float(x) for x in plain.servos.theta[joint, :3])
+    first = batch.first_signal[joint]
+    load = batch.load[first : first + batch.recordings[joint]]
+    return Servo(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)
+
+
+def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
+    """Standard deviation of the residual outside windows, from its median absolute deviation."""
+    outside = residual[~inside & np.isfinite(residual)]
+    if outside.size < 10:
+        outside = residual[np.isfinite(residual)]
+    return float(np.median(np.abs(outside)) / 0.6745)
+
+
+def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
+    """Segments in which the residual is larger than noise.
+
+    The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
+    Transactions on Information Theory 13 (1967) 260-269).
+
+    Args:
+        t: Times in s, shape (T,).
+        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
+        sd: Its standard deviation where nothing is missing, rad.
+
+    Returns:
+        Beginning and end of each segment, s.
+    """
+    z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
+    score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], _likeliest(score), [0]])))
+    found = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
+    return tuple((a, b) for a, b in found if b - a >= SHORTEST_S)
+
+
+def inside(t: Array, given: tuple[Window, ...]) -> NDArray[np.bool_]:
+    """Which times lie in one of the windows, shape (T,)."""
+    mask = np.zeros(t.size, dtype=bool)
+    for begin, end in given:
+        mask |= (t >= begin) & (t <= end)
+    return mask
+
+
+def _likeliest(score: Array) -> NDArray[np.int8]:
+    """1 where the chain is likeliest loud, 0 where quiet, for scores of loud over quiet (T,)."""
+    quiet, loud = 0.0, -EDGE_COST
+    from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
+    for k, x in enumerate(score.tolist()):
+        from_loud[k] = loud - EDGE_COST > quiet
+        from_quiet[k] = quiet - EDGE_COST > loud
+        quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
+    state, path = int(loud - EDGE_COST > quiet), np.zeros(score.size, dtype=np.int8)
+    for k in range(score.size - 1, -1, -1):
+        path[k] = state
+        state = int(not from_quiet[k]) if state else int(from_loud[k])
+    return path

@@ -1,0 +1,292 @@
+"""From findings joint by joint to what a person is told of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.posterior import Group
+from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
+from sim2real.diagnose.search import Hypothesis
+from sim2real.diagnose.smooth import Smooth
+from sim2real.diagnose.unmodelled import Window, robust_sd, windows
+from sim2real.effects import named
+from sim2real.model import FittedEffect
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+_RIVALS = 8
+_Q95 = 1.645
+_THROUGHOUT = 0.9
+"""Share of the time from which a mismatch is there all the time."""
+_WORDS = {
+    "position": "it depends on the position: torque is missing at some angles",
+    "speed": "it depends on the speed and its sign: just after reversals above all",
+    "error": "it depends on how much torque is asked for: at high load or close to the target",
+    "time": "it grows with the time since the start",
+    "sensor": "it depends on the position: what is seen is off at some angles",
+    "other_joint": "it follows the acceleration of another joint",
+    "shaking": "it comes at one frequency, whatever the joint does",
+    "jump": "it begins at one instant and stays",
+}
+_TELLING = 12.0
+"""Gain in log-likelihood from which a state is said to drive a mismatch."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """A group on one joint, or on several that share it."""
+
+    group: Group
+    joints: tuple[str, ...]
+    component: str
+
+
+def gathered(findings: Mapping[str, Finding]) -> list[Said]:
+    """Groups of all joints; what is on the supply or the link of several is said once."""
+    said: list[Said] = []
+    shared: dict[str, list[tuple[str, Group]]] = {}
+    for joint, finding in findings.items():
+        for group in finding.groups:
+            if group.probability < DECISION.named:
+                continue
+            if named(group.members[0]).component == "joint":
+                said.append(Said(group, (joint,), joint))
+            else:
+                shared.setdefault(group.members[0], []).append((joint, group))
+    for effect, where in shared.items():
+        likeliest = max((group for _, group in where), key=lambda group: group.probability)
+        joints = tuple(joint for joint, _ in where)
+        place: str = named(effect).component if len(joints) > 1 else joints[0]
+        said.append(Said(likeliest, joints, place))
+    several = [effect for effect, where in shared.items() if len(where) > 1]
+    mimicked = {like for effect in several for like in named(effect).mimics}
+    said = [_doubted(one) if one.group.members[0] in mimicked else one for one in said]
+    said = [one for one in said if one.group.probability >= DECISION.named]
+    return sorted(said, key=lambda one: -one.group.probability)
+
+
+def _doubted(one: Said) -> Said:
+    """What something of the supply or the link, seen on several joints, looks like on one."""
+    probability = min(one.group.probability, DECISION.mimic)
+    return replace(one, group=replace(one.group, probability=probability))
+
+
+def named_effects(
+    findings: Mapping[str, Finding],
+    said: Sequence[Said],
+    models: Mapping[str, Hypothesis],
+    heldout: Mapping[str, Mapping[str, float | None]],
+) -> tuple[NamedEffect, ...]:
+    """What was left out.
+
+    Args:
+        findings: By joint.
+        said: Groups, gathered.
+        models: The enriched servo of each joint.
+        heldout: Figures of each joint on data that its refits have not seen.
+    """
+    return tuple(_named(findings, one, models, heldout) for one in said)
+
+
+def _named(
+    findings: Mapping[str, Finding],
+    one: Said,
+    models: Mapping[str, Hypothesis],
+    heldout: Mapping[str, Mapping[str, float | None]],
+) -> NamedEffect:
+    effect, joint = one.group.members[0], one.joints[0]
+    found = [_estimates(models[j], effect, findings[j]) for j in one.joints]
+    found = [entry for entry in found if entry]
+    parameters = _combined(found)
+    plain = findings[joint].tried.plain.fit.servos.theta[0]
+    rich = models[joint].fit.servos.theta[0]
+    return NamedEffect(
+        effect=effect,
+        component=one.component,
+        probability=one.group.probability,
+        group=one.group.members,
+        parameters=parameters,
+        heldout=dict(heldout.get(joint, {})),
+        baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
+        stability=one.group.stability,
+        statement=statement(one, parameters),
+    )
+
+
+def statement(one: Said, parameters: Mapping[str, Estimate]) -> str:
+    """One sentence that a roboticist would say."""
+    effect = named(one.group.members[0])
+    values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
+    complete = len(values) == len(effect.parameters)
+    clause = effect.statement(values) if complete else f"there is {effect.plain}"
+    others = [named(name).plain for name in one.group.members[1:]]
+    doubt = f" (or {', or '.join(others)}: these recordings cannot tell)" if others else ""
+    return f"{', '.join(one.joints)}: {clause}{doubt}."
+
+
+def rivals(findings: Mapping[str, Finding], said: Sequence[Said]) -> tuple[Rival, ...]:
+    """What was considered and not named, likeliest first."""
+    taken = {
+        (joint, effect) for one in said for joint in one.joints for effect in one.group.members
+    }
+    found = []
+    for joint, finding in findings.items():
+        effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
+        for effect in effects:
+            p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
+            if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
+                found.append(Rival(effect, joint, p))
+    return tuple(sorted(found, key=lambda r: -r.probability)[:_RIVALS])
+
+
+def _estimates(model: Hypothesis, effect: str, finding: Finding) -> dict[str, Estimate]:
+    if finding.link is not None and finding.link.effect == effect:
+        mean, sd = finding.link.value, finding.link.sd
+        ends = max(mean - _Q95 * sd, 0.0), mean + _Q95 * sd
+        return {named(effect).parameters[0].name: Estimate(mean, sd, *ends)}
+    return estimates(model, effect, finding.step_rad)
+
+
+def estimates(model: Hypothesis, effect: str, step_rad: float | None) -> dict[str, Estimate]:
+    """Parameters of an effect with their spread, by name; empty where the fit has it not."""
+    if step_rad is not None and not named(effect).fitted:
+        return {"step_rad": Estimate(step_rad, 0.0, step_rad, step_rad)}
+    servos = model.fit.servos
+    columns = [COLUMNS[k] for k in servos.columns[0]]
+    total = model.fit.gram[0].sum(axis=0)[1:, 1:]
+    variance = float(model.fit.error2[0] / model.fit.count[0])
+    covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+    found = {}
+    for k, name in enumerate(columns):
+        if not name.startswith(f"{effect}."):
+            continue
+        mean = float(servos.theta[0, servos.columns[0, k]])
+        sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
+        low, high = mean - _Q95 * sd, mean + _Q95 * sd
+        low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
+        found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
+    return found
+
+
+def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+    """Precision-weighted means of what several joints say."""
+    if not found:
+        return {}
+    combined = {}
+    for name in found[0]:
+        means = np.array([entry[name].mean for entry in found])
+        sds = np.array([entry[name].sd for entry in found])
+        weight = 1 / np.maximum(sds, 1e-9 * (np.abs(means) + 1e-12)) ** 2
+        mean = float(np.sum(weight * means) / weight.sum())
+        # Never narrower than the joints' own disagreement.
+        spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
+        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if len(found) > 1 else float(sds[0])
+        low = min(mean, max(mean - _Q95 * sd, min(e[name].q05 for e in found)))
+        high = max(mean, min(mean + _Q95 * sd, max(e[name].q95 for e in found)))
+        combined[name] = Estimate(mean, sd, low, high)
+    return combined
+
+
+def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
+    """Effects of an enriched servo as a model states them."""
+    theta = model.fit.servos.theta[0]
+    listed = [
+        FittedEffect(
+            name,
+            {
+                p.name: float(theta[COLUMNS.index(f"{name}.{p.name}")])
+                for p in named(name).parameters
+            },
+        )
+        for name in sorted(model.members)
+    ]
+    if step_rad is not None:
+        listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
+    return tuple(listed)
+
+
+def mismatch(
+    finding: Finding,
+    joint: str,
+    traces: Sequence[Trace],
+    residual: Array,
+    errors: tuple[float, float],
+) -> Mismatch:
+    """What is said of a joint that differs.
+
+    Args:
+        finding: What was found on the joint.
+        joint: Its name.
+        traces: Its recordings.
+        residual: Simulated minus measured angle of the plain servo in rad, shape (R, T).
+        errors: Root mean square error of the plain servo, and the noise, rad.
+    """
+    rmse, noise = errors
+    when = _when(finding, traces, residual, noise)
+    smooth = finding.unmodelled.smooth
+    return Mismatch(
+        signal=f"{joint}.position_rad",
+        component=joint,
+        rmse=rmse,
+        noise=noise,
+        share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
+        windows_s={t.name: w for t, w in zip(traces, when, strict=True)},
+        where=_where(smooth, when, traces, intermittent=finding.unmodelled.windows is not None),
+        dependence=dependence(smooth, float(finding.best.fit.count[0])),
+    )
+
+
+def dependence(smooth: Smooth, count: float) -> Mapping[str, float]:
+    """Share of the innovations' energy that a smooth function of each state explains."""
+    return {
+        state: float(1 - np.exp(-2 * max(gain, 0.0) / count))
+        for state, gain in sorted(smooth.shares.items(), key=lambda entry: -entry[1])
+    }
+
+
+def _when(
+    finding: Finding, traces: Sequence[Trace], residual: Array, noise: float
+) -> list[tuple[Window, ...]]:
+    without = finding.unmodelled
+    if finding.unknown > DECISION.named and without.windows is not None:
+        return list(without.windows)
+    if finding.unknown > DECISION.named and without.smooth.state == "jump":
+        instants = without.smooth.jumps_s
+        return [((at, float(t.t[-1])),) for at, t in zip(instants, traces, strict=True)]
+    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    everywhere = np.concatenate(rows)
+    spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
+    sd = max(noise, min(spread, DECISION.structured * noise))
+    return [windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True)]
+
+
+def _where(
+    smooth: Smooth,
+    when: Sequence[tuple[Window, ...]],
+    traces: Sequence[Trace],
+    *,
+    intermittent: bool,
+) -> str:
+    best = max(smooth.shares, key=lambda state: smooth.shares[state])
+    telling = smooth.shares[best] > _TELLING
+    words = _WORDS[best] if telling else "in no state in particular"
+    shaded = sum(b - a for w in when for a, b in w)
+    if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
+        return f"throughout: {words}" if telling else "throughout"
+    if intermittent and any(when):
+        segments = [
+            f"{a:.1f} to {b:.1f} s of {t.name}"
+            for t, w in zip(traces, when, strict=True)
+            for a, b in w
+        ]
+        more = f" and {len(segments) - 3} more" if len(segments) > 3 else ""
+        return f"in segments: {', '.join(segments[:3])}{more}"
+    return words

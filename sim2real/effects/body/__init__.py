@@ -1,0 +1,1 @@
+"""Effects of the body in the water: one file each."""

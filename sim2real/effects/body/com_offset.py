@@ -1,0 +1,31 @@
+"""The centre of mass is not where the file says, forwards and to the left.
+
+Where all links' centres of mass are, forwards and to the left of where the file says.
+
+Taken for: a marker that is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.com -= p["x_m"]
+    robot.side += p["y_m"]
+
+
+EFFECT = BodyEffect(
+    name="com_offset",
+    plain="a centre of mass that is off",
+    title="the centre of mass is not where the file says, forwards and to the left",
+    parameters=(
+        BodyParameter("x_m", "m", 0.01, -0.1, 0.1),
+        BodyParameter("y_m", "m", 0.005, -0.05, 0.05),
+    ),
+    act=act,
+    order=11,
+)

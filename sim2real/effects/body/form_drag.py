@@ -1,0 +1,27 @@
+"""The body's shape resists more than thought, with the square of the speed.
+
+``force = -rho / 2 coefficient area u^2`` along the head; the largest cross-section.
+
+Taken for: surface friction, which grows alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.resist[0, 1] += 0.5 * robot.water_kg_m3 * robot.frontal_m2 * p["coefficient"]
+
+
+EFFECT = BodyEffect(
+    name="form_drag",
+    plain="drag of the body's shape",
+    title="the body's shape resists more than thought, with the square of the speed",
+    parameters=(BodyParameter("coefficient", "", 0.1, -1.0, 3.0),),
+    act=act,
+    order=6,
+)

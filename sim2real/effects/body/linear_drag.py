@@ -1,0 +1,27 @@
+"""Resistance that grows with the speed of the body.
+
+``force = -coefficient v``, shared by the links according to their lengths.
+
+Taken for: drag of shape or surface; slow and fast swims tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()
+
+
+EFFECT = BodyEffect(
+    name="linear_drag",
+    plain="drag that grows with speed",
+    title="resistance that grows with the speed of the body",
+    parameters=(BodyParameter("coefficient", "N s/m", 0.3, -5.0, 20.0),),
+    act=act,
+    order=4,
+)

@@ -1,0 +1,27 @@
+"""The skin pulls neighbouring joints to the same angle.
+
+``torque = stiffness (q_before + q_after - 2 q)`` at each joint.
+
+Taken for: elasticity; moving one joint alone tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.coupling += p["stiffness_Nm_per_rad"]
+
+
+EFFECT = BodyEffect(
+    name="skin_coupling",
+    plain="a skin that ties neighbouring joints together",
+    title="the skin pulls neighbouring joints to the same angle",
+    parameters=(BodyParameter("stiffness_Nm_per_rad", "N m/rad", 0.2, 0.0, 5.0),),
+    act=act,
+    order=3,
+)

@@ -1,0 +1,27 @@
+"""The skin over the joints resists their motion.
+
+``torque = -damping q'`` at each joint.
+
+Taken for: the servo's damping; a bench with and without the skin tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.skin[:, 1] += p["damping_Nms_per_rad"]
+
+
+EFFECT = BodyEffect(
+    name="skin_damping",
+    plain="a skin that damps",
+    title="the skin over the joints resists their motion",
+    parameters=(BodyParameter("damping_Nms_per_rad", "N m s/rad", 0.03, 0.0, 2.0),),
+    act=act,
+    order=1,
+)

@@ -1,0 +1,27 @@
+"""The skin over the joints is a spring that pulls them straight.
+
+``torque = -stiffness q`` at each joint.
+
+Taken for: a weaker servo; swims with the torque off tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+
+
+def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
+    """Add it to what acts on the robot."""
+    robot.skin[:, 0] += p["stiffness_Nm_per_rad"]
+
+
+EFFECT = BodyEffect(
+    name="skin_elasticity",
+    plain="a skin that springs back",
+    title="the skin over the joints is a spring that pulls them straight",
+    parameters=(BodyParameter("stiffness_Nm_per_rad", "N m/rad", 0.3, 0.0, 10.0),),
+    act=act,
+    order=0,
+)

@@ -1,0 +1,1 @@
+"""Effects of the camera above the pool: one file each."""

@@ -1,0 +1,27 @@
+"""The camera's poses are late.
+
+``pose(t) = true pose(t - latency)``.
+
+Taken for: the servos' latency, where no angles are recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect, late
+
+
+def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
+    """Poses as the camera gives them."""
+    return late(t, pose, p["latency_s"])
+
+
+EFFECT = CameraEffect(
+    name="camera_latency",
+    plain="a camera that sees late",
+    title="the camera's poses are late",
+    parameters=(BodyParameter("latency_s", "s", 0.05, -0.05, 0.5),),
+    see=see,
+    order=1,
+)

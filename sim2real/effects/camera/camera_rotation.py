@@ -1,0 +1,31 @@
+"""The camera's axes are turned against the pool's, but not its headings.
+
+Positions turned by ``angle_rad`` about the pool's origin; headings stay.
+
+Taken for: a current across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+
+
+def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
+    """Poses as the camera gives them."""
+    c, s = np.cos(p["angle_rad"]), np.sin(p["angle_rad"])
+    x, y, heading = pose.T
+    return np.stack([c * x - s * y, s * x + c * y, heading], axis=1)
+
+
+EFFECT = CameraEffect(
+    name="camera_rotation",
+    plain="a camera that is turned",
+    title="the camera's axes are turned against the pool's, but not its headings",
+    parameters=(BodyParameter("angle_rad", "rad", 0.03, -0.8, 0.8),),
+    see=see,
+    order=4,
+)

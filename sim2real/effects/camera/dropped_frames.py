@@ -1,0 +1,31 @@
+"""Some frames are lost and the last pose is repeated.
+
+Lost frames repeat the last pose: on average the poses are late by p / (1 - p) frames, which is
+what is applied, so that the result is a smooth function of p.
+
+Taken for: latency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect, late
+
+
+def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
+    """Poses as the camera gives them."""
+    lost = min(p["probability"], 0.9)
+    return late(t, pose, float(np.median(np.diff(t))) * lost / (1 - lost))
+
+
+EFFECT = CameraEffect(
+    name="dropped_frames",
+    plain="lost camera frames",
+    title="some frames are lost and the last pose is repeated",
+    parameters=(BodyParameter("probability", "", 0.05, 0.0, 0.4),),
+    see=see,
+    order=2,
+)

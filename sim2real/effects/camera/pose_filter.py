@@ -1,0 +1,34 @@
+"""The poses are smoothed by a first-order low-pass.
+
+``time_constant p' + p = true p``.
+
+Taken for: latency, which it resembles at low frequencies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+
+from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+
+
+def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
+    """Poses as the camera gives them."""
+    if p["time_constant_s"] <= 0:
+        return pose
+    kept = float(np.exp(-float(np.median(np.diff(t))) / p["time_constant_s"]))
+    smooth = lfilter([1 - kept], [1, -kept], pose - pose[0], axis=0)
+    return np.asarray(pose[0] + smooth)
+
+
+EFFECT = CameraEffect(
+    name="pose_filter",
+    plain="a filter on the camera's poses",
+    title="the poses are smoothed by a first-order low-pass",
+    parameters=(BodyParameter("time_constant_s", "s", 0.05, 0.0, 1.0),),
+    see=see,
+    order=3,
+)

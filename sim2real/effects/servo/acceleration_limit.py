@@ -1,0 +1,58 @@
+"""Acceleration limit: the set-point inside the servo speeds up and slows down evenly.
+
+The profile of least time: full acceleration until braking just stops on the set-point, which at
+distance d and speed w is for another ``(sqrt(w^2 / 2 + limit d) - w) / limit`` seconds, then full
+braking. Exact over a sub-step.
+
+Leaves rounded ramps. Taken for: command filter; steps of several sizes tell, as the time grows with
+the root of the step.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import LIMITS, Effect, Parameter
+
+
+@wp.func
+def brake(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Set-point in force in rad."""
+    if z[s + 2] == wp.float64(0.0):
+        z[s] = x
+        z[s + 2] = wp.float64(1.0)
+    limit = p[c]
+    before = z[s]
+    towards = wp.sign(x - before)
+    away = wp.abs(x - before)
+    speed = towards * z[s + 1]
+    until_brake = (wp.sqrt(wp.float64(0.5) * speed * speed + limit * away) - speed) / limit
+    faster = wp.clamp(until_brake, wp.float64(0.0), h)
+    top = speed + limit * faster
+    slower = wp.clamp(top / limit, wp.float64(0.0), h - faster)
+    after = top - limit * slower
+    moved = wp.float64(0.5) * ((speed + top) * faster + (top + after) * slower)
+    z[s] = before + towards * moved
+    z[s + 1] = towards * after
+    return wp.float64(0.5) * (before + z[s])  # its mean over the sub-step
+
+
+EFFECT = Effect(
+    name="acceleration_limit",
+    plain="limited acceleration of the set-point",
+    says="the servo's own profile speeds its set-point up by no more than {limit_rad_s2}",
+    site="command",
+    term=brake,
+    parameters=(Parameter("limit_rad_s2", low=0.6, high=10000.0, typical=60.0, starts=LIMITS),),
+    memory=3,
+    order=1,
+)

@@ -1,0 +1,43 @@
+"""Asymmetric friction: dry friction that differs between the two directions.
+
+``bound = torque (1 + asymmetry sgn v)``; ``asymmetry`` is half the relative difference. Worn screws
+and preloaded gears do this: on the EMPS drive it is the best-known missing term.
+
+Leaves a square wave with an offset. Taken for: Coulomb friction together with a sensor offset or a
+gravity load.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def bound(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Largest friction torque in N m."""
+    return x + p[c] * (wp.float64(1.0) + p[c + 1] * wp.sign(v))
+
+
+EFFECT = Effect(
+    name="asymmetric_friction",
+    plain="friction that differs by direction",
+    says="dry friction of {torque_Nm} holds the shaft, {asymmetry} more one way than on average",
+    site="friction",
+    term=bound,
+    parameters=(
+        Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
+        Parameter("asymmetry", low=-1.0, high=1.0, typical=0.3, starts=(-2.0, 2.0)),
+    ),
+    family="dry friction",
+)

@@ -1,0 +1,48 @@
+"""Cogging: a torque that repeats with the angle, from magnets, teeth or an eccentric gear.
+
+``torque = torque_Nm sin(2 pi q / period + phase)``.
+
+Leaves a ripple with position, the same in both directions. Taken for: gear ripple of the sensor.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def ripple(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque on the shaft in N m."""
+    if p[c + 1] == wp.float64(0.0):
+        return x
+    return x + p[c] * wp.sin(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
+
+
+_PERIODS = tuple(5.0 / (0.75 + 0.3 * k) for k in range(65))
+"""From one bump in 1.3 rad to twenty in one."""
+_PHASES = (0.0, 2.0944, -2.0944)
+
+EFFECT = Effect(
+    name="cogging",
+    plain="a torque that repeats with the angle",
+    says="a torque of {torque_Nm} repeats every {period_rad}",
+    site="load",
+    term=ripple,
+    parameters=(
+        Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05, starts=(0.3,)),
+        Parameter("period_rad", low=0.002, high=1.6, typical=0.2, starts=_PERIODS),
+        Parameter("phase_rad", low=-3.15, high=3.15, typical=1.0, starts=_PHASES),
+    ),
+    everywhere=True,
+)

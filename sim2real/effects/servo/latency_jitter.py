@@ -1,0 +1,43 @@
+"""Latency jitter: each set-point is late by a different time.
+
+Uniform within ``halfwidth_s`` of the latency, drawn anew for each set-point; none overtakes the one
+before it.
+
+Leaves noise in proportion to speed. Taken for: sensor noise; regress its square on the speed's.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def scatter(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Time at which a set-point takes effect in s."""
+    number = wp.float64(wp.randf(wp.rand_init(c, int(q))))
+    return x + p[c] * (wp.float64(2.0) * number - wp.float64(1.0))
+
+
+EFFECT = Effect(
+    name="latency_jitter",
+    plain="set-points that arrive unevenly",
+    says="set-points arrive unevenly, up to {halfwidth_s} early or late",
+    site="arrival",
+    term=scatter,
+    parameters=(Parameter("halfwidth_s", low=0.0, high=0.1, typical=0.01),),
+    component="link",
+    order=1,
+    fitted=False,
+    mimics=("rate_limit", "torque_saturation"),
+)

@@ -1,0 +1,43 @@
+"""Packet loss: some set-points never arrive; the one before stays in force.
+
+Each is lost with ``probability``, independently.
+
+Leaves isolated spikes in proportion to the change of the set-point. Taken for: latency jitter,
+which is never longer than its width.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def lose(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Time at which a set-point takes effect in s; infinite if it is lost."""
+    if wp.float64(wp.randf(wp.rand_init(c, int(q)))) < p[c]:
+        return wp.float64(wp.inf)
+    return x
+
+
+EFFECT = Effect(
+    name="packet_loss",
+    plain="lost set-points",
+    says="{probability} of the set-points never arrive",
+    site="arrival",
+    term=lose,
+    parameters=(Parameter("probability", low=0.0, high=1.0, typical=0.05),),
+    component="link",
+    order=2,
+    fitted=False,
+)

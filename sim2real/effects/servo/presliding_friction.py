@@ -1,0 +1,49 @@
+"""Presliding friction: dry friction that is a spring before it slips.
+
+A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, holds with
+``-stiffness z``: Dahl's model with exponent 1 (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky,
+European Journal of Control 4 (1998) 176-195), integrated exactly over a sub-step.
+
+Leaves spring-like loops within a degree of each reversal. Taken for: Coulomb friction, compliance;
+small sines tell, by their minor loops.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def bristle(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque on the shaft in N m."""
+    if p[c] == wp.float64(0.0):
+        return x
+    slip = wp.sign(v) * p[c] / p[c + 1]
+    z[s] = slip + (z[s] - slip) * wp.exp(-wp.abs(v) * h * p[c + 1] / p[c])
+    return x - p[c + 1] * z[s]
+
+
+EFFECT = Effect(
+    name="presliding_friction",
+    plain="dry friction that is springy before it slips",
+    says="dry friction of {torque_Nm} is a spring of {stiffness_Nm_per_rad} until it slips",
+    site="load",
+    term=bristle,
+    parameters=(
+        Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
+        Parameter("stiffness_Nm_per_rad", low=0.1, high=200.0, typical=10.0),
+    ),
+    memory=1,
+    family="dry friction",
+)

@@ -1,0 +1,45 @@
+"""Rate limit: the set-point inside the servo moves no faster than ``limit_rad_s``.
+
+A profile generator of constant speed, as behind the time field of bus servos.
+
+Leaves straight ramps after steps, their length in proportion to the step. Taken for: torque
+saturation, voltage sag; another supply or inertia tells, as neither changes the ramp.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import LIMITS, Effect, Parameter
+
+
+@wp.func
+def ramp(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Set-point in force in rad."""
+    if z[s + 1] == wp.float64(0.0):
+        z[s] = x
+        z[s + 1] = wp.float64(1.0)
+    most = p[c] * h
+    move = wp.clamp(x - z[s], -most, most)
+    z[s] += move
+    return z[s] - wp.float64(0.5) * move  # its mean over the sub-step
+
+
+EFFECT = Effect(
+    name="rate_limit",
+    plain="limited speed of the set-point",
+    says="the servo's own profile moves its set-point no faster than {limit_rad_s}",
+    site="command",
+    term=ramp,
+    parameters=(Parameter("limit_rad_s", low=0.03, high=500.0, typical=3.0, starts=LIMITS),),
+    memory=2,
+)

@@ -1,0 +1,41 @@
+"""Torque saturation: the motor gives less than its data sheet says, ``limit_Nm`` either way.
+
+``torque = clip(torque, -limit, limit)``: a limit of firmware or current, at any speed. The line of
+torque over speed, which no motor exceeds, is part of the servo's law (``servo.motor``); this effect
+is a limit below it.
+
+Leaves an acceleration that stays level after large steps. Taken for: rate limit, voltage sag; added
+inertia tells, as it makes this one worse and not the rate limit.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import LIMITS, Effect, Parameter
+
+
+@wp.func
+def clip(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque that the motor makes in N m."""
+    return wp.clamp(x, -p[c], p[c])
+
+
+EFFECT = Effect(
+    name="torque_saturation",
+    plain="a torque limit below the data sheet's",
+    says="the motor gives no more than {limit_Nm}",
+    site="motor",
+    term=clip,
+    parameters=(Parameter("limit_Nm", low=0.005, high=20.0, typical=0.5, starts=LIMITS),),
+    order=2,
+)

@@ -1,0 +1,41 @@
+"""Unmodelled inertia: rotor, gears or arm that the stated load left out.
+
+A rotor behind gears of ratio n adds n squared times its own inertia to the shaft, often as much as
+the load itself (any text on drives).
+
+Leaves error in proportion to acceleration. Taken for: latency, tens of milliseconds of it; a
+pendulum tells, as its weight is known.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def rotor(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Inertia on the shaft in kg m2."""
+    return x + p[c]
+
+
+EFFECT = Effect(
+    name="unmodelled_inertia",
+    plain="inertia that the loads leave out",
+    says="the loads leave out {inertia_kgm2} of inertia, such as the rotor's and the arm's",
+    site="inertia",
+    term=rotor,
+    parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),
+    either_sign=True,
+    load="inertia_kgm2",
+)

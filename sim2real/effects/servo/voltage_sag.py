@@ -1,0 +1,45 @@
+"""Voltage sag: the supply gives way under load, and the torque with it.
+
+What the controller asks scales with the voltage, the damping by back-EMF does not:
+``torque = kp error (1 - loss |torque| / full) - kd v``, full load being what an error of half a
+radian asks (the circuit of a DC motor behind a bridge; any text on motors).
+
+Leaves gain that falls with load. Taken for: torque saturation, load friction; moving another joint
+tells, if they share the supply.
+"""
+
+import warp as wp
+
+from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def sag(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque that the motor makes in N m."""
+    full = wp.max(wp.float64(0.5) * p[0], wp.float64(1e-12))
+    left = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
+    return (x + p[1] * v) * left - p[1] * v
+
+
+EFFECT = Effect(
+    name="voltage_sag",
+    plain="a supply that sags under load",
+    says="the supply sags under load, which costs {loss_at_full_load} of the torque at full load",
+    site="motor",
+    term=sag,
+    parameters=(Parameter("loss_at_full_load", low=0.0, high=0.9, typical=0.2),),
+    component="supply",
+    order=1,
+    mimics=("torque_saturation",),
+)

@@ -1,0 +1,59 @@
+"""What a fit is worth: likelihoods at their best, Laplace's evidence, probabilities of rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def profile_loglikelihood(error2: Array, count: Array) -> Array:
+    """-n/2 log(error2 / n): that of normal errors, their variance at its best, up to 1."""
+    return np.asarray(-0.5 * count * np.log(np.maximum(error2, 1e-300) / np.maximum(count, 1)))
+
+
+def occam_factor(information: Array, prior_sd: float, nuisance: int = 0) -> Array:
+    """What parameters cost that the likelihood alone does not count, shape (N,).
+
+    1/2 log det(1 + prior variance x information), the information being what the nuisance
+    parameters leave of it. Source: MacKay, Information Theory, Inference, and Learning Algorithms
+    (Cambridge, 2003), ch. 28.
+
+    Args:
+        information: Second derivatives of minus the log-likelihood, in natural units, shape
+            (N, F, F).
+        prior_sd: Prior standard deviation of each parameter in natural units.
+        nuisance: The first so many are in every model alike, and cost nothing.
+    """
+    base, normal = information[:, :nuisance, :nuisance], information[:, nuisance:, nuisance:]
+    if not normal.shape[1]:
+        return np.zeros(len(information))
+    across = information[:, :nuisance, nuisance:]
+    inverse = np.linalg.pinv(base, rcond=1e-10, hermitian=True)
+    left = normal - np.einsum("nfa,nfg,ngb->nab", across, inverse, across)
+    matrix = np.eye(left.shape[1]) + prior_sd**2 * left
+    return np.asarray(0.5 * np.linalg.slogdet(matrix)[1])
+
+
+def log_evidence(loss: float, curvature: Array, covariance: Array) -> float:
+    """Laplace's, up to a constant that models of the same data share (MacKay (2003), ch. 28).
+
+    Args:
+        loss: Minus log-likelihood and log-prior at the best, without their constants.
+        curvature: Its second derivatives, the prior's included, shape (F, F).
+        covariance: Of the normal prior, shape (F, F).
+    """
+    size = np.linalg.slogdet(curvature)[1] + np.linalg.slogdet(covariance)[1]
+    return -loss - 0.5 * float(size)
+
+
+def chance_gain(parameters: int, count: float) -> float:
+    """Log-likelihood that parameters gain by chance: Schwarz, Ann. Stat. 6 (1978) 461."""
+    return 0.5 * parameters * float(np.log(count))
+
+
+def probabilities(evidence: Array) -> Array:
+    """Of models that exclude each other, from logarithms (N,) of evidence and prior together."""
+    weight = np.exp(evidence - np.max(evidence))
+    return np.asarray(weight / weight.sum())

@@ -1,0 +1,161 @@
+"""Noise that is correlated in time: samples that count, whitening, autocorrelation times; once.
+
+A residual is whitened by an autoregression, e_k = x_k - a_1 x_(k-1) - ... - a_p x_(k-p), whose
+coefficients are fitted to it. A sample counts where it and the p before it were measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MEMORY_S = 0.5
+"""Time over which the autoregression of the noise reaches back."""
+FEWEST_LAGS, MOST_LAGS = 4, 25
+_WINDOW_TIMES = 5.0
+"""Autocorrelation times over which autocorrelations are summed (Sokal)."""
+
+
+@dataclass(frozen=True)
+class Wander:
+    """The slow part of a sensor's noise: an Ornstein-Uhlenbeck process beside the white part.
+
+    Attributes:
+        time_s: Its time constant.
+        share: Its standard deviation, relative to that of the white part.
+    """
+
+    time_s: float
+    share: float
+
+    def least_gain(self, period_s: float) -> float:
+        """Least gain at frequency 0 of a filter that whitens it.
+
+        Without such a bound an autoregression takes any constant error for noise.
+        """
+        return float(np.sqrt(period_s / (2 * self.time_s)) / self.share)
+
+    def filter(self, period_s: float) -> tuple[list[float], list[float], float]:
+        """The steady-state Kalman filter that whitens it (Anderson and Moore (1979), ch. 4).
+
+        Args:
+            period_s: Time between samples.
+
+        Returns:
+            Numerator and denominator, as ``scipy.signal.lfilter`` takes them, and the variance of
+            what is foretold, in variances of the white part: the root of its Riccati equation.
+        """
+        keep = float(np.exp(-period_s / self.time_s))
+        drive = self.share**2 * (1 - keep**2)
+        half = 0.5 * (drive - 1 + keep**2)
+        spread = half + float(np.sqrt(half**2 + drive))
+        gain = spread / (spread + 1)
+        return [1.0, -keep], [1.0, -keep * (1 - gain)], spread
+
+
+WANDER = Wander(4.0, 2.5)
+"""Slowest and largest wander that a servo's sensor may have."""
+
+
+def lags(period_s: float) -> int:
+    """Coefficients of the autoregression at this time between samples."""
+    return int(np.clip(round(MEMORY_S / period_s), FEWEST_LAGS, MOST_LAGS))
+
+
+def counting(used: Mask, order: int) -> Mask:
+    """Samples that are used, as are the ``order`` before them, shape (T,)."""
+    missing = np.cumsum(np.concatenate([np.zeros(order + 1), ~used]))
+    whole = missing[order + 1 :] == missing[: -order - 1]
+    whole[:order] = False
+    return np.asarray(whole)
+
+
+def lag_products(residual: Array, counts: Mask, order: int) -> Array:
+    """Sums of products of a residual (T,) at two lags over samples that count: (p + 1, p + 1)."""
+    lagged = np.stack([np.roll(residual, k) for k in range(order + 1)], axis=1)[counts]
+    return np.asarray(lagged.T @ lagged)
+
+
+def autoregression(products: Array, least_gain: float = 0.0) -> Array:
+    """Coefficients by least squares, in which the residuals of N fits are whitest.
+
+    Args:
+        products: Lag products of each, shape (N, p + 1, p + 1).
+        least_gain: They add up to at most 1 less this, the whitening filter's gain at frequency 0;
+            any sum where 0 or less.
+
+    Returns:
+        Shape (N, p).
+    """
+    past, now = products[:, 1:, 1:].copy(), products[:, 1:, 0]
+    size = np.einsum("nii->n", past) / past.shape[1]
+    past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
+    free, ones = np.moveaxis(
+        np.linalg.solve(past, np.stack([now, np.ones_like(now)], axis=2)), 2, 0
+    )
+    excess = np.maximum(free.sum(axis=1) - (1 - least_gain), 0.0)
+    return np.ascontiguousarray(free - (excess / ones.sum(axis=1))[:, None] * ones)
+
+
+def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
+    """Innovations of ``values`` along an axis; the first p are those of a series that was 0."""
+    return np.asarray(lfilter(np.concatenate([[1.0], -coefficients]), [1.0], values, axis=axis))
+
+
+def autocorrelation_times(series: Array) -> Array:
+    """Integrated autocorrelation times in samples, at least 1; the length of a series without one.
+
+    That of emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
+
+    Args:
+        series: Shape (T,), or (T, walkers, F).
+
+    Returns:
+        Shape (F,).
+    """
+    from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        times = np.asarray(integrated_time(series, c=_WINDOW_TIMES, quiet=True, tol=0))
+    return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
+
+
+def correlation_samples(error: Array) -> float:
+    """Autocorrelation time of one residual in samples: 1 for a white one, a quarter at most."""
+    n = error.size
+    if n < 8 or not np.ptp(error):
+        return 1.0
+    return float(np.clip(autocorrelation_times(error)[0], 1.0, n / 4))
+
+
+def whiteness(errors: Sequence[Array]) -> float:
+    """Lag-1 autocorrelation of residuals: 0 for white ones."""
+    pairs = [(e[1:], e[:-1]) for e in errors if e.size > 2]
+    power = sum(float(np.sum(e**2)) for e in errors)
+    return sum(float(np.sum(a * b)) for a, b in pairs) / power if power > 0 else 0.0
+
+
+def bandwidth(samples: int, time: float) -> int:
+    """Lags that a long-run covariance spans: three correlation times, at most a quarter."""
+    least = 4 * (samples / 100) ** (2 / 9)
+    return int(np.clip(np.ceil(max(3 * time, least)), 1, max(samples // 4, 1)))
+
+
+def long_run(score: Array, span: int) -> Array:
+    """Sum of lagged products of ``score`` (n, F) with Bartlett weights 1 - k / span, shape (F, F).
+
+    Computed as the mean square of sums over all windows of ``span`` samples, which is the same.
+    Source: Newey and West, Econometrica 55 (1987) 703-708.
+    """
+    padded = np.zeros((score.shape[0] + 2 * span, score.shape[1]))
+    padded[span:-span] = score
+    sums = np.cumsum(padded, axis=0)
+    windows = sums[span:] - sums[:-span]
+    return np.asarray(windows.T @ windows / span)

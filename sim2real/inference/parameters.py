@@ -1,0 +1,166 @@
+"""What a parameter is, for servos, effects, bodies, water and cameras alike; priors of several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_UNITS = (
+    ("_rad_per_Nm", "rad/(N m)"),
+    ("_Nm_per_rad_s", "N m/(rad s)"),
+    ("_Nms_per_rad", "N m s/rad"),
+    ("_Nm_per_rad", "N m/rad"),
+    ("_N_per_m", "N/m"),
+    ("_Nms2", "N m s²"),
+    ("_Nm", "N m"),
+    ("_kgm2", "kg m²"),
+    ("_m2_s", "m²/s"),
+    ("_m_s", "m/s"),
+    ("_rad_s2", "rad/s²"),
+    ("_rad_s", "rad/s"),
+    ("_rad", "rad"),
+    ("s_per_s", "s/s"),
+    ("_per_min", "1/min"),
+    ("_s", "s"),
+    ("_m", "m"),
+)
+_INSIDE = 1e-4
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that recordings may tell.
+
+    Attributes:
+        name: Its fixed name, the unit at its end.
+        low: Smallest value that means anything.
+        high: Largest value that means anything.
+        typical: A size that matters: the natural unit of a fit, whose steps are shares of it.
+        nominal: What a model without better knowledge has; 0 where an effect is absent.
+        prior_sd: Standard deviation of its normal prior about ``nominal``; infinite where any value
+            within the bounds is as likely as another.
+        log: Whether it is its logarithm that is as likely anywhere; ``low`` is above 0 then.
+        shared: Whether one value holds in all recordings, or each has its own.
+        unit: Its unit, SI; by the ending of the name where empty.
+    """
+
+    name: str
+    low: float
+    high: float
+    typical: float
+    nominal: float = 0.0
+    prior_sd: float = np.inf
+    log: bool = False
+    shared: bool = True
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Read the unit off the name."""
+        if not self.unit:
+            object.__setattr__(self, "unit", unit_of(self.name))
+
+    def __str__(self) -> str:
+        """Its prior in words."""
+        if np.isfinite(self.prior_sd):
+            return f"normal {self.nominal:.4g} ± {self.prior_sd:.4g} {self.unit}".rstrip()
+        kind = "log-uniform" if self.log else "uniform"
+        return f"{kind} {self.low:.4g} to {self.high:.4g} {self.unit}".rstrip()
+
+
+def unit_of(name: str) -> str:
+    """Unit of a parameter, from the ending of its name; empty for a pure number."""
+    return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
+
+
+def column(parameters: Sequence[Parameter], field: str) -> Array:
+    """One field of each of F parameters, shape (F,)."""
+    return np.array([getattr(p, field) for p in parameters], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Independent priors of F parameters that are bounded, in unbounded coordinates.
+
+    A value becomes a coordinate by the logit of its place between the limits, which is any real
+    number: z = log(s / (1 - s)), where s is the share of the way (of the logarithm) from ``low``.
+    """
+
+    each: Sequence[Parameter]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(parameter.name for parameter in self.each)
+
+    @property
+    def _ends(self) -> tuple[Array, Array, NDArray[np.bool_]]:
+        log = np.array([p.log for p in self.each])
+        ends = np.array([[p.low, p.high] for p in self.each])
+        scaled = np.where(log[:, None], np.log(np.where(log[:, None], ends, 1.0)), ends)
+        return scaled[:, 0], scaled[:, 1], log
+
+    def values(self, z: Array) -> Array:
+        """Values of the parameters at coordinates ``z`` (..., F)."""
+        low, high, log = self._ends
+        scaled = low + (high - low) * _share(z)
+        return np.where(log, np.exp(np.where(log, scaled, 0.0)), scaled)
+
+    def coordinates(self, values: Array) -> Array:
+        """Coordinates of ``values`` (..., F); those at or beyond a limit are taken just inside."""
+        low, high, log = self._ends
+        scaled = np.where(log, np.log(np.maximum(np.where(log, values, 1.0), 1e-300)), values)
+        share = np.clip((scaled - low) / (high - low), _INSIDE, 1 - _INSIDE)
+        return np.asarray(np.log(share) - np.log1p(-share))
+
+    def slope(self, z: Array) -> Array:
+        """Derivative of each value by its coordinate at ``z`` (..., F)."""
+        low, high, log = self._ends
+        share = _share(z)
+        steep = (high - low) * share * (1 - share)
+        return np.where(log, steep * self.values(z), steep)
+
+    def curvature(self, z: Array) -> Array:
+        """Minus the second derivative of ``log_density`` by each coordinate ``z`` (..., F)."""
+        share = _share(z)
+        return np.asarray(2 * share * (1 - share))
+
+    def log_density(self, z: Array) -> Array:
+        """Log-density of the coordinates ``z`` (..., F), shape (...): a logistic one each."""
+        return np.asarray(-(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z)).sum(axis=-1))
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Values drawn from the priors, shape (count, F)."""
+        share = rng.random((count, len(self.each)))
+        return self.values(np.log(share) - np.log1p(-share))
+
+
+def _share(z: Array) -> Array:
+    return np.asarray(0.5 * (1 + np.tanh(0.5 * z)))
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A normal distribution of F parameters, as a prior or as what a fit found.
+
+    Attributes:
+        mean: Shape (F,).
+        covariance: Shape (F, F).
+    """
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> Gaussian:
+        """The independent priors that the parameters state."""
+        return cls(column(parameters, "nominal"), np.diag(column(parameters, "prior_sd") ** 2))
+
+    @property
+    def root(self) -> Array:
+        """A matrix W (F, F) with W.T @ W the inverse of the covariance."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))

@@ -1,0 +1,279 @@
+"""The servo linearised about its own motion: from torques and set-points to the angle, and back.
+
+I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about the mean set-point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter, savgol_coeffs, savgol_filter
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+EARLIEST_S = 0.04
+"""Most that a set-point's response is followed ahead of the latency."""
+_SETTLED, _LONGEST = 0.003, 80
+"""Share of a response that may be left where it is cut off, and the most samples until then."""
+_LEAST_RATE, _APART = 0.1, 0.03
+Filter = tuple[Array, Array]
+"""Numerator and denominator of a digital filter, as ``scipy.signal.lfilter`` takes them."""
+WINDOW_S, ORDER = 0.18, 3
+"""Length and order of the local polynomials that smooth."""
+
+
+def torque_filter(inertia: float, kd: float, stiffness: float, step_s: float) -> Filter:
+    """Filter from torque in N m to angle in rad, 1 / (I s2 + kd s + stiffness).
+
+    By the bilinear transform: Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed. (Pearson
+    2010), section 7.2.2.
+
+    Args:
+        inertia: kg m2.
+        kd: N m s/rad.
+        stiffness: Of the gain and the weight together, N m/rad.
+        step_s: Time between samples.
+    """
+    c = 2 / step_s
+    a = np.array(
+        [
+            inertia * c**2 + kd * c + stiffness,
+            2 * stiffness - 2 * inertia * c**2,
+            inertia * c**2 - kd * c + stiffness,
+        ]
+    )
+    return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
+
+
+def through(torque: Array, given: Filter) -> Array:
+    """Angles in rad of torques in N m, shape (T, ...), from rest."""
+    return np.asarray(lfilter(*given, torque, axis=0))
+
+
+def gain_torques(t: Array, command: Array, angle: Array, servo: tuple[float, float]) -> Array:
+    """Torques by which kp, kd and latency move the angle, shape (T, 3).
+
+    Args:
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,).
+        angle: Angles in rad, shape (T,).
+        servo: kp in N m/rad and latency in s.
+    """
+    kp, latency = servo
+    seen = np.interp(t - latency, t, command)
+    speed = np.gradient(angle, t)
+    return np.stack([seen - angle, speed, kp * np.gradient(seen, t)], axis=1)
+
+
+def residual_torque(
+    t: Array, residual: Array, servo: tuple[float, float, float], noise_rad: float
+) -> tuple[Array, Array]:
+    """Torque to add to the model so that it follows the measurement, and its standard deviation.
+
+    ``-(inertia r'' + kd r' + stiffness r)``, r smoothed by local polynomials: Savitzky, Golay,
+    Analytical Chemistry 36 (1964) 1627-1639.
+
+    Args:
+        t: Times in s, shape (T,).
+        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
+        servo: Inertia in kg m2, kd in N m s/rad, and stiffness (kp and the weight's) in N m/rad.
+        noise_rad: Standard deviation of the measurement noise.
+
+    Returns:
+        Torque in N m, shape (T,), and its standard deviation, shape (T,).
+    """
+    step = float(np.median(np.diff(t)))
+    length = _length(step, t.size)
+    grid = t[0] + step * np.arange(int(round((t[-1] - t[0]) / step)) + 1)
+    known = np.isfinite(residual)
+    even = np.interp(grid, t[known], residual[known])
+    torque: Array = np.zeros(grid.size)
+    taps: Array = np.zeros(length)
+    for order, weight in zip((2, 1, 0), servo, strict=True):
+        torque -= weight * savgol_filter(even, length, ORDER, deriv=order, delta=step)
+        taps += weight * savgol_coeffs(length, ORDER, deriv=order, delta=step)
+    sd = noise_rad * float(np.sqrt(np.sum(taps**2)))
+    return np.interp(t, grid, torque), np.full(t.size, sd)
+
+
+def smooth_speed(t: Array, position: Array) -> Array:
+    """Speed in rad/s by local polynomials, shape (T,), of angles with NaN where missing."""
+    return _smoothed(t, position, 1)
+
+
+def smooth(t: Array, position: Array) -> Array:
+    """Angles in rad by local polynomials, shape (T,), of angles with NaN where missing."""
+    return _smoothed(t, position, 0)
+
+
+def _smoothed(t: Array, position: Array, derivative: int) -> Array:
+    step = float(np.median(np.diff(t)))
+    known = np.isfinite(position)
+    even = np.interp(t, t[known], position[known])
+    length = _length(step, t.size)
+    return np.asarray(savgol_filter(even, length, ORDER, deriv=derivative, delta=step))
+
+
+def _length(step: float, samples: int) -> int:
+    half = max(2, round(WINDOW_S / step / 2))
+    return int(min(2 * half + 1, samples - 1 + samples % 2))
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What the fit of a servo leaves of one joint in one recording.
+
+    Attributes:
+        t: Times in s, shape (T,), increasing.
+        command: Set-points in rad, sent at ``t``, shape (T,).
+        used: Samples that may be seen, shape (T,).
+        residual: Simulated minus measured angle in rad, shape (T,); anything where not used.
+        kp: Fitted proportional gain in N m/rad.
+        kd: Fitted derivative gain in N m s/rad.
+        latency_s: Fitted latency.
+        inertia_kgm2: Inertia on the shaft.
+        gravity_Nm: Torque of the load's weight when held level.
+    """
+
+    t: Array
+    command: Array
+    used: Mask
+    residual: Array
+    kp: float
+    kd: float
+    latency_s: float
+    inertia_kgm2: float
+    gravity_Nm: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Modes:
+    """A second-order system, gain / ((s - fast) (s - slow)), its poles kept a little apart."""
+
+    fast: complex
+    slow: complex
+    gain: float
+
+    def impulse(self, x: Array) -> Array:
+        """Response to an impulse ``x`` s ago, 0 before it."""
+        _, a, b = self._decays(x)
+        return np.asarray(self.gain * ((a - b) / (self.fast - self.slow)).real)
+
+    def step(self, x: Array) -> Array:
+        """Response to a step ``x`` s ago: the integral of ``impulse``."""
+        p, r = self.fast, self.slow
+        _, a, b = self._decays(x)
+        return np.asarray(self.gain * ((1 + (r * a - p * b) / (p - r)) / (p * r)).real)
+
+    def twice(self, x: Array) -> tuple[Array, Array]:
+        """Inverse Laplace transform of 1 / ((s - fast) (s - slow))2 at ``x``, and its derivative.
+
+        By partial fractions with two double poles.
+        """
+        p, r = self.fast, self.slow
+        y, a, b = self._decays(x)
+        value = y * (a + b) - 2 * (a - b) / (p - r)
+        slope = (a + b) + y * (p * a + r * b) - 2 * (p * a - r * b) / (p - r)
+        size = (p - r) ** 2
+        return np.asarray((value / size).real), np.asarray((slope / size).real * (x > 0))
+
+    def _decays(self, x: Array) -> tuple[Array, Any, Any]:
+        """Positive part of ``x``, and what is left of the fast and the slow mode then."""
+        y = np.maximum(x, 0.0)
+        if self.fast.imag == 0:
+            return y, np.exp(self.fast.real * y), np.exp(self.slow.real * y)
+        a = np.exp(self.fast * y)
+        return y, a, a.conj()
+
+
+@dataclass(frozen=True)
+class SetPoints:
+    """Responses of one angle to its K = T set-points.
+
+    All tables have one row a set-point; column m of row k is sample ``k + first + m``.
+
+    Attributes:
+        first: Samples from a set-point to the first that it can move.
+        late: Simulated minus measured angle per s that a set-point is late, in rad/s, shape (K, W).
+        missing: Simulated minus measured angle per rad by which the set-point in force, from this
+            one to the next, is below the one sent, shape (K, W).
+        change: Set-points minus those before them in rad, shape (K,).
+        refit: Change of the angle in rad with the latency in s and with the logarithms of kd and
+            kp, shape (T, 3).
+        period_s: Usual time between set-points.
+    """
+
+    first: int
+    late: Array
+    missing: Array
+    change: Array
+    refit: Array
+    period_s: float
+    modes: _Modes
+    since: Array
+
+    def late_by(self, delay: Array) -> tuple[Array, Array]:
+        """What delays of any size do: simulated minus measured angle, and its derivative.
+
+        Args:
+            delay: Of each set-point in s, shape (K,).
+
+        Returns:
+            Angles in rad, shape (T,), and a table like ``late``.
+        """
+        change, then = self.change[:, None], self.since - delay[:, None]
+        gap = (self._on_time - self.modes.step(then)) * change
+        return spread(gap, self.first), self.modes.impulse(then) * change
+
+    @cached_property
+    def _on_time(self) -> Array:
+        return self.modes.step(self.since)
+
+
+def spread(rows: Array, first: int) -> Array:
+    """Sum of a table (K, W) over its set-points, by sample, shape (K,)."""
+    K, W = rows.shape
+    total = np.zeros(K + first + W)
+    for m in range(W):
+        total[first + m : first + m + K] += rows[:, m]
+    return total[:K]
+
+
+def set_points(given: Residual) -> SetPoints:
+    """The exact responses at the true times; a late set-point to first order in its delay."""
+    modes, t, K = _modes(given), given.t, given.t.size
+    period = float(np.median(np.diff(t)))
+    change = np.diff(given.command, prepend=given.command[0])
+    arrival = t + given.latency_s
+    seen = arrival <= t[-1]
+    offset = (np.searchsorted(t, arrival) - np.arange(K))[seen]
+    first = int(offset.min()) if offset.size else 0
+    first -= min(first, int(np.ceil(EARLIEST_S / period)))
+    rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)
+    lasting = -np.log(_SETTLED) / rate + period + EARLIEST_S
+    W = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
+    sample = np.arange(K)[:, None] + first + np.arange(W)
+    since = np.where(sample < K, t[np.minimum(sample, K - 1)] - arrival[:, None], -1.0)
+    slot = np.append(np.diff(t), period)[:, None]
+    late = modes.impulse(since) * change[:, None]
+    missing = modes.step(since) - modes.step(since - slot)
+    inertia, kp, kd = given.inertia_kgm2, given.kp, given.kd
+    twice, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
+    gains = (-late, -kp * kd * twice, kp * (inertia * slope + kd * twice))
+    refit = np.stack([spread(x, first) for x in gains], axis=1)
+    return SetPoints(first, late, missing, change, refit, period, modes, since)
+
+
+def _modes(given: Residual) -> _Modes:
+    weight = given.gravity_Nm * float(np.cos(np.mean(given.command)))
+    stiffness = max(given.kp + weight, 1e-3 * given.kp) / given.inertia_kgm2
+    half = given.kd / (2 * given.inertia_kgm2)
+    root = complex(half**2 - stiffness) ** 0.5
+    if abs(root) < _APART * half:
+        root = complex(_APART * half)
+    return _Modes(-half - root, -half + root, given.kp / given.inertia_kgm2)

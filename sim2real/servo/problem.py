@@ -1,0 +1,160 @@
+"""Servos as problems of the shared inference: many at once, the noise model fitted along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.inference import least_squares
+from sim2real.inference.evidence import profile_loglikelihood
+from sim2real.inference.least_squares import Expansion
+from sim2real.servo.batch import Batch, Problems
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int32]
+
+DIFFERENCE = 2e-4
+"""Step of the forward differences, in units."""
+
+
+@dataclass(frozen=True)
+class Servos:
+    """Servos with free parameters, each to be fitted to all recordings of one joint.
+
+    Attributes:
+        joint: Joint of the batch, shape (N,).
+        theta: Parameters, shape (N, P).
+        columns: Columns of the free ones, -1 where a servo has fewer, shape (N, F).
+        unit: Their natural sizes, shape (N, F).
+        low: Smallest values, shape (N, F).
+        high: Largest values, shape (N, F).
+    """
+
+    joint: Whole
+    theta: Array
+    columns: Whole
+    unit: Array
+    low: Array
+    high: Array
+
+    def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Servos:
+        """Some of them."""
+        return Servos(*(value[index] for value in vars(self).values()))
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Which places of ``columns`` hold a parameter, shape (N, F)."""
+        return self.columns >= 0
+
+    def values(self) -> Array:
+        """Values of the free parameters in units, 0 where there is none, shape (N, F)."""
+        taken = np.take_along_axis(self.theta, np.maximum(self.columns, 0), axis=1)
+        return np.where(self.free, taken / self.unit, 0.0)
+
+    def at(self, x: Array) -> Servos:
+        """The servos with free parameters ``x`` (N, F), in units, kept within their bounds."""
+        theta = self.theta.copy()
+        row, place = np.nonzero(self.free)
+        value = np.clip(x * self.unit, self.low, self.high)[row, place]
+        theta[row, self.columns[row, place]] = value
+        return replace(self, theta=theta)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Where the search ended.
+
+    Attributes:
+        servos: The servos with fitted parameters.
+        gram: Inner products of residual (0) and derivatives by the free parameters, by block,
+            shape (N, B, 1 + F, 1 + F), in rad2 and units.
+        count: Samples that count, shape (N,).
+        autoregression: The noise model, shape (N, lags).
+    """
+
+    servos: Servos
+    gram: Array
+    count: Array
+    autoregression: Array
+
+    @property
+    def error2(self) -> Array:
+        """Sum of squared innovations in rad2, shape (N,)."""
+        return np.asarray(self.gram[:, :, 0, 0].sum(axis=1))
+
+    @property
+    def loglikelihood(self) -> Array:
+        """Logarithm of the likelihood, its variance and noise model at their best, shape (N,)."""
+        return profile_loglikelihood(self.error2, self.count)
+
+    def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Fits:
+        """Some of them."""
+        rest = (self.gram, self.count, self.autoregression)
+        return Fits(self.servos[index], *(value[index] for value in rest))
+
+
+def minimise(
+    batch: Batch,
+    servos: Servos,
+    *,
+    iterations: int,
+    blocks: int = 1,
+    white: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Fits:
+    """Fit all servos in step (``inference.least_squares``), one launch a round.
+
+    The noise model of each servo is refitted at every point, which makes the sum of squared
+    innovations the profile likelihood.
+
+    Args:
+        batch: The recordings.
+        servos: Where to start.
+        iterations: Most evaluations.
+        blocks: Blocks of each recording for ``Fits.gram``.
+        white: Whether to take the noise for white.
+        progress: Called with the share that is done.
+    """
+
+    def expand(x: Array, index: NDArray[np.intp]) -> Expansion:
+        now = servos[index].at(x)
+        noise = np.zeros((index.size, batch.lags)) if white else None
+        seen = batch.evaluate(variants(now), blocks=blocks, autoregression=noise)
+        total = seen.gram.sum(axis=1)
+        share = (seen.count / np.maximum(total[:, 0, 0], 1e-300))[:, None]
+        aside = {"gram": seen.gram, "noise": seen.autoregression, "count": seen.count}
+        loss = -profile_loglikelihood(total[:, 0, 0], seen.count)
+        return Expansion(loss, share * total[:, 1:, 0], share[:, None] * total[:, 1:, 1:], aside)
+
+    with np.errstate(invalid="ignore"):
+        low, high = servos.low / servos.unit, servos.high / servos.unit
+    found = least_squares.minimise(
+        expand,
+        servos.values(),
+        low,
+        high,
+        free=servos.free,
+        evaluations=iterations,
+        progress=progress,
+    )
+    aside = found.expansion.aside
+    return Fits(servos.at(found.x), aside["gram"], aside["count"], aside["noise"])
+
+
+def variants(servos: Servos) -> Problems:
+    """Each servo and, for every free parameter, the servo with a little more of it."""
+    N, F = servos.columns.shape
+    theta = np.repeat(servos.theta[:, None], 1 + F, axis=1)
+    row, place = np.nonzero(servos.free)
+    column = servos.columns[row, place]
+    value = servos.theta[row, column]
+    # Towards the inside of the bounds.
+    size = DIFFERENCE * servos.unit[row, place]
+    size = np.where(value + size > servos.high[row, place], -size, size)
+    theta[row, 1 + place, column] = value + size
+    scale = np.zeros((N, 1 + F))
+    scale[row, 1 + place] = servos.unit[row, place] / size
+    return Problems(servos.joint, theta, scale)

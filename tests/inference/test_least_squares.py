@@ -1,0 +1,136 @@
+"""The fitter: scipy's answers, one problem at a time or many, within bounds."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from sim2real.inference.least_squares import (
+    Expansion,
+    central,
+    expansion,
+    minimise,
+    minimise_robustly,
+    robust_loss,
+    robust_scale,
+)
+
+T = np.linspace(0, 3, 300)
+TRUTH = np.array([[2.0, 1.5], [1.0, 0.4], [3.0, 2.5]])
+
+
+def decay(x):
+    """A decaying exponential with the derivatives by its two parameters."""
+    wave = np.exp(-x[1] * T)
+    return x[0] * wave, np.stack([wave, -x[0] * T * wave], axis=1)
+
+
+def noisy(n, wild=0.0):
+    rng = np.random.default_rng(n)
+    noise = 0.02 * rng.standard_normal(T.size)
+    noise[rng.random(T.size) < wild] += 3.0
+    return decay(TRUTH[n])[0] + noise
+
+
+def expand(x, index):
+    parts = []
+    for point, n in zip(x, index, strict=True):
+        angle, slope = decay(point)
+        parts.append(expansion(angle - noisy(n), slope))
+    return Expansion(
+        np.concatenate([p.loss for p in parts]),
+        np.concatenate([p.slope for p in parts]),
+        np.concatenate([p.curvature for p in parts]),
+        {"which": np.array(index)},
+    )
+
+
+LOW, HIGH = np.zeros((3, 2)), np.full((3, 2), 10.0)
+START = np.ones((3, 2))
+
+
+def by_scipy(n, **options):
+    return least_squares(
+        lambda x: decay(x)[0] - noisy(n, options.get("wild", 0.0)), START[n], xtol=1e-12,
+        **{k: v for k, v in options.items() if k != "wild"},
+    ).x  # fmt: skip
+
+
+def test_many_problems_in_step_are_those_of_scipy():
+    found = minimise(expand, START, LOW, HIGH, settled=1e-10)
+    assert found.converged.all()
+    for n in range(3):
+        np.testing.assert_allclose(found.x[n], by_scipy(n), rtol=1e-5)
+    np.testing.assert_array_equal(found.expansion.aside["which"], [0, 1, 2])
+
+
+def test_no_problem_disturbs_another():
+    together = minimise(expand, START, LOW, HIGH)
+    for n in range(3):
+        alone = minimise(lambda x, _, n=n: expand(x, [n] * len(x)), START[:1], LOW[:1], HIGH[:1])
+        np.testing.assert_array_equal(alone.x[0], together.x[n])
+
+
+def test_a_parameter_that_is_pushed_against_its_bound_stays_there():
+    high = np.tile([1.4, 10.0], (3, 1))
+    found = minimise(expand, START, LOW, high, settled=1e-10)
+    assert found.x[0, 0] == 1.4
+    expected = by_scipy(0, bounds=([0, 0], [1.4, 10]))
+    np.testing.assert_allclose(found.x[0], expected, rtol=1e-4)
+
+
+def test_places_without_a_parameter_stay():
+    free = np.array([[True, False]] * 3)
+    found = minimise(expand, START, LOW, HIGH, free=free, settled=1e-10)
+    np.testing.assert_array_equal(found.x[:, 1], 1.0)
+    wave = np.exp(-T)
+    best = [wave @ noisy(n) / (wave @ wave) for n in range(3)]
+    np.testing.assert_allclose(found.x[:, 0], best, rtol=1e-6)
+
+
+def test_what_ran_out_of_evaluations_has_not_converged():
+    assert not minimise(expand, START, LOW, HIGH, evaluations=2, settled=1e-10).converged.any()
+
+
+def test_a_start_outside_is_brought_inside():
+    found = minimise(expand, 50 * START, LOW, HIGH, evaluations=1)
+    np.testing.assert_array_equal(found.x, 10.0)
+
+
+def test_central_differences_are_the_derivatives():
+    x = np.array([2.0, 10.0])
+    high = np.array([10.0, 10.0])  # the second is on its bound
+    row, slope = central(
+        lambda points: np.array([decay(p)[0] for p in points]),
+        x, np.full(2, 1e-4), np.zeros(2), high,
+    )  # fmt: skip
+    np.testing.assert_array_equal(row, decay(x)[0])
+    np.testing.assert_allclose(slope[:, 0], decay(x)[1][:, 0], atol=1e-8)
+    np.testing.assert_allclose(slope[:, 1], decay(x)[1][:, 1], atol=1e-4)
+
+
+def test_wild_samples_do_not_move_a_robust_fit():
+    def residuals(x):
+        angle, slope = decay(x)
+        return angle - noisy(0, wild=0.04), slope
+
+    found, converged = minimise_robustly(residuals, START[0], LOW[0], HIGH[0])
+    assert converged
+    scale = robust_scale(residuals(found)[0])
+    expected = by_scipy(0, wild=0.04, loss="soft_l1", f_scale=3 * scale)
+    np.testing.assert_allclose(found, expected, rtol=2e-3)
+    assert found == pytest.approx(TRUTH[0], rel=0.03)
+    assert by_scipy(0, wild=0.04)[0] > 1.02 * TRUTH[0, 0], "plain least squares is moved"
+
+
+def test_soft_loss_is_the_sum_of_squares_of_small_residuals():
+    error = 1e-3 * np.random.default_rng(0).standard_normal(100)
+    assert robust_loss(error, 1.0) == pytest.approx(np.sum(error**2), rel=1e-5)
+    assert robust_loss(np.array([100.0]), 1.0) == pytest.approx(2 * (np.sqrt(1e4 + 1) - 1))
+
+
+@pytest.mark.parametrize("wild", [0.0, 0.05])
+def test_robust_scale_ignores_a_few_wild_samples(wild):
+    rng = np.random.default_rng(0)
+    error = 0.002 * rng.standard_normal(20000)
+    error[: int(wild * error.size)] = 1.0
+    assert robust_scale(error) == pytest.approx(0.002, rel=0.02 if wild == 0 else 0.4)

@@ -1,0 +1,110 @@
+"""Samples that count, whitening, autocorrelation times, the wander of a sensor."""
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from scipy.signal import lfilter
+
+from sim2real.inference import noise
+from sim2real.inference.noise import (
+    Wander,
+    autoregression,
+    bandwidth,
+    correlation_samples,
+    counting,
+    lag_products,
+    long_run,
+    whitened,
+    whiteness,
+)
+
+
+def ar1(rng, rho, n):
+    x = rng.standard_normal(n)
+    for k in range(1, n):
+        x[k] += rho * x[k - 1]
+    return x
+
+
+def test_white_residuals_have_correlation_time_one():
+    times = [correlation_samples(np.random.default_rng(s).standard_normal(2000)) for s in range(20)]
+    assert np.mean(times) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.9])
+def test_correlation_time_of_an_autoregression(rho):
+    times = [correlation_samples(ar1(np.random.default_rng(s), rho, 20000)) for s in range(10)]
+    assert np.mean(times) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
+
+
+def test_long_run_variance_of_an_autoregression():
+    x = ar1(np.random.default_rng(0), 0.8, 50000)[:, None]
+    lags = bandwidth(x.shape[0], 9.0) * 4
+    assert long_run(x, lags)[0, 0] / x.shape[0] == pytest.approx(1 / (1 - 0.8) ** 2, rel=0.15)
+
+
+def test_long_run_is_the_sum_of_weighted_lags():
+    score = np.random.default_rng(0).standard_normal((60, 3))
+    lags = 7
+    expected = score.T @ score
+    for k in range(1, lags):
+        product = score[k:].T @ score[:-k]
+        expected += (1 - k / lags) * (product + product.T)
+    np.testing.assert_allclose(long_run(score, lags), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_whiteness():
+    rng = np.random.default_rng(0)
+    assert abs(whiteness([rng.standard_normal(5000)])) < 0.05
+    assert whiteness([ar1(rng, 0.9, 5000)]) == pytest.approx(0.9, abs=0.03)
+    assert whiteness([np.zeros(10)]) == 0.0
+
+
+def test_samples_count_with_those_before_them():
+    used = np.random.default_rng(0).random(200) > 0.05
+    for order in (1, 4, 25):
+        expected = [k >= order and used[k - order : k + 1].all() for k in range(used.size)]
+        np.testing.assert_array_equal(counting(used, order), expected)
+
+
+def test_an_autoregression_is_found_and_whitens():
+    rng = np.random.default_rng(1)
+    true = np.array([0.9, -0.3])
+    series = lfilter([1.0], [1.0, -0.9, 0.3], rng.standard_normal(40000))
+    counts = counting(np.ones(series.size, dtype=bool), 4)
+    found = autoregression(lag_products(series, counts, 4)[None])[0]
+    np.testing.assert_allclose(found, [*true, 0, 0], atol=0.02)
+    assert abs(whiteness([whitened(series, found)[4:]])) < 0.01
+    assert correlation_samples(whitened(series, found)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_constant_is_no_noise():
+    """With a bound the whitening filter keeps some gain at frequency 0, and still fits best."""
+    series = 5 + np.random.default_rng(2).standard_normal(5000)
+    products = lag_products(series, counting(np.ones(5000, dtype=bool), 6), 6)[None]
+    bounded, free = autoregression(products, 0.5)[0], autoregression(products)[0]
+    assert bounded.sum() == pytest.approx(0.5)
+    assert free.sum() > 0.8
+    energy = np.einsum("i,ij,j", v := np.append(-1, bounded), products[0], v)
+    for k in range(5):  # no neighbour on the bound is better
+        other = bounded + 0.01 * (np.eye(6)[k] - np.eye(6)[k + 1])
+        assert np.einsum("i,ij,j", w := np.append(-1, other), products[0], w) > energy
+
+
+def test_the_wanders_filter_is_that_of_its_riccati_equation():
+    wander = Wander(3.0, 1.5)
+    top, bottom, spread = wander.filter(0.02)
+    keep = np.exp(-0.02 / 3.0)
+    (solved,) = solve_discrete_are(
+        np.array([[keep]]), np.ones((1, 1)), np.array([[1.5**2 * (1 - keep**2)]]), np.ones((1, 1))
+    ).ravel()
+    assert spread == pytest.approx(solved, rel=1e-9)
+    rng = np.random.default_rng(0)
+    slow = lfilter([1.5 * np.sqrt(1 - keep**2)], [1.0, -keep], rng.standard_normal(100000))
+    left = lfilter(top, bottom, slow + rng.standard_normal(slow.size))
+    assert abs(whiteness([left])) < 0.01
+    assert left.var() == pytest.approx(1 + spread, rel=0.02)
+
+
+def test_the_memory_is_half_a_second_within_reason():
+    assert [noise.lags(x) for x in (0.02, 0.05, 0.5, 0.001)] == [25, 10, 4, 25]
