@@ -118,8 +118,8 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
     inertia = traces[0].load.inertia_kgm2
 
     def log(name: str, middle: float, sd: float, room: float = 4.0, unit: float = 0.3) -> Belief:
-        ends = middle * np.exp(-room), middle * np.exp(room)
-        return Belief(name, True, float(np.log(middle)), sd, *map(float, ends), unit)
+        low, high = float(middle * np.exp(-room)), float(middle * np.exp(room))
+        return Belief(name, True, float(np.log(middle)), sd, low, high, unit)
 
     def share(name: str, sd: float, high: float, unit: float) -> Belief:
         return Belief(name, False, 0.0, sd, 0.0, high, unit)
