@@ -13,7 +13,7 @@ from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.fit import Fit, errors, plain_row
 from sim2real.servo.motor_prior import Prior
-from sim2real.servo.parameters import COLUMNS, FIRST_MOTOR_COLUMN, MOTOR
+from sim2real.servo.parameters import COLUMNS, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.start import WINDOW_S
 from sim2real.servo.trace import Trace
@@ -135,9 +135,7 @@ class MotorFit:
     @property
     def values(self) -> dict[str, float]:
         """The motor's parameters by name; those that have no effect are left out."""
-        values = self.fit.row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
-        pairs = zip(MOTOR, values, strict=True)
-        return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
+        return motor_of(self.fit.row)
 
     @property
     def units(self) -> Array:

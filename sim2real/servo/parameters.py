@@ -102,6 +102,13 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     return row
 
 
+def motor_of(row: Array) -> dict[str, float]:
+    """What a row (P,) has of a motor, by name; parameters that have no effect are left out."""
+    values = row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
+    pairs = zip(MOTOR, values, strict=True)
+    return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
+
+
 def _fill(row: Array, fitted: FittedEffect, where: str) -> None:
     effect = named(fitted.effect, where)
     names = [parameter.name for parameter in effect.parameters]
