@@ -43,8 +43,8 @@ square error; noise is the floor set by the sensor; the lag-1 autocorrelation of
 for white noise. Gains of the XL330 are in N m/rad and N m s/rad, all others per unit of inertia
 (1/s2, 1/s), as no load is known.
 
-**A linear servo does not fit these servos.** Its residual stands above the noise, on the XL330 14 to
-170 times. A motor on the line of its data sheet, whose gears rub, fits the XL330 several times
+**A linear servo does not fit these servos.** Its residual stands above the noise, on the XL330 14
+to 170 times. A motor on the line of its data sheet, whose gears rub, fits the XL330 several times
 better; what that is worth on recordings of other motions is below and in [the diagnosis of a real
 servo](real_diagnosis.md). The STS3215 moves on profiles of its own and is sampled ten times a
 second: there the law changes little, and what is missing is the profile.

@@ -139,9 +139,14 @@ class MotorFit:
 
     @property
     def units(self) -> Array:
-        """Sizes of the free parameters' steps in their own units, shape (F,)."""
-        values, unit = self.fit.values, self.problem.box[2]
-        return np.where(self.log, unit * values, unit)
+        """Sizes of the free parameters in their own units, shape (F,).
+
+        Wider than what was believed, so that what is only believed does not count as unknown.
+        """
+        unit = self.problem.box[2]
+        believed = np.where(np.isfinite(self.believed_sd), 2 * self.believed_sd, 0.0)
+        unit = np.maximum(unit, believed)
+        return np.where(self.log, unit * self.fit.values, unit)
 
     @property
     def log(self) -> NDArray[np.bool_]:
@@ -216,8 +221,8 @@ def fit_motor(
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
         x, loss = _descend(problem, x, scale, inflation, _LATER if number else _FIRST)
-        near = np.argsort(loss)
-        x, loss = x[near], loss[near]
+        order = np.argsort(loss)
+        x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
         if number:
             x, loss = x[loss < loss[0] + 30], loss[loss < loss[0] + 30]

@@ -206,7 +206,7 @@ def active_effects(rows: Array) -> NDArray[np.int32]:
     if len(CATALOGUE) > _MOST_EFFECTS:
         raise OverflowError(f"{len(CATALOGUE)} effects; the mask has {_MOST_EFFECTS} bits")
     motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
-    active = motor.astype(np.int32) * np.int32(MOTOR_BIT)
+    active: NDArray[np.int32] = np.where(motor, MOTOR_BIT, 0).astype(np.int32)
     for k, effect in enumerate(CATALOGUE):
         first = FIRST_COLUMN[effect.name]
         on = rows[:, first : first + len(effect.parameters)].any(axis=1)
