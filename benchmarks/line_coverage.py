@@ -108,9 +108,10 @@ def report(table: np.ndarray, seed: int) -> str:
         "# Intervals of servos that obey their data sheet",
         "",
         f"{len(table)} servos drawn with seed {seed}: kp 0.9 to 2.2 N m/rad, kd 0.03 to 0.1",
-        "N m s/rad, latency 40 to 90 ms, stall torque and no-load speed within 10 % (one standard",
-        "deviation) of 1.67 N m and 5.24 rad/s. Half a minute of random steps at 50 Hz, 0.24 degree",
-        "sensor steps, 1.5 mrad of noise; the last quarter is held out; the data sheet is known.",
+        "N m s/rad, latency 40 to 90 ms, stall torque and no-load speed within 10 % (one",
+        "standard deviation) of 1.67 N m and 5.24 rad/s. Half a minute of random steps at 50 Hz,",
+        "0.24 degree sensor steps, 1.5 mrad of noise; the last quarter is held out; the data",
+        "sheet is known.",
         "",
         f"| | 90 % intervals that hold the truth (bar: {100 * (LEVEL - BAND):.0f} to "
         f"{100 * (LEVEL + BAND):.0f}) | median error | 95th percentile | median half-width |",
