@@ -124,8 +124,8 @@ def _measured(k: int, kind: str, hidden: Sequence[Any], folder: Path) -> list[Ro
         nameless_lead,
         size_in_noise,
     )
-    from sim2real.diagnose.link import links
     from sim2real.effects import named
+    from sim2real.link.uneven import links
     from sim2real.model import read_model
     from sim2real.noise import quantization_step
     from sim2real.recording import read_recording

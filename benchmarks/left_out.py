@@ -84,11 +84,11 @@ def try_all(
 ) -> list[Tried]:
     """Each effect, fitted with the law from where the law alone ended; most gain first."""
     swims = [one.swim for one in train]
-    warm = [replace(p, start=float(v)) for p, v in zip(law.free, law.best, strict=True)]
+    warm = [replace(p, nominal=float(v)) for p, v in zip(law.free, law.best, strict=True)]
     out = []
     for name, free in effects:
         fit = calibrate(
-            swims, place.model, [*warm, *free], place.simulator, held_out=_SEEN, evaluations=4
+            swims, place.model, [*warm, *free], place.simulator, held_out=_SEEN, evaluations=10
         )
         out.append(Tried(name, free, gain(law, fit, len(free), swims), fit))
     return sorted(out, key=lambda one: -one.gain)

@@ -74,12 +74,12 @@ def _refined(gaps: Array, step: float) -> float:
 def noise_floor(t: Array, command: Array, position: Array) -> float:
     """Standard deviation of the measurement noise, quantization included.
 
-    From stretches where the command is constant and the joint has settled: variance about a line
+    From segments where the command is constant and the joint has settled: variance about a line
     over every 10 samples, so that slow drift (and noise slower than that) doesn't count. Where it
     is below about half a step, the samples of a resting joint say little of the quantization
     error, which is then constant; the noise before quantization is estimated by maximum
     likelihood instead and ``step**2 / 12`` added (the variance of a uniform error: B. Widrow,
-    I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such stretches see
+    I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such segments see
     ``difference_noise``.
 
     Args:
@@ -170,7 +170,7 @@ def _quietest(variance: Array, freedom: float) -> float:
 
 
 def _still_edges(command: Array) -> list[int]:
-    """Where stretches of constant command begin, and the end of the last."""
+    """Where segments of constant command begin, and the end of the last."""
     edges = [0]
     for k in np.flatnonzero(np.diff(command)) + 1:
         if abs(command[k] - command[edges[-1]]) > STILL_COMMAND_RAD:

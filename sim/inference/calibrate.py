@@ -65,7 +65,7 @@ def calibrate(
     simulator: Simulator,
     *,
     held_out: float = HELD_OUT_SHARE,
-    evaluations: int = 12,
+    evaluations: int = 20,
     view: Callable[[Array], Array] = lambda signals: signals,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Calibrated:

@@ -37,7 +37,7 @@ ENOUGH, ENOUGH_BESIDE = 20.0, 12.0
 the twin's fault; two swims of other servos, with nothing missing either, bring 0 and 8 more than a
 third of their kind (``benchmarks/pool_development.py``). The choice has seen these.
 """
-_QUICK, _SLOW = 6, 12
+_QUICK, _SLOW = 12, 20
 
 
 def diagnose_swims(

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 SHARE = 0.2
 """Error of the fluid in cells of 1 cm as a share of a signal's size, once calibrated."""
 _ROUNDS = 2
-_EVALUATIONS = 8
+_EVALUATIONS = 14
 _STEP = 0.02
 """Step of the derivatives, in the priors' standard deviations."""
 _INSIDE = 0.3

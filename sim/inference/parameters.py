@@ -5,6 +5,7 @@ from __future__ import annotations
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
 from sim2real.body import BODY, CAMERA, body_effect
+from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -86,7 +87,8 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
 def candidates(robot: Robot) -> list[tuple[str, str, tuple[Parameter, ...]]]:
     """Effects, what they belong to (a material, the body or the camera), their parameters."""
     out = []
-    for effect in (*BODY, *CAMERA):
+    every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in every:
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))

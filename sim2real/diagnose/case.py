@@ -177,7 +177,7 @@ class JointResult:
         rich: The servo with what is named.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
         after: Those of the enriched one.
-        least_squares: Parameters of the plain servo by least squares, shape (P,).
+        least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
         unseen: Errors on held-out data, by the effects that a servo has; empty where nothing can be
             held out.
     """

@@ -27,12 +27,13 @@ from sim2real.diagnose.per_recording import (
     linearised,
 )
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.screen import candidate
 from sim2real.diagnose.search import LOG_PRIOR
 from sim2real.effects import CATALOGUE, named
+from sim2real.effects.effect import is_limit
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.problem import Fits, Servos, minimise
+from sim2real.servo.screen import candidate
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -260,7 +261,7 @@ def _starts(found: Contrast, k: int, fitted: Fitted, shared: int) -> Sequence[Ow
     option = candidate(named(name), float(servos.theta[0, 0]), load)
     value = fitted.rows[column, option.columns]
     given = [value]
-    if not option.effect.parameters[0].is_limit:
+    if not is_limit(option.effect.parameters[0]):
         larger = value.copy()
         larger[0] = np.clip(size * value[0], option.low[0], option.high[0])
         given.append(larger)

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.black_box import black_box
 from sim2real.diagnose.case import JointResult
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.formula import guesses
 from sim2real.diagnose.knockoffs import best_knockoff, directions, false_discovery_of
 from sim2real.diagnose.next_experiment import next_experiment
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
-from sim2real.diagnose.screen import Candidate, Screen
 from sim2real.robot import Robot
+from sim2real.servo.black_box import black_box
 from sim2real.servo.holdout import splits
 from sim2real.servo.linear import residual_torque, smooth_speed
+from sim2real.servo.screen import Candidate, Screen
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,8 @@ from sim2real.output import provenance
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
+from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import minimise
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
@@ -151,13 +151,14 @@ def _joint_results(
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
-    ordinary = minimise(batch, joined([h.fit for h in plain]).servos, iterations=10, white=True)
+    ordinary = [
+        refitted(joint.traces, h.fit.servos.theta[0], [named(e) for e in sorted(h.members)])
+        for joint, h in zip(joints, plain, strict=True)
+    ]
     progress(0.85)
     unseen = _unseen(joints, findings, rich, device)
     results = [
-        JointResult(
-            joint, findings[j], rich[j], before[j], after[j], ordinary.servos.theta[j], unseen[j]
-        )
+        JointResult(joint, findings[j], rich[j], before[j], after[j], ordinary[j].row, unseen[j])
         for j, joint in enumerate(joints)
     ]
     return [[results[j] for j in robot] for robot in robots]
@@ -283,7 +284,5 @@ def _model(case: Case, joints: Sequence[JointResult], origin: dict[str, object])
 
 
 def _plain(one: JointResult) -> JointModel:
-    """The plain servo, by least squares where something is missing: so it predicts best."""
-    plain = one.finding.tried.plain
-    theta = one.least_squares if one.finding.mismatch else plain.fit.servos.theta[0]
-    return servo(one.joint, theta, plain)
+    """The plain servo, as ``identify`` fits it."""
+    return servo(one.joint, one.least_squares, one.finding.tried.plain)

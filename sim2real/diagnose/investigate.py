@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.link import LinkData, Uneven, links
 from sim2real.diagnose.posterior import Group, Posterior, posterior
-from sim2real.diagnose.screen import FITTED
 from sim2real.diagnose.search import (
     LOG_PRIOR,
     Found,
@@ -24,9 +22,12 @@ from sim2real.diagnose.search import (
 )
 from sim2real.diagnose.unmodelled import Unmodelled, excess, residual_angles, unmodelled
 from sim2real.effects import CATALOGUE, named
+from sim2real.link.loss import Uneven
+from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.screen import FITTED
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -249,7 +250,9 @@ def _pass(
     after = _excesses(batch, known.joints, best)
     progress(1.0)
     return [
-        _finding(one, problem, posteriors[j], left[j], after[j], known.steps and known.steps[j])
+        _finding(
+            one, problem, posteriors[j], left[j], after[j], known.steps[j] if known.steps else None
+        )
         for j, one in enumerate(found)
     ]
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.screen import Candidate
 from sim2real.diagnose.search import Set
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import counting, whitened
 from sim2real.servo.holdout import Side, Split, simulated
 from sim2real.servo.problem import Servos, variants
+from sim2real.servo.screen import Candidate
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from sim2real.diagnose.screen import candidates
 from sim2real.effects import named
 from sim2real.inference import least_squares
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.problem import Fits, Servos, minimise, variants
+from sim2real.servo.screen import candidates
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

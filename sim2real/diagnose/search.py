@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import Fits, Servos, minimise
-from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S, natural_units
+from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
+from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
+from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 
 Array = NDArray[np.float64]
 Set = frozenset[str]
@@ -65,30 +65,14 @@ def baselines(batch: Batch, models: Array | None = None) -> Fits:
         starts = np.concatenate([starts, given[:, None]], axis=1)
         starts[:, :, 5:] = given[:, None, 5:]
     K = starts.shape[1]
-    many = _servos(np.repeat(np.arange(J), K), starts.reshape(J * K, -1), batch)
+    starting = np.repeat(np.arange(J), K)
+    many = plain_servos(starting, starts.reshape(J * K, -1), inertia[starting], batch.period)
     rough = minimise(batch, many, iterations=12, white=True)
     order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :_REFINED]
     pick = (np.arange(J)[:, None] * K + order).ravel()
     fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
     best = fine.error2.reshape(J, -1).argmin(axis=1)
     return fine[np.arange(J) * order.shape[1] + best]
-
-
-def _servos(joint: NDArray[np.int64], theta: Array, batch: Batch) -> Servos:
-    """Plain servos with free gains and latency."""
-    inertia = batch.load[batch.first_signal[joint], 0]
-    unit = np.array(
-        [
-            natural_units(np.append(row[:3], 0.0), i)[:3]
-            for row, i in zip(theta, inertia, strict=True)
-        ]
-    )
-    # Samples cannot tell what rings faster than half their rate from what is slower.
-    fastest2 = min(1.6e5, (np.pi / batch.period) ** 2)
-    high = np.stack([fastest2 * inertia, 1.6e3 * inertia, np.full(inertia.size, 0.5)], axis=1)
-    low = np.stack([1e-3 * inertia, np.zeros(inertia.size), np.zeros(inertia.size)], axis=1)
-    columns = np.tile(np.arange(3, dtype=np.int32), (joint.size, 1))
-    return Servos(joint.astype(np.int32), theta, columns, unit, low, high)
 
 
 def search(

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.inference.noise import Wander
 from sim2real.processes import shared
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.problem import Fits, minimise
+from sim2real.servo.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

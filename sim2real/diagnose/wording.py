@@ -13,11 +13,11 @@ from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
 from sim2real.diagnose.search import Hypothesis
-from sim2real.diagnose.smooth import Smooth
 from sim2real.diagnose.unmodelled import Window, robust_sd, windows
 from sim2real.effects import named
 from sim2real.model import FittedEffect
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.smooth import Smooth
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

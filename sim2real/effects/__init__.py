@@ -14,7 +14,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, CameraEffect
+from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.effects.effect import Effect, Parameter
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
@@ -55,7 +55,6 @@ __all__ = [
     "CATALOGUE",
     "SIGNATURE",
     "BodyEffect",
-    "BodyParameter",
     "CameraEffect",
     "Effect",
     "Parameter",

@@ -8,25 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.parameters import Parameter
+
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class BodyParameter:
-    """One parameter.
-
-    Attributes:
-        name: As in a model file.
-        unit: SI; empty for a pure number.
-        typical: A size that matters; the step of a fit and the scale of its prior.
-        low, high: The range that means anything.
-    """
-
-    name: str
-    unit: str
-    typical: float
-    low: float
-    high: float
 
 
 @dataclass
@@ -94,7 +78,7 @@ class BodyEffect:
     name: str
     plain: str
     title: str
-    parameters: tuple[BodyParameter, ...]
+    parameters: tuple[Parameter, ...]
     act: Callable[[Forces, Mapping[str, float], str], None]
     by_material: bool = False
     order: int = 99
@@ -119,7 +103,7 @@ class CameraEffect:
     name: str
     plain: str
     title: str
-    parameters: tuple[BodyParameter, ...]
+    parameters: tuple[Parameter, ...]
     see: Callable[[Array, Array, Mapping[str, float]], Array]
     order: int = 99
 

@@ -7,6 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from sim2real.inference.parameters import Parameter
+
+__all__ = [
+    "LIMITS",
+    "SHAPES",
+    "SIGNED",
+    "STRENGTHS",
+    "Effect",
+    "Parameter",
+    "Site",
+    "is_limit",
+    "readable",
+    "scaled",
+]
+
 Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
 """Where a term acts, from the computer that sends to the sensor that answers.
 
@@ -43,44 +58,25 @@ SHAPES = (0.4, 1.0, 2.5)
 """The same of further parameters."""
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of an effect.
+def is_limit(parameter: Parameter) -> bool:
+    """Whether an effect is weak where this parameter is large."""
+    return parameter.starts == LIMITS
 
-    Its values are those for a hobby servo of 2 N m/rad that turns 0.002 kg m2; ``scaled`` gives
-    them for another.
 
-    Attributes:
-        name: Its fixed name, the unit at its end.
-        low: Smallest value that means anything.
-        high: Largest value that means anything.
-        typical: A value often met on servos of this class.
-        starts: Where its fits start, in typical values; by the rules above where empty.
+def scaled(parameter: Parameter, kp_Nm_per_rad: float, inertia_kgm2: float) -> Parameter:
+    """A servo effect's parameter for a servo of another strength and load.
+
+    The catalogue states them for a hobby servo of 2 N m/rad that turns 0.002 kg m2.
     """
-
-    name: str
-    low: float
-    high: float
-    typical: float
-    starts: tuple[float, ...] = ()
-
-    @property
-    def is_limit(self) -> bool:
-        """Whether it is weak where it is large."""
-        return self.starts == LIMITS
-
-    def scaled(self, kp_Nm_per_rad: float, inertia_kgm2: float) -> Parameter:
-        """The same parameter for a servo of another strength and load."""
-        size = 1.0
-        if "per_Nm" in self.name:
-            size = 2.0 / kp_Nm_per_rad
-        elif "Nm" in self.name:
-            size = kp_Nm_per_rad / 2.0
-        elif "kgm2" in self.name:
-            size = inertia_kgm2 / 0.002
-        return replace(
-            self, low=self.low * size, high=self.high * size, typical=self.typical * size
-        )
+    size = 1.0
+    if "per_Nm" in parameter.name:
+        size = 2.0 / kp_Nm_per_rad
+    elif "Nm" in parameter.name:
+        size = kp_Nm_per_rad / 2.0
+    elif "kgm2" in parameter.name:
+        size = inertia_kgm2 / 0.002
+    ends = {name: getattr(parameter, name) * size for name in ("low", "high", "typical")}
+    return replace(parameter, **ends)
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ class Parameter:
         log: Whether it is its logarithm that is as likely anywhere; ``low`` is above 0 then.
         shared: Whether one value holds in all recordings, or each has its own.
         unit: Its unit, SI; by the ending of the name where empty.
+        starts: Where searches for it start, in typical values, if it is known.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Parameter:
     log: bool = False
     shared: bool = True
     unit: str = ""
+    starts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Read the unit off the name."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 Fit = TypeVar("Fit")
 Start = TypeVar("Start")
-Members = frozenset[Hashable]
+Members = frozenset[Any]
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ def independent(
 ) -> tuple[Array, Array]:
     """New coordinates (W, F) from a Student distribution about the optimum, and their log-ratio."""
     W, F = coordinates.shape
-    stretch = np.sqrt(random.chisquare(FREEDOM, size=(W, 1)) / FREEDOM)
-    new = SCALE * random.normal(size=(W, F)) / stretch
+    tail = np.sqrt(random.chisquare(FREEDOM, size=(W, 1)) / FREEDOM)
+    new = SCALE * random.normal(size=(W, F)) / tail
     return new, _log_student(coordinates) - _log_student(new)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sim2real.effects import named
+from sim2real.effects.effect import scaled
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.model import JointModel
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
@@ -32,7 +33,7 @@ def servo_priors(joint: JointModel) -> Priors:
         if fitted.effect in RANDOM_EFFECTS:
             continue
         for one in named(fitted.effect).parameters:
-            p = one.scaled(joint.kp_Nm_per_rad, inertia)
+            p = scaled(one, joint.kp_Nm_per_rad, inertia)
             name = f"{fitted.effect}.{p.name}"
             parameters.append(Parameter(name, p.low, p.high, p.typical))
     return Priors(tuple(parameters))

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS, joint_row
-from sim2real.servo.problem import Fits, Servos, minimise
-from sim2real.servo.start import natural_units
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -38,7 +37,9 @@ def episode_latencies(
         group: Which traces share gains, shape (N,), from 0 on.
     """
     batch = Batch([[one] for one in given])
-    servos = _servos(given, joints, batch.period)
+    rows = np.array([joint_row(joint, one.load) for one, joint in zip(given, joints, strict=True)])
+    inertia = np.array([one.load.inertia_kgm2 for one in given])
+    servos = plain_servos(np.arange(len(given)), rows, inertia, batch.period)
     alone = minimise(batch, servos, iterations=_ITERATIONS)
     gains = _pooled(alone, _weights(alone, batch.lags), group)
     for _ in range(_ROUNDS):
@@ -48,21 +49,6 @@ def episode_latencies(
         )
     fits = _with_gains(batch, servos, alone, gains)
     return fits.servos.theta[:, 2], _errors(fits, _weights(fits, batch.lags)) * servos.unit[:, 2]
-
-
-def _servos(given: Sequence[Trace], joints: Sequence[JointModel], period: float) -> Servos:
-    """Servos with free gains and latency, one a trace."""
-    N = len(given)
-    inertia = np.array([one.load.inertia_kgm2 for one in given])
-    theta, unit = np.zeros((N, len(COLUMNS))), np.zeros((N, 3))
-    for k, (one, joint) in enumerate(zip(given, joints, strict=True)):
-        theta[k] = joint_row(joint, one.load)
-        unit[k] = natural_units(np.append(theta[k, :3], 0.0), inertia[k])[:3]
-    fastest2 = min(1.6e5, (np.pi / period) ** 2)
-    low = np.stack([1e-3 * inertia, 0 * inertia, 0 * inertia], axis=1)
-    high = np.stack([fastest2 * inertia, 1.6e3 * inertia, np.full(N, 0.5)], axis=1)
-    columns = np.tile(np.arange(3, dtype=np.int32), (N, 1))
-    return Servos(np.arange(N, dtype=np.int32), theta, columns, unit, low, high)
 
 
 def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array) -> Fits:

@@ -23,10 +23,9 @@ from sim2real.ranges.servos import from_model, from_posterior
 from sim2real.ranges.spread import Spread, spread
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
+from sim2real.servo.advice import ABOVE_NOISE
 from sim2real.servo.trace import split, traces
 
-_STRUCTURED = 2.0
-"""Errors above so many times the noise have something in them."""
 _CLEAR = 3.0
 """Standard deviations from which an offset between joints, or a spread, is taken for real."""
 
@@ -193,7 +192,7 @@ def _on_check(joint: str, check: Check, noise: Range | None) -> list[str]:
             f"{where} lies within the 95 % band of predictions only {share:.0f} % of the time: "
             "ranges are too narrow; diagnose first"
         ]
-    if noise is not None and check.rmse > _STRUCTURED * noise.second:
+    if noise is not None and check.rmse > ABOVE_NOISE * noise.second:
         times = check.rmse / noise.second
         return [
             f"{where} is off by {times:.1f} times its noise: physics is missing from the model, "

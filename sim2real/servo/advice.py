@@ -22,7 +22,7 @@ _SHORT = {
     "latency_s": "latency",
     "unmodelled_inertia.inertia_kgm2": "inertia left out",
 }
-_STRUCTURED = 2.0
+ABOVE_NOISE = 2.0
 """Residuals above so many times the noise have something in them."""
 _KEPT = 0.7
 """Share of what was believed of a parameter's spread above which nothing was learned of it."""
@@ -144,7 +144,7 @@ def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
     white, time = figures.get("whiteness"), figures.get("correlation_time_s")
     if not train or noise is None or white is None or time is None:
         return []
-    if train < _STRUCTURED * noise or white < 0.5:
+    if train < ABOVE_NOISE * noise or white < 0.5:
         return []
     times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise shows"
     return [

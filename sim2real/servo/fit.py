@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import Effect
+from sim2real.effects.effect import scaled
 from sim2real.inference.least_squares import (
     OUTLIER_SD,
     central,
@@ -98,7 +99,7 @@ def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[P
     found = []
     for effect in effects:
         for one in effect.parameters:
-            p = one.scaled(float(row[0]), inertia)
+            p = scaled(one, float(row[0]), inertia)
             name = f"{effect.name}.{p.name}"
             found.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
     return tuple(found)
@@ -157,6 +158,12 @@ def fit(
         converged=converged,
         inertia=traces[0].load.inertia_kgm2,
     )
+
+
+def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()) -> Fit:
+    """The fit of ``identify`` from a servo (P,) that is near: gains, latency and its effects."""
+    inertia = traces[0].load.inertia_kgm2
+    return fit(traces, row, (*gains(row, inertia), *of_effects(effects, row, inertia)))
 
 
 def errors(simulator: Simulator, rows: Array, substep_s: float | None = None) -> list[Array]:

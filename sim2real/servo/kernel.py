@@ -28,11 +28,7 @@ def simulate_servos(
     longest: Row,
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``.
-
-    Sub-steps of at most ``longest``; a servo that is linear is solved exactly where that is
-    infinite.
-    """
+    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``."""
     _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
     row = wp.tid()
     p = theta[row]
@@ -49,9 +45,6 @@ def simulate_servos(
     if effects != 0:
         inertia = shaft_inertia(inertia, p, z, effects)
     longest_step = longest[row]
-    exact = int(0)
-    if wp.isinf(longest_step):
-        exact = int(1)
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
     state[2] = kp * (u - state[0])
@@ -67,9 +60,6 @@ def simulate_servos(
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
-            if exact == 1 and arrival > 0 and sent[arrival] == sent[arrival - 1]:
-                arrival += 1  # it changes nothing
-                continue
             arrives = t[arrival] + latency
             if effects != 0:
                 number = wp.float64(arrival)
@@ -86,11 +76,7 @@ def simulate_servos(
                 looks = start + ticks * period
             until = wp.min(until, looks)
         if until > now:
-            count = int(0)
-            if exact == 1:
-                state = exact_motion(state, u, until - now, kp, kd, inertia)
-            else:
-                count = int(wp.ceil((until - now) / longest_step))
+            count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
             for k in range(count):
                 time = now - start + wp.float64(k) * h
@@ -117,4 +103,51 @@ def simulate_servos(
                     state[0], state[0], state[1], state[2], zero, zero, p, z, effects
                 )
             position[row, sample] = angle
+            sample += 1
+
+
+@wp.kernel(enable_backward=False)
+def solve_servos(
+    theta: wp.array2d(dtype=wp.float64),
+    signal: wp.array(dtype=wp.int32),
+    times: wp.array2d(dtype=wp.float64),
+    command: wp.array2d(dtype=wp.float64),
+    length: wp.array(dtype=wp.int32),
+    position: wp.array2d(dtype=wp.float64),
+) -> None:
+    """The same of a servo that is linear, with no effect and no pendulum: exact between events."""
+    row = wp.tid()
+    p = theta[row]
+    t = times[signal[row]]
+    sent = command[signal[row]]
+    samples = length[signal[row]]
+    zero = wp.float64(0.0)
+    kp = wp.float64(p[0])
+    kd = wp.float64(p[1])
+    u = wp.float64(sent[0])
+    state = wp.vec4d(u, zero, zero, zero)
+    now = wp.float64(t[0])
+    sample = int(0)
+    arrival = int(1)
+    while sample < samples:
+        if arrival < samples and sent[arrival] == sent[arrival - 1]:
+            arrival += 1  # it changes nothing
+            continue
+        until = wp.float64(t[sample])
+        arrived = int(0)
+        if arrival < samples and t[arrival] + p[2] <= until:
+            until = t[arrival] + p[2]
+            arrived = int(1)
+        if until > now:
+            state = exact_motion(state, u, until - now, kp, kd, p[3])
+            now = until
+        if arrived == 1:
+            u = sent[arrival]
+            arrival += 1
+            if wp.isnan(u):
+                kp = zero
+                kd = zero
+                u = zero
+        else:
+            position[row, sample] = state[0]
             sample += 1

@@ -63,6 +63,32 @@ class Servos:
         return replace(self, theta=theta)
 
 
+def plain_servos(
+    joint: NDArray[np.integer], theta: Array, inertia: Array, period_s: float
+) -> Servos:
+    """Servos whose gains and latency are free.
+
+    Args:
+        joint: Joint of each in the batch, shape (N,).
+        theta: Where they start, shape (N, P).
+        inertia: Inertia of each load in kg m2, shape (N,).
+        period_s: Time between samples, which cannot tell what rings faster than half their rate
+            from what is slower.
+    """
+    kp = np.maximum(theta[:, 0], 1e-9)
+    kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
+    none = np.zeros(kp.size)
+    fastest2 = min(1.6e5, (np.pi / period_s) ** 2)
+    return Servos(
+        joint=joint.astype(np.int32),
+        theta=theta,
+        columns=np.tile(np.arange(3, dtype=np.int32), (kp.size, 1)),
+        unit=np.stack([kp, kd, none + 0.05], axis=1),
+        low=np.stack([1e-3 * inertia, none, none], axis=1),
+        high=np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1),
+    )
+
+
 @dataclass(frozen=True)
 class Fits:
     """Where the search ended.

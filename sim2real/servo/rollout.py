@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.kernel import simulate_servos
+from sim2real.servo.kernel import simulate_servos, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
@@ -179,13 +179,18 @@ class Simulator:
         S = len(self.traces)
         rows = np.repeat(theta, S, axis=0)
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
-        signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
-        given = (rows, active_effects(rows), np.zeros((len(rows), CELLS)), signal)
-        longest = np.full(len(rows), substep_s)
+        signal = to_warp(np.tile(np.arange(S, dtype=np.int32), theta.shape[0]), "cpu")
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        inputs = [*(to_warp(x, "cpu") for x in given), *self._signals, to_warp(longest, "cpu")]
-        wp.launch(simulate_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
+        servos, inputs = to_warp(rows, "cpu"), [signal, *self._signals]
+        if np.isinf(substep_s):
+            given, kernel = [servos, *inputs], solve_servos
+        else:
+            own = (active_effects(rows), np.zeros((len(rows), CELLS)))
+            longest = to_warp(np.full(len(rows), substep_s), "cpu")
+            given = [servos, *(to_warp(x, "cpu") for x in own), *inputs, longest]
+            kernel = simulate_servos
+        wp.launch(kernel, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
         return angle
 
 

@@ -30,7 +30,7 @@ LATENCY_S = (0.0, 0.3)
 def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
     """All parameters of a servo that roughly does what was recorded, and of very different rivals.
 
-    Simulates a low-discrepancy set of servos over the liveliest stretch in one batch, then, in a
+    Simulates a low-discrepancy set of servos over the liveliest segment in one batch, then, in a
     few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
     Methodology and Computing in Applied Probability 1 (1999) 127-190).
 
@@ -80,10 +80,3 @@ def _parameters(points: Array, trace: Trace) -> Array:
     return np.stack(
         [frequency**2 * inertia, 2 * damping * frequency * inertia, scaled[:, 2]], axis=1
     )
-
-
-def natural_units(parameters: Array, inertia: float) -> Array:
-    """A size of each parameter at which a change of one such unit would matter, shape (4,)."""
-    kp = max(float(parameters[0]), 1e-9)
-    total = inertia + float(parameters[3])
-    return np.array([kp, max(float(parameters[1]), 0.4 * np.sqrt(kp * total)), 0.05, total])

@@ -50,7 +50,7 @@ class Trace:
     drive_per_rad: float | None = None
 
     def window(self, length_s: float) -> Trace:
-        """The first stretch of at most ``length_s`` from just before the command first changes."""
+        """The first segment of at most ``length_s`` from just before the command first changes."""
         moves = np.flatnonzero(np.diff(self.command))
         first = int(moves[0]) if moves.size else 0
         last = int(np.searchsorted(self.t, self.t[first] + length_s))

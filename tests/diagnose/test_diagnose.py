@@ -14,6 +14,7 @@ from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
@@ -179,6 +180,15 @@ def test_robots_together_equal_one_at_a_time(rubbing, clean):
     assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
 
 
+def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(rubbing):
+    """Asked to neglect what takes away less than nearly all of the error, friction is neglected."""
+    assert rubbing.negligible == ()
+    (found,) = diagnose_all([Case(two(**FRICTION), robot("j1"))], negligible=0.999)
+    assert found.verdict == "consistent"
+    assert found.effects == ()
+    assert [e.effect for e in found.negligible] == [e.effect for e in rubbing.effects]
+
+
 def test_robots_sampled_alike_share_a_batch():
     fast, slow = two(), [thinned(one, 5) for one in two()]
     done = []
@@ -230,3 +240,16 @@ def test_no_motion_is_refused():
     flat = Recording(**{**vars(still), "position": np.zeros_like(still.position)})
     with pytest.raises(InputError, match=r"still.csv.*no motion"):
         diagnose([flat], robot("j1"))
+
+
+@pytest.mark.parametrize("effects", [{}, FRICTION], ids=["plain", "rubbing"])
+def test_the_baseline_is_what_identify_finds(effects):
+    """One estimator: the same recordings and the same model have one pair of gains."""
+    shown, other = two(**effects)
+    (found,) = diagnose_all([Case([shown], robot("j1"))])
+    known = identify([shown, other], robot("j1"), held_out="b").joints["j1"]
+    assert bool(found.mismatch) == bool(effects)
+    baseline = found.baseline.joints["j1"]
+    for name in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
+        width = np.diff(known.interval[name])[0]
+        assert getattr(baseline, name) == pytest.approx(getattr(known, name), abs=2e-3 * width)

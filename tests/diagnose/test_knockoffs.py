@@ -5,9 +5,9 @@ import pytest
 from simulated import traced
 
 from sim2real.diagnose.knockoffs import contest, directions, false_discovery_rate, meaningless
-from sim2real.diagnose.screen import FITTED, candidate
 from sim2real.diagnose.search import baselines
 from sim2real.servo.batch import Batch
+from sim2real.servo.screen import FITTED, candidate
 
 T = 0.02 * np.arange(1500)
 

@@ -4,8 +4,10 @@ tested."""
 import numpy as np
 import pytest
 
-from sim2real.diagnose.link import LinkData, halfwidth, latency_jitter, link, packet_loss
-from sim2real.diagnose.link_noise import with_noise
+from sim2real.link.jitter import halfwidth, latency_jitter
+from sim2real.link.loss import packet_loss
+from sim2real.link.noise import with_noise
+from sim2real.link.uneven import LinkData, link
 from sim2real.servo.linear import Residual
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose.screen import FITTED, candidate
 from sim2real.diagnose.search import BREADTH, baselines, joined
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
+from sim2real.servo.screen import FITTED, candidate
 
 
 def test_the_plain_servo_comes_back(nothing):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sim2real.effects import named
+from sim2real.effects.effect import scaled
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -70,8 +71,8 @@ def test_an_effect_that_is_not_there_comes_out_as_nothing():
 
 def test_parameters_scale_with_the_servo():
     torque = named("coulomb_friction").parameters[0]
-    assert torque.scaled(4.0, 0.002).typical == 2 * torque.typical
+    assert scaled(torque, 4.0, 0.002).typical == 2 * torque.typical
     inertia = named("unmodelled_inertia").parameters[0]
-    assert inertia.scaled(4.0, 0.004).typical == 2 * inertia.typical
+    assert scaled(inertia, 4.0, 0.004).typical == 2 * inertia.typical
     gap = named("backlash").parameters[0]
-    assert gap.scaled(4.0, 0.004) == gap
+    assert scaled(gap, 4.0, 0.004) == gap

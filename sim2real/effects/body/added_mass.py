@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="added_mass",
     plain="water that is carried along",
     title="more water goes along with the body sideways; a share of what it displaces",
-    parameters=(BodyParameter("ratio", "", 0.2, -0.5, 2.0),),
+    parameters=(Parameter("ratio", low=-0.5, high=2.0, typical=0.2),),
     act=act,
     order=7,
 )

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -23,8 +24,8 @@ EFFECT = BodyEffect(
     plain="a centre of mass that is off",
     title="the centre of mass is not where the file says, forwards and to the left",
     parameters=(
-        BodyParameter("x_m", "m", 0.01, -0.1, 0.1),
-        BodyParameter("y_m", "m", 0.005, -0.05, 0.05),
+        Parameter("x_m", low=-0.1, high=0.1, typical=0.01),
+        Parameter("y_m", low=-0.05, high=0.05, typical=0.005),
     ),
     act=act,
     order=11,

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="form_drag",
     plain="drag of the body's shape",
     title="the body's shape resists more than thought, with the square of the speed",
-    parameters=(BodyParameter("coefficient", "", 0.1, -1.0, 3.0),),
+    parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),
     act=act,
     order=6,
 )

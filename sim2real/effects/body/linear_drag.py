@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="linear_drag",
     plain="drag that grows with speed",
     title="resistance that grows with the speed of the body",
-    parameters=(BodyParameter("coefficient", "N s/m", 0.3, -5.0, 20.0),),
+    parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),
     act=act,
     order=4,
 )

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -24,8 +25,8 @@ EFFECT = BodyEffect(
     plain="a current in the pool",
     title="the pool's water moves evenly",
     parameters=(
-        BodyParameter("u_m_s", "m/s", 0.02, -0.5, 0.5),
-        BodyParameter("v_m_s", "m/s", 0.02, -0.5, 0.5),
+        Parameter("u_m_s", low=-0.5, high=0.5, typical=0.02),
+        Parameter("v_m_s", low=-0.5, high=0.5, typical=0.02),
     ),
     act=act,
     order=8,

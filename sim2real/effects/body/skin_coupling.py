@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="skin_coupling",
     plain="a skin that ties neighbouring joints together",
     title="the skin pulls neighbouring joints to the same angle",
-    parameters=(BodyParameter("stiffness_Nm_per_rad", "N m/rad", 0.2, 0.0, 5.0),),
+    parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=5.0, typical=0.2),),
     act=act,
     order=3,
 )

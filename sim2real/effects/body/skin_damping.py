@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="skin_damping",
     plain="a skin that damps",
     title="the skin over the joints resists their motion",
-    parameters=(BodyParameter("damping_Nms_per_rad", "N m s/rad", 0.03, 0.0, 2.0),),
+    parameters=(Parameter("damping_Nms_per_rad", low=0.0, high=2.0, typical=0.03),),
     act=act,
     order=1,
 )

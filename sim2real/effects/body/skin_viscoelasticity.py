@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -24,8 +25,8 @@ EFFECT = BodyEffect(
     plain="a skin that springs back slowly",
     title="the skin over the joints is a spring that gives way with time",
     parameters=(
-        BodyParameter("stiffness_Nm_per_rad", "N m/rad", 0.3, 0.0, 10.0),
-        BodyParameter("relaxation_s", "s", 0.3, 0.02, 5.0),
+        Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),
+        Parameter("relaxation_s", low=0.02, high=5.0, typical=0.3),
     ),
     act=act,
     order=2,

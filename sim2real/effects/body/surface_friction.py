@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="surface_friction",
     plain="friction with the ground",
     title="the surface is rougher than thought: friction along it with the square of the speed",
-    parameters=(BodyParameter("coefficient", "", 0.01, -0.1, 0.3),),
+    parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
     act=act,
     by_material=True,
     order=5,

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -22,9 +23,9 @@ EFFECT = BodyEffect(
     plain="a tether that pulls",
     title="a cable pulls the head to a place in the pool",
     parameters=(
-        BodyParameter("stiffness_N_per_m", "N/m", 0.1, 0.0, 10.0),
-        BodyParameter("x_m", "m", 0.5, -10.0, 10.0),
-        BodyParameter("y_m", "m", 0.5, -10.0, 10.0),
+        Parameter("stiffness_N_per_m", low=0.0, high=10.0, typical=0.1),
+        Parameter("x_m", low=-10.0, high=10.0, typical=0.5),
+        Parameter("y_m", low=-10.0, high=10.0, typical=0.5),
     ),
     act=act,
     order=9,

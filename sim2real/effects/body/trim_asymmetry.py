@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="trim_asymmetry",
     plain="a straight posture that is off to one side",
     title="the joints' zero is off by an angle, to the same side",
-    parameters=(BodyParameter("offset_rad", "rad", 0.03, -0.5, 0.5),),
+    parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),
     act=act,
     order=12,
 )

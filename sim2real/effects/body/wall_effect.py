@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import BodyEffect, BodyParameter, Forces
+from sim2real.effects.body_effect import BodyEffect, Forces
+from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
@@ -21,7 +22,7 @@ EFFECT = BodyEffect(
     name="wall_effect",
     plain="a wall nearby",
     title="near a wall the robot swims faster, by this share one body length away from it",
-    parameters=(BodyParameter("ratio", "", 0.1, 0.0, 2.0),),
+    parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
     act=act,
     order=10,
 )

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect, late
+from sim2real.effects.body_effect import Array, CameraEffect, late
+from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -21,7 +22,7 @@ EFFECT = CameraEffect(
     name="camera_latency",
     plain="a camera that sees late",
     title="the camera's poses are late",
-    parameters=(BodyParameter("latency_s", "s", 0.05, -0.05, 0.5),),
+    parameters=(Parameter("latency_s", low=-0.05, high=0.5, typical=0.05),),
     see=see,
     order=1,
 )

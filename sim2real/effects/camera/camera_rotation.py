@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+from sim2real.effects.body_effect import Array, CameraEffect
+from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -25,7 +26,7 @@ EFFECT = CameraEffect(
     name="camera_rotation",
     plain="a camera that is turned",
     title="the camera's axes are turned against the pool's, but not its headings",
-    parameters=(BodyParameter("angle_rad", "rad", 0.03, -0.8, 0.8),),
+    parameters=(Parameter("angle_rad", low=-0.8, high=0.8, typical=0.03),),
     see=see,
     order=4,
 )

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+from sim2real.effects.body_effect import Array, CameraEffect
+from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -23,7 +24,7 @@ EFFECT = CameraEffect(
     name="camera_scale",
     plain="a camera whose scale is off",
     title="the camera's metres are too long or too short by this share",
-    parameters=(BodyParameter("ratio", "", 0.02, -0.3, 0.3),),
+    parameters=(Parameter("ratio", low=-0.3, high=0.3, typical=0.02),),
     see=see,
     order=5,
 )

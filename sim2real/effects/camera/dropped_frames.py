@@ -12,7 +12,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect, late
+from sim2real.effects.body_effect import Array, CameraEffect, late
+from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -25,7 +26,7 @@ EFFECT = CameraEffect(
     name="dropped_frames",
     plain="lost camera frames",
     title="some frames are lost and the last pose is repeated",
-    parameters=(BodyParameter("probability", "", 0.05, 0.0, 0.4),),
+    parameters=(Parameter("probability", low=0.0, high=0.4, typical=0.05),),
     see=see,
     order=2,
 )

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+from sim2real.effects.body_effect import Array, CameraEffect
+from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -27,8 +28,8 @@ EFFECT = CameraEffect(
     plain="a marker that sits elsewhere",
     title="the marker sits off the head's centre of mass, forwards and to the left",
     parameters=(
-        BodyParameter("x_m", "m", 0.02, -0.3, 0.3),
-        BodyParameter("y_m", "m", 0.02, -0.1, 0.1),
+        Parameter("x_m", low=-0.3, high=0.3, typical=0.02),
+        Parameter("y_m", low=-0.1, high=0.1, typical=0.02),
     ),
     see=see,
     order=0,

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import lfilter
 
-from sim2real.effects.body_effect import Array, BodyParameter, CameraEffect
+from sim2real.effects.body_effect import Array, CameraEffect
+from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
@@ -28,7 +29,7 @@ EFFECT = CameraEffect(
     name="pose_filter",
     plain="a filter on the camera's poses",
     title="the poses are smoothed by a first-order low-pass",
-    parameters=(BodyParameter("time_constant_s", "s", 0.05, 0.0, 1.0),),
+    parameters=(Parameter("time_constant_s", low=0.0, high=1.0, typical=0.05),),
     see=see,
     order=3,
 )

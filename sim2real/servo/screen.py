@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE, named
-from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect
+from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import Fits, variants
@@ -44,7 +44,7 @@ class Candidate:
 
 def candidate(effect: Effect, kp: float, inertia: float) -> Candidate:
     """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2."""
-    given = [p.scaled(kp, inertia) for p in effect.parameters]
+    given = [scaled(p, kp, inertia) for p in effect.parameters]
     low, high, unit = (
         np.array([getattr(p, name) for p in given]) for name in ("low", "high", "typical")
     )

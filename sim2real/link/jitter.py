@@ -1,9 +1,4 @@
-"""The link to a robot: do its set-points arrive unevenly, or not at all?
-
-A delay of one set-point or its loss is a random event of its own, so that no refit reproduces it.
-But what it does to the angle is known, a short response in proportion to the change of the
-set-point, and the sum of all such responses is found in the residual by its likelihood.
-"""
+"""Latency jitter in what a fit leaves: its halfwidth and its log-likelihood."""
 
 from __future__ import annotations
 
@@ -16,18 +11,16 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-from sim2real.diagnose.link_loss import ROUNDS, WORTH, Uneven, packet_loss
-from sim2real.diagnose.link_noise import (
+from sim2real.link.loss import ROUNDS, WORTH, Uneven
+from sim2real.link.noise import (
     RATIOS,
     Noise,
     NoisyJoint,
     Normal,
     normals,
     regress,
-    with_noise,
 )
-from sim2real.processes import shared
-from sim2real.servo.linear import EARLIEST_S, Residual, spread
+from sim2real.servo.linear import EARLIEST_S, spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,31 +29,6 @@ _HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 7)
 """Halfwidths from which the search for jitter starts."""
 _STEPS, _DRAWS, _OVERSTEP = 8, 4, 1.5
 """Steps of expectation maximisation are short; it climbs as long as the last is below 2."""
-
-
-@dataclass(frozen=True)
-class LinkData:
-    """Residuals of one robot's fits: for each joint its recordings, and what the noise may be."""
-
-    joints: tuple[tuple[Residual, ...], ...]
-    lags: int
-    least_gain: float
-    noticed: float = 0.0
-
-
-def links(robots: Sequence[LinkData]) -> list[Uneven]:
-    """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
-    return shared(link, robots)
-
-
-def link(robot: LinkData) -> Uneven:
-    """The likelier of the two effects on one robot's link."""
-    joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
-    found = max((effect(joints) for effect in (latency_jitter, packet_loss)), key=lambda x: x.gain)
-    if found.gain < robot.noticed:
-        return Uneven(found.effect, shares=tuple(0.0 for _ in joints))
-    alone = latency_jitter if found.effect == "latency_jitter" else packet_loss
-    return replace(found, shares=tuple(alone([joint]).gain for joint in joints))
 
 
 @dataclass(frozen=True)

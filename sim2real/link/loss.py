@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, xlogy
 
-from sim2real.diagnose.link_noise import Noise, NoisyJoint, Normal, normals, regress
 from sim2real.inference.noise import whitened
+from sim2real.link.noise import Noise, NoisyJoint, Normal, normals, regress
 from sim2real.servo.linear import spread
 
 Array = NDArray[np.float64]

@@ -1,0 +1,37 @@
+"""The likelier of the two effects on the link of each robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from sim2real.link.jitter import latency_jitter
+from sim2real.link.loss import Uneven, packet_loss
+from sim2real.link.noise import with_noise
+from sim2real.processes import shared
+from sim2real.servo.linear import Residual
+
+
+@dataclass(frozen=True)
+class LinkData:
+    """Residuals of one robot's fits: for each joint its recordings, and what the noise may be."""
+
+    joints: tuple[tuple[Residual, ...], ...]
+    lags: int
+    least_gain: float
+    noticed: float = 0.0
+
+
+def links(robots: Sequence[LinkData]) -> list[Uneven]:
+    """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
+    return shared(link, robots)
+
+
+def link(robot: LinkData) -> Uneven:
+    """The likelier of the two effects on one robot's link."""
+    joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
+    found = max((effect(joints) for effect in (latency_jitter, packet_loss)), key=lambda x: x.gain)
+    if found.gain < robot.noticed:
+        return Uneven(found.effect, shares=tuple(0.0 for _ in joints))
+    alone = latency_jitter if found.effect == "latency_jitter" else packet_loss
+    return replace(found, shares=tuple(alone([joint]).gain for joint in joints))
