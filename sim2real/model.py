@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.model/1"
+
+Law = Literal["pd", "motor"]
+LAWS: tuple[Law, ...] = get_args(Law)
+"""Laws of a servo that a model may name; a file that names none means the first."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +32,12 @@ class FittedEffect:
 
 @dataclass(frozen=True)
 class JointModel:
-    """One servo: torque = kp (command(t - latency) - position) - kd velocity.
+    """One servo: torque = kp (command(t - latency) - position) - kd velocity, within what it can.
 
     Attributes:
+        law: ``"pd"``, that and nothing else, or ``"motor"``: a motor that obeys a torque-speed line
+            behind gears with friction (``servo.motor``).
+        motor: Parameters of the motor's law, by name; empty for ``"pd"``.
         kp_Nm_per_rad: Proportional gain; per kg m2 (rad/s2 per rad) where ``per_inertia``.
         kd_Nms_per_rad: Derivative gain; per kg m2 (1/s) where ``per_inertia``.
         latency_s: Time from sending a set-point to its taking effect.
@@ -48,6 +55,8 @@ class JointModel:
     latency_s: float
     inertia_kgm2: float
     per_inertia: bool = False
+    law: Law = "pd"
+    motor: Mapping[str, float] = field(default_factory=dict)
     load: Load | None = None
     interval: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     correlation: Mapping[str, float] = field(default_factory=dict)
@@ -134,6 +143,9 @@ def _joint_content(joint: JointModel) -> dict[str, Any]:
     }
     if joint.per_inertia:
         content["per_inertia"] = True
+    content["law"] = joint.law
+    if joint.motor:
+        content["motor"] = dict(joint.motor)
     if joint.load is not None:
         content["load"] = vars(joint.load)
     return content | {
@@ -155,6 +167,12 @@ def _read_joint(fields: Fields) -> JointModel:
     per_inertia = fields.content.get("per_inertia", False)
     if not isinstance(per_inertia, bool):
         raise fields.error("per_inertia", "true or false")
+    law: Any = fields.text("law", LAWS[0])
+    if law not in LAWS:
+        raise fields.error("law", f"one of {', '.join(LAWS)}")
+    motor = fields.table("motor")
+    if law == LAWS[0] and motor.content:
+        raise fields.error("motor", "no such table where the law is pd")
     interval, correlation = fields.table("interval"), fields.table("correlation")
     return JointModel(
         kp_Nm_per_rad=fields.number("kp_Nm_per_rad", low=0),
@@ -162,6 +180,8 @@ def _read_joint(fields: Fields) -> JointModel:
         latency_s=fields.number("latency_s", low=0),
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
         per_inertia=per_inertia,
+        law=law,
+        motor={name: motor.number(name, low=0) for name in motor.content},
         load=read_load(fields.table("load")) if "load" in fields else None,
         interval={name: _read_interval(interval, name) for name in interval.content},
         correlation={pair: correlation.number(pair) for pair in correlation.content},

@@ -2,8 +2,9 @@
 
     python make.py --out FOLDER --seed 824
 
-The motion is the exact solution of the servo's equation, not a numerical one, and nothing is shared
-with the library: what it fits to these recordings can be judged against ``truth.json``.
+The motion is the exact solution of the servo's equation from one event to the next, not a numerical
+one, and nothing is shared with the library: what it fits to these recordings can be judged against
+``truth.json``.
 """
 
 from __future__ import annotations
@@ -31,33 +32,79 @@ GAPS = {"steps": slice(865, 871)}  # ticks at which the computer neither sends n
 
 @dataclass(frozen=True)
 class Servo:
-    """A servo and its load: I a = kp (command(t - latency) - position) - kd velocity."""
+    """A servo and its load: I a = kp (command(t - latency) - position) - kd velocity, if it can.
+
+    The motor gives no more than its torque-speed line, ``stall - (stall / no_load) velocity`` one
+    way and ``-stall - (stall / no_load) velocity`` the other.
+    """
 
     kp_Nm_per_rad: float
     kd_Nms_per_rad: float
     latency_s: float
     inertia_kgm2: float
+    stall_torque_Nm: float = np.inf
+    no_load_speed_rad_s: float = np.inf
 
-    def propagators(self, dt: Array) -> Array:
-        """Matrices that carry (position - command, velocity) over ``dt`` (N,); shape (N, 2, 2).
+    @property
+    def line(self) -> float:
+        """Damping of the torque-speed line, N m s."""
+        limited = np.isfinite(self.stall_torque_Nm)
+        return self.stall_torque_Nm / self.no_load_speed_rad_s if limited else 0.0
 
-        The exponential of a 2 x 2 matrix A with eigenvalues -s +- i w, by Cayley-Hamilton:
-        exp(A dt) = exp(-s dt) (cos(w dt) 1 + sin(w dt) / w (A + s 1)).
+    def side(self, state: Array, target: float) -> int:
+        """1 or -1 where the motor is at an end of its line, 0 where the controller has its way."""
+        damping = self.kd_Nms_per_rad - self.line
+        drive = self.kp_Nm_per_rad * (target - state[0]) - damping * state[1]
+        return int(np.sign(drive)) if abs(drive) > self.stall_torque_Nm else 0
+
+    def moved(self, state: Array, target: float, side: int, dt: float) -> Array:
+        """Position and velocity after ``dt`` on one side, exactly.
+
+        Where the controller gets its way, the exponential of a 2 x 2 matrix A with eigenvalues
+        -s +- i w, by Cayley-Hamilton: exp(A dt) = exp(-s dt) (cos(w dt) + sin(w dt) / w (A + s)).
+        On the line the speed decays towards the no-load speed.
         """
+        if side:
+            rate = self.line / self.inertia_kgm2
+            final = side * self.no_load_speed_rad_s
+            fallen = (state[1] - final) * -np.expm1(-rate * dt)
+            return np.array([state[0] + final * dt + fallen / rate, state[1] - fallen])
         stiffness, damping = np.array([self.kp_Nm_per_rad, self.kd_Nms_per_rad]) / self.inertia_kgm2
         A, one = np.array([[0.0, 1.0], [-stiffness, -damping]]), np.eye(2)
         s = damping / 2
-        w = np.sqrt(stiffness - s**2)
-        dt = dt[:, None, None]
-        rotation = np.cos(w * dt) * one + np.sin(w * dt) / w * (A + s * one)
-        return np.asarray(np.exp(-s * dt) * rotation)
+        w = np.sqrt(complex(stiffness - s**2))
+        matrix = np.exp(-s * dt) * (np.cos(w * dt) * one + np.sin(w * dt) / w * (A + s * one)).real
+        rest = np.array([target, 0.0])
+        return np.asarray(rest + matrix @ (state - rest))
+
+    def advanced(self, state: Array, target: float, dt: float) -> Array:
+        """Position and velocity after ``dt`` under one set-point, from side to side."""
+        left = dt
+        side = self.side(state, target)
+        while True:
+            looks = np.linspace(0.0, left, LOOKS + 1)[1:]
+            leaves = next(
+                (x for x in looks if self.side(self.moved(state, target, side, x), target) != side),
+                None,
+            )
+            if leaves is None:
+                return self.moved(state, target, side, left)
+            stays = leaves - left / LOOKS
+            for _ in range(50):
+                middle = 0.5 * (stays + leaves)
+                inside = self.side(self.moved(state, target, side, middle), target) == side
+                stays, leaves = (middle, leaves) if inside else (stays, middle)
+            state, left = self.moved(state, target, side, leaves), left - leaves
+            side = self.side(state, target)
 
 
-# The gains keep the largest step of 1.2 rad below the 1.67 N m of the LX-824's data sheet.
+LOOKS = 16  # looks at the motor's side between two events, at most 20 ms apart
+
+# What each servo is, beside the 1.67 N m and 5.24 rad/s of the LX-824's data sheet.
 SERVOS = {
-    "j1": Servo(kp_Nm_per_rad=1.38, kd_Nms_per_rad=0.068, latency_s=0.0617, inertia_kgm2=0.0022),
-    "j2": Servo(kp_Nm_per_rad=1.32, kd_Nms_per_rad=0.083, latency_s=0.0680, inertia_kgm2=0.0018),
-    "j3": Servo(kp_Nm_per_rad=1.25, kd_Nms_per_rad=0.0435, latency_s=0.0734, inertia_kgm2=0.0015),
+    "j1": Servo(1.38, 0.068, 0.0617, 0.0022, stall_torque_Nm=1.62, no_load_speed_rad_s=5.4),
+    "j2": Servo(1.32, 0.083, 0.0680, 0.0018, stall_torque_Nm=1.71, no_load_speed_rad_s=5.1),
+    "j3": Servo(1.25, 0.0435, 0.0734, 0.0015, stall_torque_Nm=1.55, no_load_speed_rad_s=4.9),
 }
 
 
@@ -65,15 +112,15 @@ def simulate(servo: Servo, t: Array, sent: Array, command: Array) -> Array:
     """Position and velocity at the times ``t`` (T,), from rest on the first command; shape (T, 2).
 
     ``command`` (K,) leaves at the times ``sent`` (K,) and is held from one latency later. The
-    motion between these events is known in closed form, so that there is no time step to choose.
+    motion between these events, and those at which the motor reaches or leaves its line, is known
+    in closed form, so that there is no time step to choose.
     """
     arrival = sent + servo.latency_s
     times = np.union1d(t, arrival)
     held = command[np.maximum(np.searchsorted(arrival, times, side="right") - 1, 0)]
     states = [np.array([held[0], 0.0])]
-    for propagator, angle in zip(servo.propagators(np.diff(times)), held[:-1], strict=True):
-        rest = np.array([angle, 0.0])
-        states.append(rest + propagator @ (states[-1] - rest))
+    for dt, angle in zip(np.diff(times), held[:-1], strict=True):
+        states.append(servo.advanced(states[-1], float(angle), float(dt)))
     return np.array(states)[np.searchsorted(times, t)]
 
 

@@ -13,6 +13,7 @@ from sim2real.servo.law import (
     pd_torque,
     shaft_inertia,
 )
+from sim2real.servo.motor import MOTOR_BIT, Push, gear_friction, motor_push
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 """Sweeps at most, and the change of a joint's rate in rad/s that ends them."""
@@ -38,7 +39,9 @@ def set_point(e: int, k: int, start: wp.float64, h: wp.float64, s: Motion) -> wp
 def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     """Impulse of servo k over a step, the inertia that stands for its gains, and dry friction's.
 
-    The force is that at the middle of the step, as in ``sim2real.servo.law.substep``.
+    The force is that at the middle of the step, as in ``sim2real.servo.law.substep``. Steps here
+    are no longer than a controller's period, so it looks at every one. Gears feel the motor's
+    torque; what the water adds to their friction is not known before the step.
     """
     p = chain.servo[e, k]
     z = chain.memory[e, k]
@@ -59,6 +62,10 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     load = zero
     inertia = zero
     bound = zero
+    push = Push()
+    push.torque = kp * error
+    push.damping = kd
+    push.stiffness = kp
     torque = pd_torque(kp, kd, error, v)
     explicit = bool(False)
     if active != 0:
@@ -66,20 +73,25 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
         error = command_in_force(u, q, v, before, now, h, p, z, active) - q
         error = error_seen(error, q, v, before, now, h, p, z, active)
         load = load_torque(load, q, v, before, now, h, p, z, active)
-        torque = pd_torque(kp, kd, error, v)
+        push.torque = kp * error
+        if kp > zero and (active & wp.static(MOTOR_BIT)) != 0:
+            push = motor_push(kp, kd, error, v, v, p)
+        torque = push.torque - push.damping * v
         if kp > zero:
             made = motor_torque(torque, q, v, torque, now, h, p, z, active)
             explicit = made != torque
             torque = made
         bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
-        inertia = shaft_inertia(zero, zero, zero, zero, zero, zero, p, z, active)
+        if (active & wp.static(MOTOR_BIT)) != 0:
+            bound += gear_friction(v, torque, zero, p)
+        inertia = shaft_inertia(zero, p, z, active)
     s.torque[e, k] = torque
     rotor = inertia * v
     if explicit:
         return wp.vec3d(h * (torque + load) + rotor, inertia, h * bound)
-    gain = half * kd + half * h * kp
-    at_start = error + half * v  # less the half step that the new speed will make
-    impulse = h * (kp * at_start - wp.float64(0.5) * kd * v + load) + rotor
+    gain = half * push.damping + half * h * push.stiffness
+    at_start = push.torque + push.stiffness * half * v  # less what the new speed will make
+    impulse = h * (at_start - wp.float64(0.5) * push.damping * v + load) + rotor
     return wp.vec3d(impulse, gain + inertia, h * bound)
 
 

@@ -28,6 +28,7 @@ def run(options: argparse.Namespace) -> int:
         robot,
         held_out=options.held_out,
         effects=options.effects,
+        law=options.law,
         seed=options.seed,
         progress=lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     )

@@ -29,6 +29,12 @@ def _identify(command: argparse.ArgumentParser) -> None:
         metavar="EFFECT",
         help="effects to fit with the gains, as load_friction or unmodelled_inertia",
     )
+    command.add_argument(
+        "--law",
+        choices=("pd", "motor"),
+        help="the linear servo, or a motor on its data sheet's line (default: motor; pd with "
+        "--effects)",
+    )
     command.add_argument("--no-plots", action="store_true", help="write no MODEL.JOINT.png")
 
 

@@ -21,7 +21,7 @@ from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.holdout import Unseen
-from sim2real.servo.parameters import joint_row
+from sim2real.servo.parameters import joint_row, motor_of
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
 Array = NDArray[np.float64]
@@ -125,9 +125,10 @@ def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
 
     Args:
         joint: The joint.
-        theta: Its parameters, shape (P,).
+        theta: Its parameters, shape (P,); what it has of a motor included.
         hypothesis: The effects that it has.
     """
+    motor = motor_of(theta)
     load = joint.traces[0].load
     kp, kd, latency = (float(x) for x in theta[:3])
     return JointModel(
@@ -136,6 +137,8 @@ def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
         latency,
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=load is PER_INERTIA,
+        law="motor" if motor else "pd",
+        motor=motor,
         load=None if load is PER_INERTIA else load,
         effects=fitted_effects(hypothesis, joint.step_rad),
     )

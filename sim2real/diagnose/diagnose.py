@@ -12,6 +12,7 @@ from sim2real.diagnose.case import Case, Joint, JointResult, bases, gate, prepar
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
+from sim2real.diagnose.motors import with_motors
 from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
@@ -95,6 +96,7 @@ def diagnose_all(
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng, device)
+        some = with_motors(some, rng)
         results = _joint_results(some, rng, device, step)
         for k, case, joints in zip(group, some, results, strict=True):
             found[k] = _diagnosis(case, joints, negligible, seed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sim2real.model import FittedEffect, JointModel
@@ -15,13 +15,28 @@ _SHORT = {
     "inertia_kgm2": "inertia",
 }
 
+_MOTOR = {
+    "stall_torque_Nm": ("stall torque", "N m", "1/s²"),
+    "no_load_speed_rad_s": ("no-load speed", "rad/s", "rad/s"),
+    "resistance_rise": ("resistance rise", "", ""),
+    "rotor_inertia_kgm2": ("rotor", "kg m²", ""),
+    "coulomb_Nm": ("dry friction", "N m", "1/s²"),
+    "motor_friction": ("of motor torque", "", ""),
+    "load_friction": ("of load torque", "", ""),
+    "stribeck_motor_friction": ("of motor, slow", "", ""),
+    "stribeck_load_friction": ("of load, slow", "", ""),
+    "stribeck_speed_rad_s": ("slow below", "rad/s", "rad/s"),
+    "loop_period_s": ("loop period", "s", "s"),
+}
+"""Name of each of the motor's parameters and its unit, with a known load and without."""
+
 
 @dataclass(frozen=True)
 class Quantity:
     """One parameter of a joint, in the unit it is shown in.
 
     Attributes:
-        name: ``"kp"``, ``"kd"``, ``"latency"`` or ``"inertia"``.
+        name: ``"kp"``, ``"kd"``, ``"latency"``, ``"inertia"``, or what the motor has.
         unit: Its unit, such as ``"N m/rad"``.
         value: The estimate.
         interval: 90 % interval, an end infinite where the data set no bound; None if not estimated.
@@ -62,7 +77,7 @@ class Quantity:
 
 
 def quantities(joint: JointModel) -> tuple[Quantity, ...]:
-    """kp, kd, latency and inertia of ``joint``, in the order they are read."""
+    """kp, kd, latency and inertia of ``joint`` and its motor, in the order they are read."""
     per = joint.per_inertia
 
     def fitted(key: str, unit: str, scale: float = 1.0) -> Quantity:
@@ -80,7 +95,16 @@ def quantities(joint: JointModel) -> tuple[Quantity, ...]:
         fitted("kd_Nms_per_rad", "1/s" if per else "N m s/rad"),
         fitted("latency_s", "ms", 1e3),
         inertia,
+        *_of_motor(joint),
     )
+
+
+def _of_motor(joint: JointModel) -> Iterator[Quantity]:
+    for key, value in joint.motor.items():
+        name, unit, per_inertia = _MOTOR.get(key, (key, "", ""))
+        ends = joint.interval.get(f"motor.{key}")
+        origin = "" if ends else "no interval"
+        yield Quantity(name, per_inertia if joint.per_inertia else unit, value, ends, origin)
 
 
 def correlations(

@@ -9,9 +9,11 @@ import numpy as np
 from sim2real.effects import Effect
 from sim2real.inference.holdout import rms
 from sim2real.recording import Load, Recording
+from sim2real.robot import Servo
 from sim2real.servo.fit import Fit, residuals
+from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import PER_INERTIA, Trace
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 _SHORT = {
@@ -22,6 +24,8 @@ _SHORT = {
 }
 ABOVE_NOISE = 2.0
 """Residuals above so many times the noise have something in them."""
+_KEPT = 0.7
+"""Share of what was believed of a parameter's spread above which nothing was learned of it."""
 _MATERIAL = 0.05
 """Share of the stated inertia below which a difference is left to scales and rulers."""
 
@@ -54,6 +58,8 @@ def on_fit(
         if k not in named and not np.isfinite(ends[name][1]):
             notes.append(f"{_short(name)} cannot be told from above: these recordings set no bound")
     for p in best.at_bound:
+        if p.name.startswith("motor.") and p.low == 0:
+            continue  # a loss that is not there
         value = best.values[best.names.index(p.name)]
         end = p.low if value - p.low < p.high - value else p.high
         notes.append(f"{_short(p.name)} ended on its bound of {end:g}")
@@ -67,6 +73,38 @@ def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
     if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
         return []
     return ["unmodelled_inertia cannot show: it takes a pendulum or two known loads"]
+
+
+def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
+    """What of the motor the recordings do not tell, and where they contradict the data sheet."""
+    values, log = motor.fit.values, motor.log
+    sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
+    names = [_words(name) for name in motor.fit.names]
+    told = motor.moved | (sd < _KEPT * motor.believed_sd)
+    kept = [name for name, known in zip(names, told, strict=True) if not known]
+    notes = []
+    if kept:
+        notes.append(f"these recordings do not tell {', '.join(kept)}: they stay as believed")
+    if motor.problem.traces[0].load is PER_INERTIA:
+        return notes
+    for name, stated in (
+        ("motor.stall_torque_Nm", servo.max_torque_Nm),
+        ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),
+    ):
+        k = motor.fit.names.index(name)
+        away = abs(np.log(values[k] / stated))
+        if away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
+            notes.append(
+                f"{names[k]} is {values[k]:.3g} where the data sheet says {stated:.3g}: is it that "
+                "servo, and at that voltage?"
+            )
+    return notes
+
+
+def _words(name: str) -> str:
+    for unit in ("_Nms_per_rad", "_Nm_per_rad", "_rad_s", "_kgm2", "_Nm", "_s"):
+        name = name.removesuffix(unit)
+    return name.removeprefix("motor.").replace("_", " ")
 
 
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:

@@ -42,6 +42,8 @@ class Fit:
         jacobians: Its derivatives by the fitted parameters, one array (n, F) a trace.
         converged: Whether the search ended at a minimum.
         inertia: The stated inertia, kg m2.
+        prior: Precision of what was believed of the free parameters, shape (F, F), if anything.
+        tempering: Variance in rad2 that one sample of the residual had beside that prior.
     """
 
     parameters: tuple[Parameter, ...]
@@ -51,6 +53,8 @@ class Fit:
     jacobians: tuple[Array, ...]
     converged: bool
     inertia: float
+    prior: Array | None = None
+    tempering: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -13,21 +13,26 @@ from sim2real.errors import InputError
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import correlation_samples, whiteness
 from sim2real.inference.parameters import Parameter, column
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Load, Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
-from sim2real.servo.intervals import intervals, symmetric_intervals
+from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.servo.motor_fit import EXPLAINED, LINE, LOSSES, ROTOR, MotorFit, fit_motor
+from sim2real.servo.motor_prior import motor_prior
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
+
+_CLEAR = 6.0
+"""What a choice must gain beyond chance."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ def identify(
     *,
     held_out: str | None = None,
     effects: Sequence[str] = (),
+    law: Law | None = None,
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -56,6 +62,9 @@ def identify(
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
         effects: Names of effects to fit together with the gains of every joint.
+        law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
+            the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
+            servo where ``effects`` say what to add to it.
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -67,6 +76,7 @@ def identify(
             lacks an effect.
     """
     _check_inputs(recordings, robot, held_out)
+    law = law or ("pd" if effects else "motor")
     wanted = [named(effect) for effect in dict.fromkeys(effects)]
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
@@ -76,7 +86,9 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
     results = {
-        joint: _identify_joint(traces(recordings, joint), held_out, wanted, rng)
+        joint: _identify_joint(
+            traces(recordings, joint), held_out, wanted, rng, _servo(robot, joint, law)
+        )
         for joint in progress(moving)
     }
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
@@ -87,6 +99,12 @@ def identify(
         notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
     )
+
+
+def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
+    """The joint's data sheet; None where the law asks for none."""
+    known = robot.joint(joint)
+    return None if law == "pd" or known is None else known.servo
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
@@ -111,7 +129,11 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 
 
 def _identify_joint(
-    given: list[Trace], held_out: str | None, wanted: list[Effect], rng: np.random.Generator
+    given: list[Trace],
+    held_out: str | None,
+    wanted: list[Effect],
+    rng: np.random.Generator,
+    servo: Servo | None,
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
     noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
@@ -119,8 +141,11 @@ def _identify_joint(
     free, unseen = _influential(fitted, start, noise)
     best, rivals = best_of(fitted, [start, *others], free)
     stated = given[0].load
-    figures = _figures(best, residuals(best.row, scored), fitted, noise)
     notes: list[str] = []
+    motor = None if servo is None or unseen else _motor(fitted, best, servo, noise, rng)
+    if motor is not None and motor.with_gains:
+        best, rivals = motor.fit, []
+    figures = _figures(best, residuals(best.row, scored), fitted, noise)
     if wanted:
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
         best = fit_effects(fitted, best, wanted)
@@ -129,15 +154,44 @@ def _identify_joint(
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
         notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
+    elif motor is not None and motor.with_gains:
+        spread = uncertainty(best, motor.units)
+        ends = motor_intervals(motor, spread)
     else:
         if stated is not PER_INERTIA and _shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
         units = _units(best)
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
+    if motor is not None and servo is not None:
+        own = uncertainty(motor.fit, motor.units)
+        notes += advice.on_motor(motor, own, servo)
+        ends = motor_intervals(motor, own) | ends
     notes += advice.on_fit(best, spread, ends, unseen, figures)
-    model = _joint_model(best, ends, spread, stated, tuple(notes))
+    model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held)
+
+
+def _motor(
+    fitted: list[Trace], plain: Fit, servo: Servo, noise: float, rng: np.random.Generator
+) -> MotorFit:
+    """The motor's line alone where that explains the recordings, else its losses as well.
+
+    Where the linear servo explains them the gains stay, and the line comes as near as they allow.
+    Losses are taken where they lower the loss by more than chance and their number account for:
+    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more.
+    """
+    prior = motor_prior(servo, fitted)
+    if rms(plain.residuals) < EXPLAINED * noise:
+        return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
+    line = (*LINE, ROTOR) if _shows_inertia(fitted) else LINE
+    first = fit_motor(fitted, plain, prior, line, rng)
+    if rms(first.fit.residuals) < EXPLAINED * noise:
+        return first
+    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
+    scale, inflation = full.fit.scale_rad, full.inflation
+    gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
+    return full if gain > 2 * len(LOSSES) + _CLEAR else first
 
 
 def best_of(
@@ -224,6 +278,7 @@ def _joint_model(
     spread: Uncertainty,
     load: Load,
     notes: tuple[str, ...],
+    motor: MotorFit | None,
 ) -> JointModel:
     names = best.names
     kp, kd, latency = (float(x) for x in best.row[:3])
@@ -233,12 +288,15 @@ def _joint_model(
         effect, _, parameter = name.rpartition(".")
         if effect:
             fitted.setdefault(effect, {})[parameter] = float(value)
+    fitted.pop("motor", None)
     return JointModel(
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
         latency_s=latency,
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=not known,
+        law="pd" if motor is None else "motor",
+        motor={} if motor is None else motor.values,
         load=load if known else None,
         interval=ends,
         correlation={

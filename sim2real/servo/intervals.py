@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.fit import Fit, fit, gains
+from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
 from sim2real.servo.uncertainty import Uncertainty
@@ -58,6 +59,22 @@ def symmetric_intervals(
         open_ = k in wide or half > units[k]
         ends = (p.low, np.inf) if open_ else (float(value) - half, float(value) + half)
         result[p.name] = (max(ends[0], p.low), ends[1])
+    return result
+
+
+def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
+    """90 % intervals of a motor's parameters, what was believed of them included.
+
+    Symmetric in what was searched: in the logarithm of gains, torque and speed.
+    """
+    result = {}
+    for k, (p, found) in enumerate(zip(motor.fit.parameters, motor.fit.values, strict=True)):
+        value, half = float(found), float(spread.half_width[k])
+        ends = value - half, value + half
+        if p.log:
+            ends = value * float(np.exp(-half / value)), value * float(np.exp(half / value))
+        top = np.inf if ends[1] >= p.high else ends[1]
+        result[p.name] = (min(max(ends[0], p.low), value), max(top, value))
     return result
 
 

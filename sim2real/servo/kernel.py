@@ -8,6 +8,7 @@ from sim2real.servo.law import (
     Row,
     arrival_time,
     exact_motion,
+    loop_period,
     measured_angle,
     resting_angle,
     shaft_inertia,
@@ -42,7 +43,7 @@ def simulate_servos(
     latency = p[2]
     inertia = wp.float64(p[3])
     if effects != 0:
-        inertia = shaft_inertia(inertia, zero, zero, zero, zero, zero, p, z, effects)
+        inertia = shaft_inertia(inertia, p, z, effects)
     longest_step = longest[row]
     u = wp.float64(sent[0])
     state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
@@ -52,6 +53,10 @@ def simulate_servos(
     now = wp.float64(start)
     sample = int(0)
     arrival = int(0)
+    period = loop_period(p)
+    looks = wp.float64(start)
+    tick = bool(False)
+    ticks = wp.float64(0.0)
     while sample < samples:
         arrives = t[samples - 1] + wp.float64(1.0)
         if arrival < samples:
@@ -64,17 +69,25 @@ def simulate_servos(
                     arrival += 1
                     continue
         until = wp.min(t[sample], arrives)
+        if period > zero:
+            if now >= looks:
+                tick = True
+                ticks += wp.float64(1.0)
+                looks = start + ticks * period
+            until = wp.min(until, looks)
         if until > now:
             count = int(wp.ceil((until - now) / longest_step))
             h = (until - now) / wp.float64(count)
             for k in range(count):
                 time = now - start + wp.float64(k) * h
-                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects)
+                look = tick and k == 0
+                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects, look)
                 if (effects & wp.static(SENSOR_BITS)) != 0:
                     angle = measured_angle(
                         state[0], state[0], state[1], state[2], time, h, p, z, effects
                     )
             now = until
+            tick = False
         if arrives <= until:
             u = sent[arrival]
             arrival += 1
@@ -82,7 +95,7 @@ def simulate_servos(
                 kp = zero
                 kd = zero
                 u = zero
-        else:
+        elif until == t[sample]:
             if (effects & wp.static(SENSOR_BITS)) == 0:
                 angle = state[0]
             elif sample == 0:

@@ -2,7 +2,8 @@
 
 Symbols: u set-point, q angle, v speed of the output shaft (rad, rad/s); h length of a sub-step
 (s); p row of the joint's parameters (see ``parameters.COLUMNS``); z its memory; active, bit k set
-where effect k of the catalogue is on. All float64, SI.
+where effect k of the catalogue is on and ``MOTOR_BIT`` where the motor is more than linear (see
+``motor``). All float64, SI.
 """
 
 from __future__ import annotations
@@ -10,9 +11,17 @@ from __future__ import annotations
 import warp as wp
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
-
-Row = wp.array(dtype=wp.float64)
+from sim2real.servo.motor import (
+    MOTOR_BIT,
+    Row,
+    gear_friction,
+    held_push,
+    loop_period,
+    motor_push,
+    rotor_inertia,
+    wanted_drive,
+)
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
 
 
 def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], int]:
@@ -65,11 +74,19 @@ error_seen = _chain("error")
 motor_torque = _chain("motor")
 load_torque = _chain("load")
 friction_bound = _chain("friction")
-shaft_inertia = _chain("inertia")
+_other_inertia = _chain("inertia")
 measured_angle = _chain("sensor")
 
 SENSOR_BITS = _at("sensor")[-1]
 """Bits of the effects on the sensor, which must follow every sub-step."""
+
+
+@wp.func
+def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: int) -> wp.float64:
+    """Inertia on the shaft in kg m2: the load's, the rotor's and what effects add."""
+    zero = wp.float64(0.0)
+    inertia += rotor_inertia(p)
+    return _other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)
 
 
 @wp.func
@@ -98,13 +115,14 @@ def substep(
     p: Row,
     z: Row,
     active: int,
+    tick: bool,
 ) -> wp.vec4d:
     """Advance (q, v, motor torque, acceleration) by h under a constant set-point.
 
     Second order and symmetric: forces at the middle position, damping by the trapezoidal rule, dry
     friction as an impulse that can stop the shaft but not turn it round. Source: the Moreau-Jean
     scheme, Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (Springer, 2008),
-    ch. 10.
+    ch. 10. ``tick`` says that a sampled controller looks at the start of the sub-step.
     """
     half = wp.float64(0.5) * h
     v = state[1]
@@ -114,24 +132,44 @@ def substep(
     damping = half * kd / inertia
     stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
     load = pendulum_torque(q, p[4])
+    weight = load
     error = u - q
-    if active != 0:
+    others = active & wp.static(MOTOR_BIT - 1)
+    if others != 0:
         error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
         error = error_seen(error, q, speed, state[2], time, h, p, z, active)
         load = load_torque(load, q, speed, state[2], time, h, p, z, active)
     after = ((wp.float64(1.0) - damping) * v + impulse * (kp * error + load)) * stiff
-    torque = pd_torque(kp, kd, error, wp.float64(0.5) * (v + after))
+    middle = wp.float64(0.5) * (v + after)
+    torque = pd_torque(kp, kd, error, middle)
     if active == 0:
         return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
-    if kp > wp.float64(0.0):
-        middle = wp.float64(0.5) * (v + after)
-        made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
-        if made != torque:
-            after = v + impulse * (made + load)
-        torque = made
     still = wp.float64(0.0)
-    stop = impulse * stiff * friction_bound(still, q, speed, torque, time, h, p, z, active)
-    if stop > wp.float64(0.0):
+    dry = wp.float64(0.0)
+    if (active & wp.static(MOTOR_BIT)) != 0:
+        if kp > still:
+            if tick:
+                z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, p)
+            push = motor_push(kp, kd, error, speed, middle, p)
+            if loop_period(p) > still:
+                push = held_push(z[wp.static(HELD_CELL)], kd, speed, p)
+            damping = half * push.damping / inertia
+            stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
+            after = ((wp.float64(1.0) - damping) * v + impulse * (push.torque + load)) * stiff
+            middle = wp.float64(0.5) * (v + after)
+            torque = push.torque - push.damping * middle
+        dry = gear_friction(speed, torque, weight, p)
+    if others != 0:
+        if kp > still:
+            made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
+            if made != torque:
+                after = v + impulse * (made + load)
+            torque = made
+        if (active & wp.static(MOTOR_BIT)) != 0:
+            dry = gear_friction(speed, torque, weight, p)
+        dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
+    stop = impulse * stiff * dry
+    if stop > still:
         return slide(state, after, stop, half, torque)
     return wp.vec4d(q + half * after, after, torque, (after - v) / h)
 

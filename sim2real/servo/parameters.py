@@ -15,8 +15,25 @@ from sim2real.recording import Load
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
 
+MOTOR = (
+    "motor.stall_torque_Nm",
+    "motor.no_load_speed_rad_s",
+    "motor.resistance_rise",
+    "motor.rotor_inertia_kgm2",
+    "motor.coulomb_Nm",
+    "motor.motor_friction",
+    "motor.load_friction",
+    "motor.stribeck_motor_friction",
+    "motor.stribeck_load_friction",
+    "motor.stribeck_speed_rad_s",
+    "motor.loop_period_s",
+)
+"""Columns of the motor's law, see ``motor.py``; all 0, the servo is the plain PD one."""
+
+FIRST_MOTOR_COLUMN = len(BASE)
+
 FIRST_COLUMN: Mapping[str, int] = {
-    effect.name: len(BASE) + sum(len(e.parameters) for e in CATALOGUE[:k])
+    effect.name: len(BASE) + len(MOTOR) + sum(len(e.parameters) for e in CATALOGUE[:k])
     for k, effect in enumerate(CATALOGUE)
 }
 """Column of each effect's first parameter."""
@@ -26,16 +43,26 @@ FIRST_CELL: Mapping[str, int] = {
 }
 """Cell of memory where each effect's begins."""
 
-CELLS = sum(effect.memory for effect in CATALOGUE)
+HELD_CELL = sum(effect.memory for effect in CATALOGUE)
+"""Cell of memory with the drive that a sampled loop holds."""
+
+CELLS = HELD_CELL + 1
 """Cells of memory of one joint."""
 
-COLUMNS = BASE + tuple(
-    f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
+COLUMNS = (
+    BASE
+    + MOTOR
+    + tuple(
+        f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
+    )
 )
 """Names of all columns of one joint."""
 
 INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 """Column of the inertia that no load states."""
+
+ROTOR_INERTIA = COLUMNS.index("motor.rotor_inertia_kgm2")
+"""Column of the inertia of rotor and gears."""
 
 Array = NDArray[np.float64]
 
@@ -64,9 +91,22 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     if load is not None and not joint.per_inertia:
         row[BASE.index("inertia_kgm2")] = load.inertia_kgm2
         row[BASE.index("gravity_Nm")] = load.gravity_Nm
+    for name, value in joint.motor.items():
+        column = f"motor.{name}"
+        if column not in MOTOR:
+            known = ", ".join(column.removeprefix("motor.") for column in MOTOR)
+            raise InputError(where, "motor", repr(name), f"one of {known}")
+        row[COLUMNS.index(column)] = value
     for fitted in joint.effects:
         _fill(row, fitted, where)
     return row
+
+
+def motor_of(row: Array) -> dict[str, float]:
+    """What a row (P,) has of a motor, by name; parameters that have no effect are left out."""
+    values = row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
+    pairs = zip(MOTOR, values, strict=True)
+    return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
 
 
 def _fill(row: Array, fitted: FittedEffect, where: str) -> None:

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import simulate_servos, solve_servos
-from sim2real.servo.parameters import BASE, CELLS, COLUMNS, FIRST_COLUMN, INERTIA_LEFT_OUT
+from sim2real.servo.motor import MOTOR_BIT
+from sim2real.servo.parameters import (
+    BASE,
+    CELLS,
+    COLUMNS,
+    FIRST_COLUMN,
+    FIRST_MOTOR_COLUMN,
+    INERTIA_LEFT_OUT,
+    MOTOR,
+    ROTOR_INERTIA,
+)
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -21,7 +31,7 @@ Array = NDArray[np.float64]
 STEPS_PER_RADIAN = 32.0
 """Sub-steps while the fastest mode turns by one radian: halving them moves nothing by 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
-_MOST_EFFECTS = 31
+_MOST_EFFECTS = 30
 
 
 def rollout(
@@ -105,7 +115,7 @@ def longest_substep(
         longest_s: No sub-step is longer.
     """
     kp, kd = np.abs(theta[..., 0]), theta[..., 1]
-    total = inertia + theta[..., INERTIA_LEFT_OUT]
+    total = inertia + theta[..., INERTIA_LEFT_OUT] + theta[..., ROTOR_INERTIA]
     fastest = np.maximum(np.sqrt(kp / total), 0.5 * kd / total)
     steps: Array = 1 / np.maximum(steps_per_radian * fastest, 1e-9)
     return np.minimum(longest_s, steps)
@@ -193,14 +203,15 @@ _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def active_effects(rows: Array) -> NDArray[np.int32]:
-    """Bit mask of the effects that are on in each parameter row, shape (N,).
+    """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,).
 
     Raises:
         OverflowError: If the catalogue has more effects than the mask has bits.
     """
     if len(CATALOGUE) > _MOST_EFFECTS:
         raise OverflowError(f"{len(CATALOGUE)} effects; the mask has {_MOST_EFFECTS} bits")
-    active = np.zeros(rows.shape[0], dtype=np.int32)
+    motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
+    active: NDArray[np.int32] = np.where(motor, MOTOR_BIT, 0).astype(np.int32)
     for k, effect in enumerate(CATALOGUE):
         first = FIRST_COLUMN[effect.name]
         on = rows[:, first : first + len(effect.parameters)].any(axis=1)

@@ -16,6 +16,10 @@ PER_INERTIA = Load(inertia_kgm2=1.0)
 """Stands in for a load that is not known: gains then come per unit of inertia."""
 
 
+_FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
+_FEWEST, _PROPORTIONAL = 50, 0.02
+"""Fewest samples of a drive; the share of its power that may not be in proportion to the error."""
+
 HELD_OUT_SHARE = 0.25
 """Share of a lone recording, at its end, that is held out."""
 
@@ -32,6 +36,8 @@ class Trace:
         position: Measured angles in rad, shape (T,), NaN where missing.
         load: The stated load, or ``PER_INERTIA``.
         used: Samples that the fit may see, shape (T,).
+        drive_per_rad: Share of the full drive that the servo reports for a radian of error, where
+            it reports its drive.
     """
 
     name: str
@@ -41,6 +47,7 @@ class Trace:
     position: Array
     load: Load
     used: NDArray[np.bool_]
+    drive_per_rad: float | None = None
 
     def window(self, length_s: float) -> Trace:
         """The first segment of at most ``length_s`` from just before the command first changes."""
@@ -71,6 +78,8 @@ def trace(recording: Recording, joint: str) -> Trace:
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
+    error = recording.command[powered, j] - position
+    reported = recording.columns.get(f"{joint}.load")
     return Trace(
         name=recording.name,
         file=recording.file,
@@ -79,7 +88,29 @@ def trace(recording: Recording, joint: str) -> Trace:
         position=position,
         load=recording.loads.get(joint, PER_INERTIA),
         used=np.isfinite(position),
+        drive_per_rad=None if reported is None else drive_slope(error, reported[powered]),
     )
+
+
+def drive_slope(error: Array, load: Array) -> float | None:
+    """Slope of what a servo reports as its load by the error it controls, if that is its drive.
+
+    It is taken for the drive, a share of the full one, where it lies within -1 and 1 and follows
+    the error in proportion until it is full: a torque or a current that is measured does not.
+    """
+    good = np.isfinite(error) & np.isfinite(load)
+    if np.count_nonzero(good) < _FEWEST or np.abs(load[good]).max() > _FULL + _ROUNDING:
+        return None
+    e, d = error[good], load[good]
+    inside = (np.abs(d) < _NEARLY_FULL) & (np.abs(e) > 0)
+    if np.count_nonzero(inside) < _FEWEST:
+        return None
+    slope = float(e[inside] @ d[inside] / (e[inside] @ e[inside]))
+    left = d - np.clip(slope * e, -_FULL, _FULL)
+    power = float(np.sum(d**2))
+    if slope <= 0 or power == 0 or np.sum(left**2) > _PROPORTIONAL * power:
+        return None
+    return slope
 
 
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:

@@ -1,6 +1,7 @@
 """The recordings that ship: made by their program, true to their truth, unknown to the library."""
 
 import ast
+import dataclasses
 import importlib.util
 import json
 import sys
@@ -110,15 +111,19 @@ def test_measured_is_the_true_motion_with_noise_and_rounding(make, recording):
         assert np.nanmax(np.abs(error)) < 5 * truth["noise_sd_rad"] + 0.00419 / 2
 
 
-def test_torque_stays_below_the_data_sheet(make, recording, robot):
+def test_the_motor_obeys_a_line_near_the_data_sheet_s(make, recording, robot):
+    fastest = []
     for j, joint in enumerate(robot.joints):
         servo, command = make.SERVOS[joint.name], recording.command[:, j]
-        arrival = recording.t + servo.latency_s
-        t = np.union1d(arrival, np.arange(arrival[0], arrival[-1], 0.001))
-        position, velocity = make.simulate(servo, t, recording.t, command).T
-        error = command[np.searchsorted(arrival, t, side="right") - 1] - position
-        torque = servo.kp_Nm_per_rad * error - servo.kd_Nms_per_rad * velocity
-        assert np.abs(torque).max() < joint.servo.max_torque_Nm
+        assert servo.stall_torque_Nm == pytest.approx(joint.servo.max_torque_Nm, rel=0.1)
+        assert servo.no_load_speed_rad_s == pytest.approx(joint.servo.no_load_speed_rad_s, rel=0.1)
+        _, velocity = make.simulate(servo, recording.t, recording.t, command).T
+        fastest.append(np.abs(velocity).max() / servo.no_load_speed_rad_s)
+        limited = dataclasses.replace(servo, stall_torque_Nm=np.inf)
+        _, wanted = make.simulate(limited, recording.t, recording.t, command).T
+        if recording.name in ("steps", "square"):
+            assert np.abs(wanted).max() > 1.5 * servo.no_load_speed_rad_s
+    assert max(fastest) < 1 + 1e-9
 
 
 @pytest.mark.parametrize("joint", JOINTS)
@@ -132,6 +137,8 @@ def test_the_closed_form_agrees_with_numerical_integration(make, joint):
     def motion(_, state, target):
         position, velocity = state
         torque = servo.kp_Nm_per_rad * (target - position) - servo.kd_Nms_per_rad * velocity
+        line = -servo.stall_torque_Nm / servo.no_load_speed_rad_s * velocity
+        torque = np.clip(torque, line - servo.stall_torque_Nm, line + servo.stall_torque_Nm)
         return velocity, torque / servo.inertia_kgm2
 
     # One command after the other, so that the integrator meets no jump inside a piece.
@@ -143,18 +150,19 @@ def test_the_closed_form_agrees_with_numerical_integration(make, joint):
             motion,
             (start, stop),
             state,
-            "DOP853",
+            "LSODA",
             np.append(t[(t >= start) & (t < stop)], stop),
             args=(target,),
-            rtol=1e-12,
-            atol=1e-13,
+            rtol=1e-11,
+            atol=1e-12,
+            max_step=2e-4,
         ).y
         pieces.append(piece[:, :-1])
         state = piece[:, -1]
     expected = np.concatenate(pieces, axis=1).T
     found = make.simulate(servo, t, sent, command)
-    np.testing.assert_allclose(found[:, 0], expected[:, 0], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(found[:, 1], expected[:, 1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found[:, 1], expected[:, 1], rtol=0, atol=1e-5)
 
 
 def test_the_robot_is_the_paper_s(robot):

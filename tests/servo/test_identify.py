@@ -161,7 +161,7 @@ def pendulum(extra):
 
 def test_incomplete_load_is_noticed_and_can_be_fitted():
     recording = pendulum(extra=0.0017)
-    held = identify([recording], bench("j1")).joints["j1"]
+    held = identify([recording], bench("j1"), law="pd").joints["j1"]
     assert any("contradict the stated inertia" in note for note in held.notes)
     freed = identify([recording], bench("j1"), effects=["unmodelled_inertia"]).joints["j1"]
     (effect,) = freed.effects

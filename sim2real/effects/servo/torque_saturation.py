@@ -1,6 +1,8 @@
-"""Torque saturation: the motor cannot give more than ``limit_Nm`` either way.
+"""Torque saturation: the motor gives less than its data sheet says, ``limit_Nm`` either way.
 
-``torque = clip(torque, -limit, limit)``, the flat part of a servo's torque-speed curve.
+``torque = clip(torque, -limit, limit)``: a limit of firmware or current, at any speed. The line of
+torque over speed, which no motor exceeds, is part of the servo's law (``servo.motor``); this effect
+is a limit below it.
 
 Leaves an acceleration that stays level after large steps. Taken for: rate limit, voltage sag; added
 inertia tells, as it makes this one worse and not the rate limit.
@@ -30,7 +32,7 @@ def clip(
 
 EFFECT = Effect(
     name="torque_saturation",
-    plain="a torque limit",
+    plain="a torque limit below the data sheet's",
     says="the motor gives no more than {limit_Nm}",
     site="motor",
     term=clip,

@@ -1,0 +1,82 @@
+"""The line of each motor, where recordings reach it: what a diagnosis takes for granted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim2real.diagnose.case import Case
+from sim2real.inference.holdout import rms
+from sim2real.model import JointModel, Model
+from sim2real.noise import noise_floor
+from sim2real.robot import Servo
+from sim2real.servo.fit import gains
+from sim2real.servo.identify import best_of
+from sim2real.servo.motor_fit import EXPLAINED, LINE, fit_motor
+from sim2real.servo.motor_prior import Prior, motor_prior
+from sim2real.servo.start import first_guess
+from sim2real.servo.trace import PER_INERTIA, Trace, traces
+
+ROOM = 1.7
+"""How many times the data sheet's the line may be, either way; beyond that it is a finding."""
+CLEAR = 0.9
+"""The line is taken where it leaves at most this share of the linear servo's error."""
+
+
+def with_motors(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
+    """The cases, each joint that reaches the line of its data sheet with a model that has it.
+
+    A case that comes with a model or with references keeps what it knows.
+    """
+    return [
+        case if case.model is not None or case.references else _with_lines(case, rng)
+        for case in cases
+    ]
+
+
+def _with_lines(case: Case, rng: np.random.Generator) -> Case:
+    found = {}
+    for joint in case.robot.joints:
+        given = traces(case.recordings, joint.name)
+        model = _on_its_line(given, joint.servo, rng) if given else None
+        if model is not None:
+            found[joint.name] = model
+    return replace(case, model=Model(joints=found)) if found else case
+
+
+def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> JointModel | None:
+    noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+    start, others = first_guess(given, rng)
+    inertia = given[0].load.inertia_kgm2
+    names = [p.name for p in gains(start, inertia)]
+    plain, _ = best_of(given, [start, *others], names)
+    if rms(plain.residuals) < EXPLAINED * noise:
+        return None
+    motor = fit_motor(given, plain, _near_the_sheet(servo, given), LINE, rng)
+    if rms(motor.fit.residuals) > CLEAR * rms(plain.residuals):
+        return None
+    kp, kd, latency = (float(x) for x in motor.fit.row[:3])
+    known = given[0].load is not PER_INERTIA
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=inertia,
+        per_inertia=not known,
+        law="motor",
+        motor=motor.values,
+        load=given[0].load if known else None,
+    )
+
+
+def _near_the_sheet(servo: Servo, given: Sequence[Trace]) -> Prior:
+    prior = motor_prior(servo, given)
+    beliefs = list(prior.beliefs)
+    for name in LINE:
+        k = prior.index(name)
+        middle = float(np.exp(beliefs[k].middle))
+        if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
+            beliefs[k] = replace(beliefs[k], low=middle / ROOM, high=middle * ROOM)
+    return replace(prior, beliefs=tuple(beliefs))

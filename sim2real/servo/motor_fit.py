@@ -1,0 +1,346 @@
+"""The law of a motor fitted to recordings, from several starts, its data sheet as a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
+from sim2real.inference.noise import correlation_samples
+from sim2real.inference.parameters import Parameter
+from sim2real.servo.fit import Fit, errors, plain_row
+from sim2real.servo.motor_prior import Prior
+from sim2real.servo.parameters import COLUMNS, motor_of
+from sim2real.servo.rollout import Simulator
+from sim2real.servo.start import WINDOW_S
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
+"""What the recordings may say of a motor's drive."""
+LOSSES = (
+    "motor.resistance_rise",
+    "motor.coulomb_Nm",
+    "motor.motor_friction",
+    "motor.load_friction",
+    "motor.stribeck_motor_friction",
+    "motor.stribeck_load_friction",
+    "motor.stribeck_speed_rad_s",
+)
+"""What they may say of its losses and its gears."""
+ROTOR = "motor.rotor_inertia_kgm2"
+_CANDIDATES, _STARTS = 64, 4
+_ROUNDS, _FIRST, _LATER = 4, 20, 10
+"""Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
+_DIFFERENCE = 1e-3
+_SETTLED = 1e-3
+_STEPS_PER_RADIAN = 16.0
+EXPLAINED = 1.15
+"""Residuals below so many times the noise need no more parameters."""
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Recordings, what is believed, and which parameters are fitted."""
+
+    traces: Sequence[Trace]
+    prior: Prior
+    free: tuple[int, ...]
+    substep_s: float
+    simulator: Simulator
+
+    def rows(self, x: Array) -> Array:
+        """Rows of the servo's parameters for those searched, (B, F) to (B, P)."""
+        rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
+        rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
+        return rows
+
+    def residuals(self, x: Array) -> Array:
+        """Simulated minus measured angles of all traces, shape (B, n)."""
+        return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
+
+    def terms(self, x: Array) -> Array:
+        """The prior's residuals; parameters that are held have none."""
+        held = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
+        safe = x.copy()
+        safe[:, held] = [self.prior.beliefs[k].middle for k in held]
+        terms = self.prior.terms(safe)
+        terms[:, held] = 0.0
+        if not {3, 4} <= set(self.free):
+            terms[:, -2:] = 0.0
+        return terms
+
+    @property
+    def box(self) -> tuple[Array, Array, Array]:
+        """Smallest and largest values as searched, and units, of the free parameters."""
+        chosen = [self.prior.beliefs[k] for k in self.free]
+        ends = [(np.log(b.low), np.log(b.high)) if b.log else (b.low, b.high) for b in chosen]
+        low, high = np.array(ends).T
+        return low, high, np.array([b.unit for b in chosen])
+
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (B, n) and their derivatives by the free parameters, in units, (B, n, F)."""
+        low, high, unit = self.box
+        B, F = x.shape[0], len(self.free)
+        step = np.where(x[:, self.free] + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+        trial = np.repeat(x[:, None], 1 + F, axis=1)
+        for place, k in enumerate(self.free):
+            trial[:, 1 + place, k] += step[:, place] * unit[place]
+        every = self.residuals(trial.reshape(B * (1 + F), -1)).reshape(B, 1 + F, -1)
+        slope = (every[:, 1:] - every[:, :1]) / step[:, :, None]
+        return every[:, 0], np.moveaxis(slope, 1, 2)
+
+    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+        """The prior's residuals (B, m) and derivatives, in units, (B, m, F)."""
+        here = self.terms(x)
+        unit = self.box[2]
+        slope = np.zeros((*here.shape, len(self.free)))
+        for place, k in enumerate(self.free):
+            moved = x.copy()
+            moved[:, k] += 1e-5 * unit[place]
+            slope[:, :, place] = (self.terms(moved) - here) / 1e-5
+        return here, slope
+
+
+@dataclass(frozen=True)
+class MotorFit:
+    """A fitted motor.
+
+    Attributes:
+        fit: Parameters, residuals and derivatives; the names after the first four are columns.
+        loss: Twice the negative logarithm of the posterior, residuals of ``scale`` and
+            ``inflation`` of ``fit``; to compare fits, recompute it with ``loss_at``.
+        x: Parameters as searched.
+        problem: What was fitted.
+        inflation: How many samples make one that is independent.
+        rivals: Losses of the other starts above the least.
+    """
+
+    fit: Fit
+    loss: float
+    x: Array
+    problem: _Problem
+    inflation: float
+    rivals: Array
+
+    @property
+    def with_gains(self) -> bool:
+        """Whether the gains were fitted along."""
+        return 0 in self.problem.free
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The motor's parameters by name; those that have no effect are left out."""
+        return motor_of(self.fit.row)
+
+    @property
+    def units(self) -> Array:
+        """Sizes of the free parameters in their own units, shape (F,).
+
+        Wider than what was believed, so that what is only believed does not count as unknown.
+        """
+        unit = self.problem.box[2]
+        believed = np.where(np.isfinite(self.believed_sd), 2 * self.believed_sd, 0.0)
+        unit = np.maximum(unit, believed)
+        return np.where(self.log, unit * self.fit.values, unit)
+
+    @property
+    def log(self) -> NDArray[np.bool_]:
+        """Which of the free parameters were searched as logarithms, shape (F,)."""
+        return np.array([self.problem.prior.beliefs[k].log for k in self.problem.free])
+
+    @property
+    def believed_sd(self) -> Array:
+        """Spread of the free parameters before any recording, as searched, shape (F,)."""
+        return np.array([self.problem.prior.beliefs[k].sd for k in self.problem.free])
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """Which of the free parameters lie far from what was believed, shape (F,)."""
+        beliefs = [self.problem.prior.beliefs[k] for k in self.problem.free]
+        middle = np.array([b.middle for b in beliefs])
+        away = np.abs(self.x[list(self.problem.free)] - middle)
+        return np.asarray(away > 2 * self.believed_sd)
+
+    def loss_at(self, scale_rad: float, inflation: float) -> float:
+        """The loss for residuals of another scale and correlation."""
+        error = np.concatenate(self.fit.residuals)[None]
+        return float(_loss(self.problem, self.x[None], error, scale_rad, inflation)[0])
+
+
+def fit_motor(
+    traces: Sequence[Trace],
+    plain: Fit,
+    prior: Prior,
+    free_names: Sequence[str],
+    rng: np.random.Generator,
+    *,
+    start: Array | None = None,
+    gains: bool = True,
+) -> MotorFit:
+    """Fit gains, latency and ``free_names``; what is not free has no effect.
+
+    Candidates drawn from the prior about the plain servo are ranked by their error; from the best,
+    and from the plain servo without a limit, Levenberg-Marquardt searches go on in step. The
+    likelihood counts correlated residuals as fewer samples, so that misfit does not drown what is
+    believed; its scale is taken anew between rounds.
+
+    Args:
+        traces: The joint's recordings.
+        plain: The fit of the plain servo.
+        prior: What is believed.
+        free_names: Columns to fit beside the gains and the latency.
+        rng: For the candidates.
+        start: A further start as searched, shape (F,).
+        gains: Whether gains and latency are fitted; else they stay those of the plain servo.
+    """
+    free = tuple(
+        k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
+    )
+    inertia = traces[0].load.inertia_kgm2
+    fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
+    substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
+    problem = _Problem(traces, prior, free, substep, Simulator(traces))
+    x = _starts(problem, plain, rng, start)
+    if not gains:
+        x = x[:1]  # the linear servo does it: from there the limits come as near as they may
+    else:
+        window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+        near = replace(problem, traces=[window], simulator=Simulator([window]))
+        size = np.mean(np.abs(near.residuals(x)), axis=1)
+        size[0] = 0.0
+        x = x[np.argsort(size)[:_STARTS]]
+    error = problem.residuals(x)
+    error = error[np.argmin(np.mean(np.abs(error), axis=1))]
+    scale, inflation, loss = 1.0, 1.0, np.zeros(x.shape[0])
+    for number in range(_ROUNDS):
+        before = scale
+        scale, inflation = robust_scale(error), _inflation(error, traces)
+        x, loss = _descend(problem, x, scale, inflation, _LATER if number else _FIRST)
+        order = np.argsort(loss)
+        x, loss = x[order], loss[order]
+        error = problem.residuals(x[:1])[0]
+        if number:
+            x, loss = x[loss < loss[0] + 30], loss[loss < loss[0] + 30]
+        if number and abs(scale / before - 1) < 0.05:
+            break
+    return _result(problem, x[0], scale, inflation, loss)
+
+
+def _inflation(error: Array, traces: Sequence[Trace]) -> float:
+    parts = np.split(error, np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1])
+    times = [correlation_samples(part) for part in parts]
+    return float(np.average(times, weights=[part.size for part in parts]))
+
+
+def _loss(problem: _Problem, x: Array, error: Array, scale: float, inflation: float) -> Array:
+    size = OUTLIER_SD * scale
+    data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
+    return np.asarray(data + (problem.terms(x) ** 2).sum(axis=1))
+
+
+def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Array | None) -> Array:
+    """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
+    prior = problem.prior
+    kp, kd = np.maximum(plain.row[:2], 1e-9)
+    latency = float(plain.row[2])
+    N = _CANDIDATES
+    x = np.full((N, len(prior.beliefs)), -np.inf)
+    for k, belief in enumerate(prior.beliefs):
+        x[:, k] = 0.0 if not belief.log else -np.inf
+        if k not in problem.free:
+            continue
+        wide = belief.sd if np.isfinite(belief.sd) else 0.0
+        drawn = belief.middle + wide * rng.standard_normal(N)
+        x[:, k] = drawn if belief.log else 0.5 * np.abs(drawn)
+    damping = prior.beliefs[3].middle - prior.beliefs[4].middle
+    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
+    x[:, 1] = damping + 0.3 * rng.standard_normal(N)
+    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), N)
+    half = N // 2
+    x[:half, :3] = np.log(kp), np.log(kd), latency
+    x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
+    if start is not None:
+        x[0] = start
+        x[0, [k for k in problem.free if np.isneginf(start[k])]] = x[
+            1, [k for k in problem.free if np.isneginf(start[k])]
+        ]
+    low, high, _ = problem.box
+    x[:, problem.free] = np.clip(x[:, problem.free], low, high)
+    return x
+
+
+def _descend(
+    problem: _Problem, x: Array, scale: float, inflation: float, steps: int
+) -> tuple[Array, Array]:
+    """Levenberg-Marquardt (Marquardt, SIAM J. Appl. Math. 11 (1963) 431-441) from all of ``x``."""
+    low, high, unit = problem.box
+    free = list(problem.free)
+    S, F = x.shape[0], len(free)
+    best, trial = x.copy(), x.copy()
+    least, damping = np.full(S, np.inf), np.full(S, 1e-2)
+    normal, slope = np.zeros((S, F, F)), np.zeros((S, F))
+    active = np.arange(S)
+    for step in range(steps):
+        error, by = problem.slopes(trial[active])
+        loss = _loss(problem, trial[active], error, scale, inflation)
+        belief, belief_by = problem.prior_slopes(trial[active])
+        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
+        gain = least[active] - loss
+        settled = (gain < _SETTLED) & (gain >= 0) & (step > 2)
+        for j, s in enumerate(active):
+            if gain[j] < 0:
+                damping[s] *= 6
+                continue
+            best[s], least[s] = trial[s], loss[j]
+            damping[s] = max(damping[s] / 5, 1e-6)
+            weighted = by[j] * weight[j][:, None]
+            normal[s] = by[j].T @ weighted + belief_by[j].T @ belief_by[j]
+            slope[s] = weighted.T @ error[j] + belief_by[j].T @ belief[j]
+        active = active[~settled & (damping[active] < 1e5)]
+        if not active.size:
+            break
+        for s in active:
+            now = best[s, free]
+            held = (now <= low + 1e-9) & (slope[s] > 0) | (now >= high - 1e-9) & (slope[s] < 0)
+            move = np.flatnonzero(~held)
+            matrix = normal[s][np.ix_(move, move)]
+            size = np.diag(matrix) * damping[s] + 1e-9
+            change = np.zeros(F)
+            change[move] = -np.linalg.solve(matrix + np.diag(size), slope[s][move])
+            change *= min(1.0, 2.0 / max(float(np.abs(change).max(initial=0.0)), 1e-9))
+            trial[s] = best[s]
+            trial[s, free] = np.clip(now + change * unit, low, high)
+    return best, least
+
+
+def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses: Array) -> MotorFit:
+    """The fit in the parameters' own units."""
+    prior, free = problem.prior, list(problem.free)
+    error, by = problem.slopes(x[None])
+    values = prior.values(x)
+    own = np.array([values[k] if prior.beliefs[k].log else 1.0 for k in free])
+    unit = problem.box[2]
+    _, belief_by = problem.prior_slopes(x[None])
+    tie = belief_by[0] / unit / own
+    counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
+    beliefs = [prior.beliefs[k] for k in free]
+    fit = Fit(
+        parameters=tuple(
+            Parameter(b.name, b.low, b.high, u, log=b.log)
+            for b, u in zip(beliefs, unit * own, strict=True)
+        ),
+        row=problem.rows(x[None])[0],
+        scale_rad=robust_scale(error[0]),
+        residuals=tuple(np.split(error[0], counts)),
+        jacobians=tuple(np.split(by[0] / unit / own, counts)),
+        converged=True,
+        inertia=problem.traces[0].load.inertia_kgm2,
+        prior=tie.T @ tie,
+        tempering=scale**2 * inflation,
+    )
+    return MotorFit(fit, float(losses[0]), x, problem, inflation, losses[1:] - losses[0])

@@ -1,0 +1,226 @@
+"""The law of a motor behind gears: its limits, its exact solutions, what recordings tell of it."""
+
+import dataclasses
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sim2real.errors import InputError
+from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.recording import Load, Recording
+from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.servo.identify import identify
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
+from sim2real.servo.trace import drive_slope
+
+DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
+spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
+plant = sys.modules["servo_steps_make_motor"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(plant)
+
+KP, KD, LATENCY, INERTIA = 1.38, 0.068, 0.0617, 0.0022
+LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
+T = np.arange(0.0, 6.0, 0.02)
+SQUARE = np.where((T // 1.0) % 2 > 0, 1.0, 0.0)
+
+
+def row(load=None, **motor):
+    joint = JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=motor)
+    return joint_row(joint, load)
+
+
+def simulate(command=SQUARE, load=None, accuracy=STEPS_PER_RADIAN, **motor):
+    theta = row(load, **motor)[None]
+    return rollout(theta, T, command[:, None], steps_per_radian=accuracy)[0, :, 0]
+
+
+def test_without_limits_it_is_the_linear_servo():
+    plain = rollout(row()[None], T, SQUARE[:, None])[0, :, 0]
+    far = simulate(stall_torque_Nm=1e6, no_load_speed_rad_s=1e8)
+    assert np.abs(far - plain).max() < 5e-5
+    assert np.abs(simulate(**LINE) - plain).max() > 0.2
+
+
+@pytest.mark.parametrize("joint", ["j1", "j2", "j3"])
+def test_on_its_line_it_is_the_exact_solution_of_another_program(joint):
+    servo = plant.SERVOS[joint]
+    command = plant.steps(T, np.random.default_rng(4))
+    expected = plant.simulate(servo, T, T, command)[:, 0]
+    model = JointModel(
+        servo.kp_Nm_per_rad, servo.kd_Nms_per_rad, servo.latency_s, servo.inertia_kgm2,
+        law="motor",
+        motor={
+            "stall_torque_Nm": servo.stall_torque_Nm,
+            "no_load_speed_rad_s": servo.no_load_speed_rad_s,
+        },
+    )  # fmt: skip
+    found = rollout(joint_row(model, None)[None], T, command[:, None])[0, :, 0]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
+
+
+def test_it_is_never_faster_than_without_load():
+    angle = simulate(command=np.where(T > 0.5, 40.0, 0.0), **LINE)
+    assert 0.99 * 5.2 < np.diff(angle).max() / 0.02 < 5.2 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    "motor",
+    [
+        LINE,
+        LINE | {"resistance_rise": 2.0},
+        LINE | {"coulomb_Nm": 0.03, "motor_friction": 0.2, "load_friction": 0.15},
+        LINE | {"motor_friction": 0.1, "stribeck_motor_friction": 0.2, "stribeck_speed_rad_s": 0.4},
+        LINE | {"loop_period_s": 0.01},
+    ],
+)
+def test_it_does_not_depend_on_the_step(motor):
+    load = Load(0.0022, 0.2, 0.1)
+    coarse = simulate(load=load, **motor)
+    fine = simulate(load=load, accuracy=4 * STEPS_PER_RADIAN, **motor)
+    assert np.abs(coarse - fine).max() < 4e-4
+
+
+def test_loss_and_friction_are_the_equations():
+    motor = LINE | {
+        "resistance_rise": 1.5,
+        "rotor_inertia_kgm2": 0.001,
+        "coulomb_Nm": 0.02,
+        "motor_friction": 0.2,
+        "load_friction": 0.3,
+        "stribeck_motor_friction": 0.1,
+        "stribeck_load_friction": 0.05,
+        "stribeck_speed_rad_s": 0.5,
+    }
+    load = Load(0.0022, 0.2, 0.1)
+    back = 1.6 / 5.2
+
+    def slope(_, state):
+        q, v = state
+        drive = np.clip(KP * (1.0 - q) - (KD - back) * v, -1.6, 1.6)
+        x = drive - back * v
+        m = 2 * x / (1 + np.sqrt(1 + 4 * 1.5 * abs(x) / 1.6))
+        weight = -load.gravity_Nm * np.sin(q)
+        slow = np.exp(-((v / 0.5) ** 2))
+        dry = 0.02 + abs(0.2 * m - 0.3 * weight) + slow * abs(0.1 * m - 0.05 * weight)
+        return [v, (m + weight - dry) / 0.0032]
+
+    def stops(_, state):
+        return state[1] - 1e-3
+
+    stops.terminal, stops.direction = True, -1
+    until = 1.0
+    found = solve_ivp(
+        slope, (0, until), [0, 1e-9], events=stops, dense_output=True, rtol=1e-10, atol=1e-12
+    )
+    t = np.arange(0.0, 0.9 * found.t[-1], 0.002)
+    model = JointModel(KP, KD, 0.0, INERTIA, law="motor", motor=motor)
+    command = np.where(t > 0, 1.0, 0.0)
+    theta = joint_row(model, load)[None]
+    # the set-point of 1 rad is sent at the second sample, 2 ms late
+    moved = rollout(theta, t, command[:, None])[0, :, 0]
+    np.testing.assert_allclose(moved[1:], found.sol(t[1:] - t[1])[0], rtol=0, atol=5e-4)
+
+
+def test_gears_that_rub_under_load_hold_it():
+    held = simulate(np.full(T.size, 0.5), Load(0.0022, 0.5, 0.1), load_friction=2.0)
+    assert np.ptp(held) < 1e-3
+    moves = simulate(np.where(T > 0.1, 0.5, 0.0), Load(0.0022, 0.5, 0.1))
+    assert moves[-1] < 0.48  # the weight pulls the linear servo away from its set-point
+
+
+def test_a_sampled_loop_is_late_by_half_its_period():
+    plain = rollout(row()[None], T, SQUARE[:, None])[0, :, 0]
+    sampled = simulate(loop_period_s=0.002)
+    more = KP * 0.001  # what the controller sees is half a period old
+    earlier = JointModel(KP, KD - more, 0.062, INERTIA)  # its next look after the latency
+    alike = rollout(joint_row(earlier, None)[None], T, SQUARE[:, None])[0, :, 0]
+    assert np.abs(sampled - alike).max() < 0.5 * np.abs(sampled - plain).max()
+
+
+def bench(servo=None):
+    servo = servo or Servo("small", 1.67, 5.24, 0.0)
+    link = Link("link", 0.1, 0.1, 0.02, 0.02)
+    return Robot("bench", (link, link), (Joint("j1", servo, (-3.0, 3.0)),))
+
+
+def recorded(load=None, seed=0, **motor):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 20.0, 0.01)
+    levels = rng.uniform(-1.0, 1.0, 60)
+    command = np.interp(t, np.cumsum(rng.uniform(0.2, 0.9, 60)), levels) * (t > 0.3)
+    command += np.where((t // 1.7) % 2 > 0, 0.4, 0.0) * (t > 0.3)
+    angle = rollout(row(load, **motor)[None], t, command[:, None])[0, :, 0]
+    angle += rng.normal(0.0, 1e-3, t.size)
+    loads = {"j1": load or Load(INERTIA)}
+    return Recording("moves", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+
+
+def test_the_line_is_found_with_the_gains():
+    joint = identify([recorded(**LINE)], bench()).joints["j1"]
+    assert joint.law == "motor"
+    assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.01)
+    assert joint.motor["no_load_speed_rad_s"] == pytest.approx(5.2, rel=0.01)
+    assert set(joint.motor) == set(LINE)  # nothing that is not there
+    low, high = joint.interval["motor.no_load_speed_rad_s"]
+    assert low < 5.2 < high
+
+
+def test_losses_are_found_where_they_are():
+    motor = LINE | {"motor_friction": 0.25, "load_friction": 0.15, "rotor_inertia_kgm2": 0.002}
+    load = Load(INERTIA, 0.3, 0.1)
+    joint = identify([recorded(load, **motor)], bench()).joints["j1"]
+    assert joint.motor["motor_friction"] == pytest.approx(0.25, abs=0.05)
+    assert joint.motor["rotor_inertia_kgm2"] == pytest.approx(0.002, rel=0.1)
+    assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.05)
+
+
+def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
+    gentle = recorded(**LINE)
+    quiet = dataclasses.replace(gentle, command=0.03 * gentle.command)
+    rng = np.random.default_rng(1)
+    t, command = quiet.t, quiet.command
+    angle = rollout(row(**LINE)[None], t, command)[0] + rng.normal(0.0, 1e-3, command.shape)
+    quiet = dataclasses.replace(quiet, position=angle)
+    joint = identify([quiet], bench()).joints["j1"]
+    assert joint.motor["stall_torque_Nm"] == pytest.approx(1.67, rel=0.1)
+    assert any("do not tell" in note and "stall torque" in note for note in joint.notes)
+
+
+def test_the_linear_servo_can_be_asked_for():
+    joint = identify([recorded(**LINE)], bench(), law="pd").joints["j1"]
+    assert joint.law == "pd" and not joint.motor
+
+
+def test_a_drive_is_told_from_a_torque():
+    error = np.random.default_rng(0).normal(0.0, 0.5, 500)
+    drive = np.clip(2.3 * error, -1, 1)
+    assert drive_slope(error, drive) == pytest.approx(2.3, rel=0.02)
+    assert drive_slope(error, 3 * drive) is None  # more than the full drive
+    assert drive_slope(error, np.roll(drive, 100)) is None  # something else
+    assert drive_slope(error, np.zeros(500)) is None
+
+
+def test_a_model_file_says_its_law_and_old_ones_mean_pd(tmp_path):
+    path = tmp_path / "model.json"
+    write_model(Model({"j1": JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=LINE)}), path)
+    content = json.loads(path.read_text())
+    assert content["joints"]["j1"]["law"] == "motor"
+    assert read_model(path).joints["j1"].motor == LINE
+    del content["joints"]["j1"]["law"], content["joints"]["j1"]["motor"]
+    path.write_text(json.dumps(content))
+    assert read_model(path).joints["j1"].law == "pd"
+    content["joints"]["j1"]["law"] = "magic"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"law.*'magic'.*pd, motor"):
+        read_model(path)
+
+
+def test_a_motor_that_the_law_does_not_know_is_refused():
+    with pytest.raises(InputError, match=r"motor.*'magic'.*stall_torque_Nm"):
+        row(magic=1.0)
