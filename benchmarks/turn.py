@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 SECONDS = 6.0
 _FULL = 15.0
-_VIEW_M = (-0.56, 0.60, -0.44, 0.36)
+_AROUND_M = 0.32
 _TOP = 99
 _AHEAD_M = np.array([0.035, 0.06, 0.085])
 _HALO = [withStroke(linewidth=3, foreground="white")]
@@ -180,7 +180,7 @@ def draw(hull: Hull, planes: list[Plane], path: Array, turned_s: float, target: 
     """The wake at the end, the robot's outline at some moments, its head's track and heading."""
     figure = plt.figure(figsize=(11.0, 5.4), layout="constrained")
     above, beside = figure.subplots(1, 2, width_ratios=(2.3, 1))
-    _water(above, planes[-1])
+    _water(above, planes[-1], path)
     for plane in planes:
         _outline(above, hull, plane)
     above.plot(path[:, 0], path[:, 1], color="white", linewidth=2.4, zorder=_TOP)
@@ -206,7 +206,7 @@ def _shades() -> Array:
     return 1 - 0.75 * (1 - colours(np.linspace(-1, 1, 255)) / 255)
 
 
-def _water(axes: Axes, seen: Plane) -> None:
+def _water(axes: Axes, seen: Plane, path: Array) -> None:
     nx, ny = seen.vorticity.shape
     x, y = (c - seen.cell / 2 for c in seen.corner)
     axes.imshow(
@@ -214,7 +214,8 @@ def _water(axes: Axes, seen: Plane) -> None:
         cmap=ListedColormap(_shades()), extent=(x, x + nx * seen.cell, y, y + ny * seen.cell),
     )  # fmt: skip
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", autoscale_on=False)
-    axes.set(xlim=_VIEW_M[:2], ylim=_VIEW_M[2:])
+    (left, low), (right, high) = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
+    axes.set(xlim=(left - _AROUND_M, right + _AROUND_M), ylim=(low - _AROUND_M, high + _AROUND_M))
 
 
 def _tone(time: float) -> Array:
