@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sim2real.density import Density, normalised_density
 from sim2real.errors import InputError
-from sim2real.model import Model, read_model
+from sim2real.model import Law, Model, read_model
 from sim2real.posterior.check import Check
 from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior
@@ -43,6 +43,7 @@ def identify(
     *,
     held_out: str | None = None,
     effects: Sequence[str] = (),
+    law: Law | None = None,
     seed: int = 0,
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
@@ -53,6 +54,8 @@ def identify(
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
         effects: Names of effects to fit together with the gains of every joint.
+        law: ``"motor"``, a servo on its data sheet's line, or ``"pd"``, the linear one; by default
+            the motor, and the linear one where there are ``effects``.
         seed: Seed of the scan for a start.
 
     Raises:
@@ -60,7 +63,9 @@ def identify(
             lacks an effect.
     """
     given = recordings_of(recordings)
-    return servos.identify(given, robot_of(robot), held_out=held_out, effects=effects, seed=seed)
+    return servos.identify(
+        given, robot_of(robot), held_out=held_out, effects=effects, law=law, seed=seed
+    )
 
 
 def density(robot: Robot | File) -> Density:

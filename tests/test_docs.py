@@ -137,7 +137,7 @@ def test_the_effect_of_the_tutorial_is_one(tmp_path):
         b.text for b in blocks(ROOT / "docs/tutorial/your-own-effect.md") if "EFFECT" in b.text
     ]
     shutil.copytree(ROOT / "sim2real", tmp_path / "sim2real")
-    (tmp_path / "sim2real" / "effects" / "soft_stop.py").write_text(source)
+    (tmp_path / "sim2real" / "effects" / "servo" / "soft_stop.py").write_text(source)
     program = """
 import numpy as np
 from sim2real.model import FittedEffect, JointModel

@@ -15,7 +15,7 @@ from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
 from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
 from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
@@ -100,7 +100,7 @@ def search(
     ledgers = []
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
-        fit = plain[np.array([j])]
+        fit = _trimmed(plain, j)
         ledgers.append(Found(j, base))
         ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
     problem = ServoSearch(batch, level, rng)
@@ -225,7 +225,7 @@ def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: 
     """A servo whose gains, latency and parameters of effects are free.
 
     Args:
-        plain: The plain servo, of one row.
+        plain: The plain servo, of one row; its gains, latency and line are free.
         effects: Effects whose parameters are free; others of ``theta`` are dropped.
         theta: Where to start, shape (P,).
         kp: Gain that the effects are scaled to, N m/rad.
@@ -233,17 +233,24 @@ def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: 
     """
     given = [candidate(named(name), kp, inertia) for name in sorted(effects) if named(name).fitted]
     row = np.zeros_like(theta)
-    row[:5] = theta[:5]
+    row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
     for option in given:
         row[option.columns] = theta[option.columns]
+    own = _own(plain)
     return Servos(
         plain.joint,
         row[None],
-        np.concatenate([np.arange(3, dtype=np.int32), *(c.columns for c in given)])[None],
-        np.concatenate([plain.unit[0, :3], *(c.unit for c in given)])[None],
-        np.concatenate([plain.low[0, :3], *(c.low for c in given)])[None],
-        np.concatenate([plain.high[0, :3], *(c.high for c in given)])[None],
+        np.concatenate([plain.columns[0, own], *(c.columns for c in given)])[None],
+        np.concatenate([plain.unit[0, own], *(c.unit for c in given)])[None],
+        np.concatenate([plain.low[0, own], *(c.low for c in given)])[None],
+        np.concatenate([plain.high[0, own], *(c.high for c in given)])[None],
     )
+
+
+def _own(servos: Servos) -> NDArray[np.bool_]:
+    """Which of one servo's free parameters are no effect's, shape (F,)."""
+    columns = servos.columns[0]
+    return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
 
 
 def _width(fit: Fits) -> int:
@@ -304,5 +311,5 @@ def joined(fits: Sequence[Fits]) -> Fits:
 def _evidence(fit: Fits, added: Set) -> float:
     """Laplace's approximation of the evidence of effects, with their prior."""
     information = fit.gram.sum(axis=1)[:, 1:, 1:] / (fit.error2 / fit.count)[:, None, None]
-    occam = occam_factor(information, DECISION.prior_sd, nuisance=3)
+    occam = occam_factor(information, DECISION.prior_sd, nuisance=int(_own(fit.servos).sum()))
     return float(fit.loglikelihood[0] - occam[0]) + len(added) * LOG_PRIOR

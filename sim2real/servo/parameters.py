@@ -32,8 +32,11 @@ MOTOR = (
 
 FIRST_MOTOR_COLUMN = len(BASE)
 
+FIRST_EFFECT_COLUMN = len(BASE) + len(MOTOR)
+"""Where the effects' begin."""
+
 FIRST_COLUMN: Mapping[str, int] = {
-    effect.name: len(BASE) + len(MOTOR) + sum(len(e.parameters) for e in CATALOGUE[:k])
+    effect.name: FIRST_EFFECT_COLUMN + sum(len(e.parameters) for e in CATALOGUE[:k])
     for k, effect in enumerate(CATALOGUE)
 }
 """Column of each effect's first parameter."""

@@ -12,10 +12,15 @@ from sim2real.inference import least_squares
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import Expansion
 from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import FIRST_MOTOR_COLUMN
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int32]
 
+LINE = np.arange(2) + FIRST_MOTOR_COLUMN
+"""Columns of a motor's line: stall torque, no-load speed."""
+LINE_ROOM = 1.5
+"""How far it may go from where it starts, either way."""
 DIFFERENCE = 2e-4
 """Step of the forward differences, in units."""
 
@@ -66,7 +71,7 @@ class Servos:
 def plain_servos(
     joint: NDArray[np.integer], theta: Array, inertia: Array, period_s: float
 ) -> Servos:
-    """Servos whose gains and latency are free.
+    """Servos whose gains and latency are free, and the motor's line where there is one.
 
     Args:
         joint: Joint of each in the batch, shape (N,).
@@ -79,14 +84,17 @@ def plain_servos(
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
     none = np.zeros(kp.size)
     fastest2 = min(1.6e5, (np.pi / period_s) ** 2)
-    return Servos(
-        joint=joint.astype(np.int32),
-        theta=theta,
-        columns=np.tile(np.arange(3, dtype=np.int32), (kp.size, 1)),
-        unit=np.stack([kp, kd, none + 0.05], axis=1),
-        low=np.stack([1e-3 * inertia, none, none], axis=1),
-        high=np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1),
-    )
+    columns = np.tile(np.arange(3, dtype=np.int32), (kp.size, 1))
+    unit = np.stack([kp, kd, none + 0.05], axis=1)
+    low = np.stack([1e-3 * inertia, none, none], axis=1)
+    high = np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1)
+    line = theta[:, LINE]
+    has = line.all(axis=1)
+    if has.any():
+        columns = np.hstack([columns, np.where(has[:, None], LINE, -1).astype(np.int32)])
+        unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
+        low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
+    return Servos(joint.astype(np.int32), theta, columns, unit, low, high)
 
 
 @dataclass(frozen=True)

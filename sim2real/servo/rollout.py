@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 STEPS_PER_RADIAN = 32.0
 """Sub-steps while the fastest mode turns by one radian: halving them moves nothing by 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
-_MOST_EFFECTS = 30
 
 
 def rollout(
@@ -203,13 +202,7 @@ _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def active_effects(rows: Array) -> NDArray[np.int32]:
-    """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,).
-
-    Raises:
-        OverflowError: If the catalogue has more effects than the mask has bits.
-    """
-    if len(CATALOGUE) > _MOST_EFFECTS:
-        raise OverflowError(f"{len(CATALOGUE)} effects; the mask has {_MOST_EFFECTS} bits")
+    """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,)."""
     motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
     active: NDArray[np.int32] = np.where(motor, MOTOR_BIT, 0).astype(np.int32)
     for k, effect in enumerate(CATALOGUE):

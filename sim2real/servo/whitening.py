@@ -168,7 +168,7 @@ def innovation_energy(
             x2 = wp.float64(0.0)
             x3 = wp.float64(0.0)
             for i in range(0, order, 4):
-                x0 -= autoregression[i] * angle[row, k - 1 - i]
+                x0 -= autoregression[i] * angle[row, wp.max(k - 1 - i, 0)]
                 x1 -= autoregression[i + 1] * angle[row, wp.max(k - 2 - i, 0)]
                 x2 -= autoregression[i + 2] * angle[row, wp.max(k - 3 - i, 0)]
                 x3 -= autoregression[i + 3] * angle[row, wp.max(k - 4 - i, 0)]

@@ -45,7 +45,7 @@ def test_the_registered_environment_passes_too():
 
 def test_an_episode_begins_once(world_of):
     """The step that ends one draws no other: that is for ``reset`` to do."""
-    env = FishEnv(world_of(1, shortened(TASKS["near"], 3)))
+    env = FishEnv(world_of(1, shortened(TASKS["near"], 12)))
     env.reset(seed=5)
     target = env.world.targets.clone()
     ends = [env.step(np.zeros(3, dtype=np.float32))[3] for _ in range(3)]
