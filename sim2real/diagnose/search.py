@@ -66,7 +66,8 @@ def baselines(batch: Batch, models: Array | None = None) -> Fits:
         starts[:, :, 5:] = given[:, None, 5:]
     K = starts.shape[1]
     starting = np.repeat(np.arange(J), K)
-    many = plain_servos(starting, starts.reshape(J * K, -1), inertia[starting], batch.period)
+    begin = starts.reshape(J * K, -1)
+    many = plain_servos(starting, begin, inertia[starting], batch.period, free_line=True)
     rough = minimise(batch, many, iterations=12, white=True)
     order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :_REFINED]
     pick = (np.arange(J)[:, None] * K + order).ravel()

@@ -69,9 +69,14 @@ class Servos:
 
 
 def plain_servos(
-    joint: NDArray[np.integer], theta: Array, inertia: Array, period_s: float
+    joint: NDArray[np.integer],
+    theta: Array,
+    inertia: Array,
+    period_s: float,
+    *,
+    free_line: bool = False,
 ) -> Servos:
-    """Servos whose gains and latency are free, and the motor's line where there is one.
+    """Servos whose gains and latency are free.
 
     Args:
         joint: Joint of each in the batch, shape (N,).
@@ -79,6 +84,7 @@ def plain_servos(
         inertia: Inertia of each load in kg m2, shape (N,).
         period_s: Time between samples, which cannot tell what rings faster than half their rate
             from what is slower.
+        free_line: Whether the motor's line is free too, where there is one.
     """
     kp = np.maximum(theta[:, 0], 1e-9)
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
@@ -89,8 +95,8 @@ def plain_servos(
     low = np.stack([1e-3 * inertia, none, none], axis=1)
     high = np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1)
     line = theta[:, LINE]
-    has = line.all(axis=1)
-    if has.any():
+    has: NDArray[np.bool_] = np.all(line > 0, axis=1)
+    if free_line and has.any():
         columns = np.hstack([columns, np.where(has[:, None], LINE, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
         low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
