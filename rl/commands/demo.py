@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 
 import torch
 
@@ -184,8 +186,12 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
 
 
 def _swim(options: argparse.Namespace, robot: Robot, model: Model) -> Section:
-    """What the first agent with all techniques has learned, to watch."""
-    policy = sorted((options.out / "ablation").glob("train/all-*/policy.zip"))[0]
+    """What an agent with all techniques has learned, to watch: the best of them in simulation."""
+    folder = options.out / "ablation"
+    agents = json.loads((folder / "ablation.json").read_text())["agents"]
+    mine = [agent for agent in agents if agent["arm"] == "all"]
+    best = max(mine, key=lambda agent: fmean(agent["simulation"]["reward"]))
+    policy = folder / "train" / best["folder"] / "policy.zip"
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         return swim_section(policy, robot, model, film, options.seed)

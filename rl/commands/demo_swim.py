@@ -45,10 +45,11 @@ def swim_section(policy: Path, robot: Robot, model: Model, film: Path, seed: int
     if np.isfinite(took):
         said = f"It arrives after {took:.1f} s."
     else:
-        said = f"It does not arrive within {LONGEST / 50:.0f} s: it has learned for a minute only."
+        said = f"It has not arrived after {LONGEST / 50:.0f} s."
     lead = (
-        "The agent with all techniques turns by 180° and swims to a target behind it, in "
-        "lattice-Boltzmann water with cells of 2 cm. It has been trained in the twin alone. "
+        "Of the agents with all techniques the one that did best in simulation is to turn by 180° "
+        "and swim to a target behind it, in lattice-Boltzmann water with cells of 2 cm. It has "
+        "been trained in the twin alone, for a minute. "
     )
     caption = "From above: the robot, its way, the target, and the vorticity of the water near it."
     alt = "Film of the simulated fish as it turns and swims to a target, seen from above"
