@@ -106,9 +106,9 @@ all ten fits. All starts of a fit are ranked by that error too.
 One choice has seen what is predicted: that the reported drive is used. Without it, the torque
 learned at gain 200 is too small for gain 800: in a prototype 136 mrad there with the data sheet
 alone, 82 with the back-EMF's tie as well, 31 the other way; within a gain 25. A bench that records
-no drive has to expect that, unless it also records a gain at which the drive is full. And several spreads
-of priors were tried with these predictions in sight before the present ones were kept, so a new bench should
-expect a little more.
+no drive has to expect that, unless it also records a gain at which the drive is full. And several
+spreads of priors were tried with these predictions in sight before the present ones were kept, so a
+new bench should expect a little more.
 {findings}
 """
 
