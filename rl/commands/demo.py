@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import torch
 
@@ -30,6 +30,7 @@ from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.differences import differences
 from rl.sac.recipes import QUICK as QUICK_OPTIONS
 from rl.sac.recipes import plan_of
+from rl.sac.train import Plan
 from sim.inference.calibrate import Calibrated, calibrate
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
@@ -127,11 +128,12 @@ def _pool(options: argparse.Namespace) -> list[Section]:
         found = gather(recordings, robot, fitted.model)
     write_model(fitted.model, options.out / "calibrated.json")
     write_ranges(found.ranges, options.out / "ranges.json")
+    told, plan = _ablated(options, robot, fitted.model, found)
     return [
         _calibration(swim, model, fitted, twin, robot),
         ranges_section(found),
-        _ablation(options, robot, fitted.model, found),
-        _swim(options, robot, fitted.model),
+        _ablation(told, plan),
+        _swim(told, options, robot, fitted.model),
     ]
 
 
@@ -157,8 +159,10 @@ def _calibration(
     return Section("Calibration", lead, [Figure(figure, caption), Table(header, rows)])
 
 
-def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Gathered) -> Section:
-    """A quick ablation in the twin: the chain's last stage, not its result."""
+def _ablated(
+    options: argparse.Namespace, robot: Robot, model: Model, found: Gathered
+) -> tuple[dict[str, Any], Plan]:
+    """A quick ablation in the twin: what ``ablate`` tells of it, and how it trained."""
     names = [name for name in ARMS if not ARMS[name].effects and name != "ceiling"]
     arms = [arm_of(name, model, robot, found.ranges) for name in names]
     reality = read_model(options.pool / "reality.json")
@@ -170,6 +174,11 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
         told = ablate(folder, robot, arms, plan, places, seed=options.seed, repeats=10)
     write_report(told, plan, folder, model.provenance)
     print(markdown(told))
+    return told, plan
+
+
+def _ablation(told: dict[str, Any], plan: Plan) -> Section:
+    """The chain's last stage, not its result."""
     note = (
         f"{plan.steps} steps an agent and {SEEDS} seeds: a difference whose interval leaves out "
         "zero stands out even so. Reality is the twin with other numbers, friction, play and a "
@@ -185,13 +194,11 @@ def _ablation(options: argparse.Namespace, robot: Robot, model: Model, found: Ga
     return Section("A quick ablation", lead, [Note("info", note), *figures])
 
 
-def _swim(options: argparse.Namespace, robot: Robot, model: Model) -> Section:
+def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model) -> Section:
     """What an agent with all techniques has learned, to watch: the best of them in simulation."""
-    folder = options.out / "ablation"
-    agents = json.loads((folder / "ablation.json").read_text())["agents"]
-    mine = [agent for agent in agents if agent["arm"] == "all"]
+    mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
     best = max(mine, key=lambda agent: fmean(agent["simulation"]["reward"]))
-    policy = folder / "train" / best["folder"] / "policy.zip"
+    policy = options.out / "ablation" / "train" / best["folder"] / "policy.zip"
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         return swim_section(policy, robot, model, film, options.seed)

@@ -61,6 +61,10 @@ class Decision:
         predictor: Share of the error below which another model is worth having.
         formula_share: Share of the unseen error's square that a term must take away.
         separation: In noises, from which rivals are told apart at first sight.
+        line_clear: A motor's torque-speed line is the baseline where it leaves at most this share
+            of the linear servo's error.
+        line_room: How many times the data sheet's the line may be, either way; beyond that it is a
+            finding.
     """
 
     false_alarms: float
@@ -103,6 +107,8 @@ class Decision:
     predictor: float
     formula_share: float
     separation: float
+    line_clear: float
+    line_room: float
 
 
 def read_decision(path: Path = FILE) -> Decision:

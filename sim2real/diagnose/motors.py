@@ -8,21 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.diagnose.case import Case
+from sim2real.diagnose.decision import DECISION
 from sim2real.inference.holdout import rms
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.fit import gains
 from sim2real.servo.identify import best_of
-from sim2real.servo.motor_fit import EXPLAINED, LINE, fit_motor
+from sim2real.servo.motor_fit import EXPLAINED, fit_motor
 from sim2real.servo.motor_prior import Prior, motor_prior
+from sim2real.servo.parameters import LINE
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
-
-ROOM = 1.7
-"""How many times the data sheet's the line may be, either way; beyond that it is a finding."""
-CLEAR = 0.9
-"""The line is taken where it leaves at most this share of the linear servo's error."""
 
 
 def with_motors(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
@@ -55,7 +52,7 @@ def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> 
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
     motor = fit_motor(given, plain, _near_the_sheet(servo, given), LINE, rng)
-    if rms(motor.fit.residuals) > CLEAR * rms(plain.residuals):
+    if rms(motor.fit.residuals) > DECISION.line_clear * rms(plain.residuals):
         return None
     kp, kd, latency = (float(x) for x in motor.fit.row[:3])
     known = given[0].load is not PER_INERTIA
@@ -72,11 +69,11 @@ def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> 
 
 
 def _near_the_sheet(servo: Servo, given: Sequence[Trace]) -> Prior:
-    prior = motor_prior(servo, given)
+    prior, room = motor_prior(servo, given), DECISION.line_room
     beliefs = list(prior.beliefs)
     for name in LINE:
         k = prior.index(name)
         middle = float(np.exp(beliefs[k].middle))
         if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
-            beliefs[k] = replace(beliefs[k], low=middle / ROOM, high=middle * ROOM)
+            beliefs[k] = replace(beliefs[k], low=middle / room, high=middle * room)
     return replace(prior, beliefs=tuple(beliefs))

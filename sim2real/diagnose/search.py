@@ -15,7 +15,7 @@ from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN
 from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
 from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
@@ -63,7 +63,7 @@ def baselines(batch: Batch, models: Array | None = None) -> Fits:
     if models is not None:
         given = np.where(np.isfinite(models), models, starts[:, 0])
         starts = np.concatenate([starts, given[:, None]], axis=1)
-        starts[:, :, 5:] = given[:, None, 5:]
+        starts[:, :, len(BASE) :] = given[:, None, len(BASE) :]
     K = starts.shape[1]
     starting = np.repeat(np.arange(J), K)
     begin = starts.reshape(J * K, -1)

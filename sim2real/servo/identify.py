@@ -22,9 +22,9 @@ from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
-from sim2real.servo.motor_fit import EXPLAINED, LINE, LOSSES, ROTOR, MotorFit, fit_motor
+from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor
 from sim2real.servo.motor_prior import motor_prior
-from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
 from sim2real.servo.uncertainty import Uncertainty, uncertainty

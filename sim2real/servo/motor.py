@@ -22,11 +22,12 @@ Symbols and units as in ``law``; ``p`` is the joint's row of parameters.
 
 import warp as wp
 
+from sim2real.effects import MOST_EFFECTS
 from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, MOTOR
 
 Row = wp.array(dtype=wp.float64)
 
-MOTOR_BIT = 1 << 30
+MOTOR_BIT = 1 << MOST_EFFECTS
 """Bit of the mask of active effects that is set where the law is not the linear one."""
 
 

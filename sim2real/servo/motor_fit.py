@@ -20,19 +20,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
-"""What the recordings may say of a motor's drive."""
-LOSSES = (
-    "motor.resistance_rise",
-    "motor.coulomb_Nm",
-    "motor.motor_friction",
-    "motor.load_friction",
-    "motor.stribeck_motor_friction",
-    "motor.stribeck_load_friction",
-    "motor.stribeck_speed_rad_s",
-)
-"""What they may say of its losses and its gears."""
-ROTOR = "motor.rotor_inertia_kgm2"
 _CANDIDATES, _STARTS = 64, 4
 _ROUNDS, _FIRST, _LATER = 4, 20, 10
 """Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.robot import Servo
+from sim2real.servo.parameters import BASE, LINE
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
@@ -84,21 +85,13 @@ class Prior:
         middle = np.array([b.middle if np.isfinite(b.sd) else 0.0 for b in self.beliefs])
         sd = np.array([belief.sd for belief in self.beliefs])
         own = (x - middle) / sd
-        kp, kd, stall, fast = (x[:, self.index(n)] for n in _LINE)
+        kp, kd, stall, fast = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
         tie = (kd - stall + fast) / _BACK_EMF_SD
         tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
         reported = np.zeros_like(kp)
         if self.per_rad is not None:
             reported = (kp - stall - np.log(self.per_rad)) / _REPORTED_SD
         return np.hstack([own, tie[:, None], reported[:, None]])
-
-
-_LINE = (
-    "kp_Nm_per_rad",
-    "kd_Nms_per_rad",
-    "motor.stall_torque_Nm",
-    "motor.no_load_speed_rad_s",
-)
 
 
 def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
@@ -129,8 +122,8 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             Belief("kp_Nm_per_rad", True, 0.0, _FREE, 1e-9 * inertia, 1.6e5 * inertia, 0.3),
             Belief("kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3),
             Belief("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
-            log("motor.stall_torque_Nm", stall, torque_sd),
-            log("motor.no_load_speed_rad_s", fast, _SHEET_SD[1]),
+            log(LINE[0], stall, torque_sd),
+            log(LINE[1], fast, _SHEET_SD[1]),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
             log("motor.rotor_inertia_kgm2", _MOTOR_TIME_S * damping, _MOTOR_TIME_SD, 8.0),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),

@@ -15,19 +15,23 @@ from sim2real.recording import Load
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
 
-MOTOR = (
-    "motor.stall_torque_Nm",
-    "motor.no_load_speed_rad_s",
+LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
+"""A motor's torque-speed line: what the recordings may say of its drive."""
+
+ROTOR = "motor.rotor_inertia_kgm2"
+
+LOSSES = (
     "motor.resistance_rise",
-    "motor.rotor_inertia_kgm2",
     "motor.coulomb_Nm",
     "motor.motor_friction",
     "motor.load_friction",
     "motor.stribeck_motor_friction",
     "motor.stribeck_load_friction",
     "motor.stribeck_speed_rad_s",
-    "motor.loop_period_s",
 )
+"""What they may say of its losses and its gears."""
+
+MOTOR = (*LINE, LOSSES[0], ROTOR, *LOSSES[1:], "motor.loop_period_s")
 """Columns of the motor's law, see ``motor.py``; all 0, the servo is the plain PD one."""
 
 FIRST_MOTOR_COLUMN = len(BASE)
@@ -64,7 +68,7 @@ COLUMNS = (
 INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 """Column of the inertia that no load states."""
 
-ROTOR_INERTIA = COLUMNS.index("motor.rotor_inertia_kgm2")
+ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
 
 Array = NDArray[np.float64]

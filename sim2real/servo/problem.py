@@ -12,12 +12,12 @@ from sim2real.inference import least_squares
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import Expansion
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import FIRST_MOTOR_COLUMN
+from sim2real.servo.parameters import COLUMNS, LINE
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int32]
 
-LINE = np.arange(2) + FIRST_MOTOR_COLUMN
+_LINE = np.array([COLUMNS.index(name) for name in LINE])
 """Columns of a motor's line: stall torque, no-load speed."""
 LINE_ROOM = 1.5
 """How far it may go from where it starts, either way."""
@@ -94,10 +94,10 @@ def plain_servos(
     unit = np.stack([kp, kd, none + 0.05], axis=1)
     low = np.stack([1e-3 * inertia, none, none], axis=1)
     high = np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1)
-    line = theta[:, LINE]
+    line = theta[:, _LINE]
     has: NDArray[np.bool_] = np.all(line > 0, axis=1)
     if free_line and has.any():
-        columns = np.hstack([columns, np.where(has[:, None], LINE, -1).astype(np.int32)])
+        columns = np.hstack([columns, np.where(has[:, None], _LINE, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
         low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
     return Servos(joint.astype(np.int32), theta, columns, unit, low, high)
