@@ -17,7 +17,7 @@ from sim2real.diagnose.motors import with_motors
 from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
-from sim2real.diagnose.search import Hypothesis, Set, joined
+from sim2real.diagnose.search import Hypothesis, Set
 from sim2real.diagnose.wording import gathered, mismatch, named_effect, rivals
 from sim2real.effects import named
 from sim2real.model import FittedEffect, Model
@@ -27,7 +27,7 @@ from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import residual_angles
+from sim2real.servo.problem import joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
-from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, joined, search
+from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
@@ -18,7 +18,7 @@ from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import residual_angles
+from sim2real.servo.problem import joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""

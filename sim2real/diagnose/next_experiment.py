@@ -16,7 +16,7 @@ from sim2real.diagnose.search import Hypothesis
 from sim2real.effects import named
 from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.problem import Servos, minimise
+from sim2real.servo.problem import Servos, minimise, residual_angles
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -170,7 +170,8 @@ def _separations(
     staged: Sequence[Trace], plans: Sequence[_Plan], first: Hypothesis, second: Hypothesis
 ) -> Array:
     """Distance of two rivals in units of the noise, the first refitted to the second, by plan."""
-    seen = _residuals(Batch([[one] for one in staged]), plans, second)
+    true = replace(second.fit, servos=_for_plans(second, plans))
+    seen = residual_angles(Batch([[one] for one in staged]), true)
     recorded = [replace(one, position=angle[0]) for one, angle in zip(staged, seen, strict=True)]
     batch = Batch([[one] for one in recorded])
     start = _for_plans(first, plans)
@@ -184,19 +185,9 @@ def _separations(
     return np.asarray(np.sqrt(left / variance))
 
 
-def _residuals(batch: Batch, plans: Sequence[_Plan], rival: Hypothesis) -> Array:
-    servos = _for_plans(rival, plans)
-    problems = Problems(servos.joint, servos.theta[:, None], np.zeros((len(plans), 1)))
-    seen = batch.evaluate(problems, keep=True)
-    assert seen.residual is not None
-    return seen.residual
-
-
 def _for_plans(rival: Hypothesis, plans: Sequence[_Plan]) -> Servos:
     """One servo a plan, weaker where the supply is lower."""
-    many = Servos(
-        *(np.repeat(value, len(plans), axis=0) for value in vars(rival.fit.servos).values())
-    )
+    many = rival.fit.servos[np.zeros(len(plans), dtype=np.intp)]
     theta = many.theta.copy()
     theta[[plan.context == "lower_supply" for plan in plans], 0] *= 0.75
     return replace(many, joint=np.arange(len(plans), dtype=np.int32), theta=theta)

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from sim2real.diagnose.search import padded, stacked
 from sim2real.effects import named
 from sim2real.inference import least_squares
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Fits, Servos, minimise, variants
+from sim2real.servo.problem import Fits, Servos, minimise, stacked, variants
 from sim2real.servo.screen import candidates
 from sim2real.servo.trace import Trace
 
@@ -230,7 +229,7 @@ def fit_own(batch: Batch, linear: Linear, owns: Sequence[Servos]) -> tuple[Array
     """
     H, F = len(owns), linear.shared
     before = replace(linear.servos[np.zeros(H, dtype=np.intp)], joint=np.zeros(H, dtype=np.int32))
-    own = stacked([padded(one, max(one.columns.shape[1] for one in owns)) for one in owns])
+    own = stacked(owns)
     # Of a parameter that the case has to itself the shared value is the references' alone.
     taken = (before.columns[:, :, None] == own.columns[:, None]).any(axis=2)
     case = Servos(
