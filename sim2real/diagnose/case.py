@@ -16,6 +16,7 @@ from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
+from sim2real.servo.motor_line import on_its_line
 from sim2real.servo.trace import Trace, traces
 
 
@@ -52,6 +53,7 @@ class Joint:
         noise: Standard deviation of its sensor's noise, rad.
         step_rad: Step of its sensor where that is coarser than stated, or None.
         given: The model of it to start from, or None.
+        before: Its references.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Joint:
     noise: float
     step_rad: float | None
     given: JointModel | None = None
+    before: Sequence[Trace] = ()
 
     @property
     def base(self) -> Set:
@@ -84,12 +87,29 @@ def prepared(case: Case) -> list[Joint]:
             noise = max(noise_floor(x.t, x.command, x.position) for x in given)
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
-            joints.append(Joint(joint.name, given, noise, step, model))
+            before = traces(case.references, joint.name)
+            joints.append(Joint(joint.name, given, noise, step, model, before))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recording.file, "", found, expected)
     return joints
+
+
+def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
+    """The case, each joint that reaches the line of its data sheet with a model that has it.
+
+    One that comes with a model or with references keeps what it knows.
+    """
+    found = {}
+    if case.model is None and not case.references:
+        limits = {"clear": DECISION.line_clear, "room": DECISION.line_room}
+        for joint in case.robot.joints:
+            given = traces(case.recordings, joint.name)
+            model = on_its_line(given, joint.servo, rng, **limits) if given else None
+            if model is not None:
+                found[joint.name] = model
+    return replace(case, model=Model(joints=found)) if found else case
 
 
 def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:

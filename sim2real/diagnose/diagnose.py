@@ -8,12 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, gate, places, prepared
+from sim2real.diagnose.case import Case, Joint, gate, on_their_lines, places, prepared
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.motors import with_motors
 from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
@@ -97,7 +96,7 @@ def diagnose_all(
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng, device)
-        some = with_motors(some, rng)
+        some = [on_their_lines(case, rng) for case in some]
         results = _joint_results(some, rng, device, step)
         for k, case, joints in zip(group, some, results, strict=True):
             found[k] = _diagnosis(case, joints, negligible, seed)
@@ -139,7 +138,7 @@ def _joint_results(
     findings = investigate(
         batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    findings = against_references(batch, cases, joints, robots, findings)
+    findings = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))

@@ -11,8 +11,9 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
-from sim2real.diagnose.unmodelled import Window, measured_only, robust_sd, windows
+from sim2real.diagnose.unmodelled import measured_only
 from sim2real.effects import named
+from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.servo.parameters import BASE
 from sim2real.servo.smooth import Smooth
 from sim2real.servo.trace import Trace

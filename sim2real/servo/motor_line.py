@@ -1,4 +1,4 @@
-"""The line of each motor, where recordings reach it: what a diagnosis takes for granted."""
+"""A linear servo on the torque-speed line of its motor, where recordings reach that."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim2real.diagnose.case import Case
-from sim2real.diagnose.decision import DECISION
 from sim2real.inference.holdout import rms
-from sim2real.model import JointModel, Model
+from sim2real.model import JointModel
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.fit import gains
@@ -19,31 +17,21 @@ from sim2real.servo.motor_fit import EXPLAINED, fit_motor
 from sim2real.servo.motor_prior import Prior, motor_prior
 from sim2real.servo.parameters import LINE
 from sim2real.servo.start import first_guess
-from sim2real.servo.trace import PER_INERTIA, Trace, traces
+from sim2real.servo.trace import PER_INERTIA, Trace
 
 
-def with_motors(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
-    """The cases, each joint that reaches the line of its data sheet with a model that has it.
+def on_its_line(
+    given: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, clear: float, room: float
+) -> JointModel | None:
+    """The servo with its motor's line, where that explains recordings which it does not.
 
-    A case that comes with a model or with references keeps what it knows.
+    Args:
+        given: Recordings of one joint.
+        servo: Its data sheet.
+        rng: For the scan for a start.
+        clear: Largest share of the linear servo's error that may be left.
+        room: How many times the data sheet's the line may be, either way.
     """
-    return [
-        case if case.model is not None or case.references else _with_lines(case, rng)
-        for case in cases
-    ]
-
-
-def _with_lines(case: Case, rng: np.random.Generator) -> Case:
-    found = {}
-    for joint in case.robot.joints:
-        given = traces(case.recordings, joint.name)
-        model = _on_its_line(given, joint.servo, rng) if given else None
-        if model is not None:
-            found[joint.name] = model
-    return replace(case, model=Model(joints=found)) if found else case
-
-
-def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> JointModel | None:
     noise = max(noise_floor(t.t, t.command, t.position) for t in given)
     start, others = first_guess(given, rng)
     inertia = given[0].load.inertia_kgm2
@@ -51,8 +39,8 @@ def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> 
     plain, _ = best_of(given, [start, *others], names)
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
-    motor = fit_motor(given, plain, _near_the_sheet(servo, given), LINE, rng)
-    if rms(motor.fit.residuals) > DECISION.line_clear * rms(plain.residuals):
+    motor = fit_motor(given, plain, _near_the_sheet(servo, given, room), LINE, rng)
+    if rms(motor.fit.residuals) > clear * rms(plain.residuals):
         return None
     kp, kd, latency = (float(x) for x in motor.fit.row[:3])
     known = given[0].load is not PER_INERTIA
@@ -68,8 +56,8 @@ def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> 
     )
 
 
-def _near_the_sheet(servo: Servo, given: Sequence[Trace]) -> Prior:
-    prior, room = motor_prior(servo, given), DECISION.line_room
+def _near_the_sheet(servo: Servo, given: Sequence[Trace], room: float) -> Prior:
+    prior = motor_prior(servo, given)
     beliefs = list(prior.beliefs)
     for name in LINE:
         k = prior.index(name)
