@@ -273,19 +273,14 @@ class Misstated:
     """What speaks for the load of the references, where another is stated.
 
     Attributes:
-        differs: What the references' load has more, by column: torque in N m, inertia in kg m2.
+        effects: The effects that stand for the difference.
         gain: Gain in log-likelihood with the references' load.
         theta: Parameters of the servo under the stated load, with the difference, shape (P,).
     """
 
-    differs: Mapping[str, float]
+    effects: tuple[str, ...]
     gain: float
     theta: Array
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """The effects that stand for the difference."""
-        return tuple(column.partition(".")[0] for column in self.differs)
 
 
 def misstated(
@@ -326,7 +321,7 @@ def misstated(
     for column, value in differs.items():
         theta[COLUMNS.index(column)] += value
     gain = float(as_before.loglikelihood[0] - as_stated.loglikelihood[0])
-    return Misstated(differs, gain, theta)
+    return Misstated(tuple(column.partition(".")[0] for column in differs), gain, theta)
 
 
 def what_changed(

@@ -228,7 +228,13 @@ def _finding(
     best = tried.tried[after.sets[0]]
     structured = excess_after > DECISION.structured
     strange = strangeness(tried, best, without, excess_after)
-    groups = tuple(g for g in after.groups(tried.base) if not _trifle(best, g))
+    # What every servo has a little of is none of it.
+    groups = tuple(
+        group
+        for group in after.groups(tried.base)
+        if not named(group.members[0]).everywhere
+        or size_in_noise(best, group.members[0]) >= DECISION.ripple
+    )
     groups = _doubted(tried, groups, crowded=len(groups) > DECISION.few, structured=structured)
     mismatch = (
         problem.remains(tried, tried.base)
@@ -299,13 +305,6 @@ def _doubted(
         return replace(group, probability=min(group.probability, most))
 
     return tuple(doubted(k, g) for k, g in enumerate(by_evidence(tried, groups)))
-
-
-def _trifle(best: Hypothesis, group: Group) -> bool:
-    """Whether a group is no more than what every servo has a little of."""
-    if not named(group.members[0]).everywhere:
-        return False
-    return size_in_noise(best, group.members[0]) < DECISION.ripple
 
 
 def size_in_noise(best: Hypothesis, effect: str) -> float:

@@ -90,11 +90,14 @@ def linearised(
         batch = Batch([every], device)
     noise = Batch([every[: len(references)]], device).evaluate(alone).autoregression
     directions, signed, problems = _looks(best, batch)
-    noise = _of_length(noise, batch.lags)
-    seen = batch.evaluate(problems, autoregression=noise)
+    noise = np.pad(noise, ((0, 0), (0, max(0, batch.lags - noise.shape[1]))))[:, : batch.lags]
+    gram = batch.evaluate(problems, autoregression=noise).gram[0]
+    # A start from which a servo is unstable tells nothing.
+    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
+    gram[:, bad] = gram[:, :, bad] = 0.0
     shared = best.servos.columns.shape[1]
     return Linear(
-        _finite(seen.gram[0]),
+        gram,
         batch.samples.astype(np.float64),
         len(references),
         shared,
@@ -115,19 +118,6 @@ def fitted(
     batch = Batch([list(traces)], device)
     fits = [minimise(batch, one, iterations=15) for one in servos]
     return batch, max(fits, key=lambda fit: float(fit.loglikelihood[0]))
-
-
-def _finite(gram: Array) -> Array:
-    """Inner products without the starts from which a servo is unstable."""
-    clean = gram.copy()
-    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
-    clean[:, bad] = clean[:, :, bad] = 0.0
-    return clean
-
-
-def _of_length(noise: Array, lags: int) -> Array:
-    """Coefficients of a noise model with those of further lags left out or 0, shape (1, lags)."""
-    return np.pad(noise, ((0, 0), (0, max(0, lags - noise.shape[1]))))[:, :lags]
 
 
 def _looks(fit: Fits, batch: Batch) -> tuple[tuple[str, ...], NDArray[np.bool_], Problems]:

@@ -177,7 +177,10 @@ class ServoSearch:
 
     def refit(self, jobs: Sequence[tuple[Found, Set, Array]]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
-        servos = [self._with_effects(*job) for job in jobs]
+        servos = [
+            with_effects(one.plain.fit.servos, members, theta, *self._strength(one))
+            for one, members, theta in jobs
+        ]
         rough = minimise(self.batch, stacked(servos), iterations=5)
         best: dict[tuple[int, Set], int] = {}
         for k, (ledger, members, _) in enumerate(jobs):
@@ -221,9 +224,6 @@ class ServoSearch:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
-
-    def _with_effects(self, ledger: Found, members: Set, theta: Array) -> Servos:
-        return with_effects(ledger.plain.fit.servos, members, theta, *self._strength(ledger))
 
 
 def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: float) -> Servos:

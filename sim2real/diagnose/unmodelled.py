@@ -118,11 +118,10 @@ def intermittent(
     scores: dict[int, float] = {}
     for _ in range(_ROUNDS):
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
-        found = {
-            j: w
-            for j, w in found.items()
-            if any(w) and _share(w, joints[j]) < DECISION.window_share
-        }
+        length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
+        inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
+        short = {j for j in found if inside_s[j] < DECISION.window_share * length[j]}
+        found = {j: w for j, w in found.items() if any(w) and j in short}
         if not found:
             return {}
         order = list(found)
@@ -167,11 +166,6 @@ def _windows(
 def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
     """The residual (R, T) of each recording, NaN where nothing was measured, (T,) each."""
     return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
-
-
-def _share(given: tuple[tuple[Window, ...], ...], traces: Sequence[Trace]) -> float:
-    inside_s = sum(b - a for some in given for a, b in some)
-    return inside_s / sum(float(t.t[-1] - t.t[0]) for t in traces)
 
 
 def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
