@@ -37,11 +37,6 @@ class Case:
     model: Model | None = None
     references: Sequence[Recording] = ()
 
-    @property
-    def before(self) -> Case:
-        """The references as a case of their own."""
-        return replace(self, recordings=self.references, references=())
-
 
 @dataclass(frozen=True)
 class Joint:
@@ -112,7 +107,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
     return replace(case, model=Model(joints=found)) if found else case
 
 
-def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
+def by_robot(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
     """Which of all joints are each robot's, where they stand one after the other."""
     ends = np.cumsum([0, *(len(joints) for joints in robots)])
     return [list(range(a, b)) for a, b in pairwise(ends)]
@@ -120,11 +115,12 @@ def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
 
 def gate(case: Case) -> tuple[str, ...]:
     """What the data gate found, a sentence each."""
-    sentences: dict[str, None] = {}
-    for recording in case.recordings:
-        for sentence in all_findings(check(recording, case.robot)):
-            sentences[f"{recording.name}: {sentence}"] = None
-    return tuple(sentences)
+    told = (
+        f"{recording.name}: {sentence}"
+        for recording in case.recordings
+        for sentence in all_findings(check(recording, case.robot))
+    )
+    return tuple(dict.fromkeys(told))
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, on_their_lines, places, prepared
+from sim2real.diagnose.case import Case, Joint, by_robot, on_their_lines, prepared
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
@@ -136,7 +136,7 @@ def _joint_results(
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
     joints = [joint for some in ready for joint in some]
-    robots = places(ready)
+    robots = by_robot(ready)
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
         batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, Joint, places, prepared
+from sim2real.diagnose.case import Case, Joint, by_robot, prepared
 from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
@@ -36,13 +36,17 @@ def with_known_servos(
     Raises:
         InputError: If references and robot do not agree, or no joint moves in them.
     """
-    before = {k: prepared(case.before) for k, case in enumerate(cases) if case.references}
+    before = {
+        k: prepared(replace(case, recordings=case.references, references=()))
+        for k, case in enumerate(cases)
+        if case.references
+    }
     some = [k for k in before if cases[k].model is None]
     known = list(cases)
     if not some:
         return known
     joints = [joint for k in some for joint in before[k]]
-    robots = places([before[k] for k in some])
+    robots = by_robot([before[k] for k in some])
     batch = Batch([joint.traces for joint in joints], device)
     found = investigate(batch, joints, robots, rng=rng)
     for k, robot in zip(some, robots, strict=True):

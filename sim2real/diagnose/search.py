@@ -139,9 +139,9 @@ class ServoSearch:
         self.look([(ledger, members)])
         return self._seen[ledger.case, members]
 
-    def look(self, places: Sequence[tuple[Found, Set]]) -> None:
+    def look(self, pairs: Sequence[tuple[Found, Set]]) -> None:
         """Screen all other effects from each of these sets; sets of one size share a launch."""
-        new = {(one.case, s): (one, s) for one, s in places if (one.case, s) not in self._seen}
+        new = {(one.case, s): (one, s) for one, s in pairs if (one.case, s) not in self._seen}
         sizes = {key: one.tried[s].fit.gram.shape[-1] for key, (one, s) in new.items()}
         for size in sorted(set(sizes.values())):
             some = [x for key, x in new.items() if sizes[key] == size]
@@ -256,7 +256,7 @@ def _own(servos: Servos) -> NDArray[np.bool_]:
 
 
 def _one(fits: Fits, n: int) -> Fits:
-    """One fit without the places that hold no parameter."""
+    """One fit without columns that hold no parameter."""
     one = fits[np.array([n])]
     return one.wide(int(one.servos.free.sum()))
 

@@ -61,17 +61,11 @@ def unmodelled(
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    smooth = shared(
-        smooth_function_of,
-        [
-            (
-                _motions(batch, joints, residuals, j, siblings[j]),
-                _servo(batch, plain, j),
-                j in suspects,
-            )
-            for j in range(len(joints))
-        ],
-    )
+    given = [
+        (_motions(batch, joints, residuals, j, siblings[j]), _servo(batch, plain, j), j in suspects)
+        for j in range(len(joints))
+    ]
+    smooth = shared(smooth_function_of, given)
     nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
     return [
         Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))

@@ -226,7 +226,8 @@ def mismatch(one: JointResult) -> Mismatch:
     """What is said of a joint that differs."""
     finding, traces, noise, rmse = one.finding, one.joint.traces, one.joint.noise, one.error
     when = _when(one)
-    smooth = finding.unmodelled.smooth
+    smooth, count = finding.unmodelled.smooth, float(finding.best.fit.count[0])
+    driven = sorted(smooth.shares.items(), key=lambda entry: -entry[1])
     return Mismatch(
         signal=one.signal,
         component=one.name,
@@ -235,16 +236,9 @@ def mismatch(one: JointResult) -> Mismatch:
         share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
         windows_s={t.name: w for t, w in zip(traces, when, strict=True)},
         where=_where(smooth, when, traces, intermittent=finding.unmodelled.windows is not None),
-        dependence=dependence(smooth, float(finding.best.fit.count[0])),
+        # Shares of the innovations' energy that a smooth function of each state explains.
+        dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
     )
-
-
-def dependence(smooth: Smooth, count: float) -> Mapping[str, float]:
-    """Share of the innovations' energy that a smooth function of each state explains."""
-    return {
-        state: float(1 - np.exp(-2 * max(gain, 0.0) / count))
-        for state, gain in sorted(smooth.shares.items(), key=lambda entry: -entry[1])
-    }
 
 
 def _when(one: JointResult) -> list[tuple[Window, ...]]:
