@@ -24,8 +24,24 @@ from sim2real.servo.predict import predict
 
 Array = NDArray[np.float64]
 STEP_S = 0.0005
-OMNIVERSE = """carb omni omni.client omni.kit omni.kit.app omni.log omni.usd pxr h5py prettytable toml
-trimesh isaacsim isaacsim.core isaacsim.core.utils isaacsim.core.utils.extensions""".split()
+OMNIVERSE = [
+    "carb",
+    "omni",
+    "omni.client",
+    "omni.kit",
+    "omni.kit.app",
+    "omni.log",
+    "omni.usd",
+    "pxr",
+    "h5py",
+    "prettytable",
+    "toml",
+    "trimesh",
+    "isaacsim",
+    "isaacsim.core",
+    "isaacsim.core.utils",
+    "isaacsim.core.utils.extensions",
+]
 
 
 def simulate(model: Model, times: Array, command: Array, start: float) -> Array:
