@@ -14,7 +14,8 @@ def test_identify_finds_the_virtual_servo(recorded, kind):
     folder, _, statuses = recorded
     assert statuses[kind] == 0
     robot = read_robot(folder / "robot.toml")
-    model = identify([read_recording(folder / f"{kind}.csv")], robot).joints["j1"]
+    recordings = [read_recording(folder / f"{kind}.csv")]
+    model = identify(recordings, robot, law="pd").joints["j1"]  # what the virtual servo obeys
     assert model.kp_Nm_per_rad == pytest.approx(IDENTIFIED["kp"], rel=0.03)
     assert model.kd_Nms_per_rad == pytest.approx(IDENTIFIED["kd"], rel=0.03)
     assert model.latency_s == pytest.approx(IDENTIFIED["latency"], abs=0.003)
