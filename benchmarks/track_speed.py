@@ -18,9 +18,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hardware"))
 import overhead  # noqa: E402
 
 from sim2real.hardware.camera_file import Camera  # noqa: E402
-from sim2real.hardware.lens import Lens  # noqa: E402
 from sim2real.hardware.marker import Marker  # noqa: E402
-from sim2real.hardware.plane import stand  # noqa: E402
+from sim2real.hardware.plane import (
+    Lens,  # noqa: E402
+    stand,  # noqa: E402
+)
 from sim2real.hardware.tracker import track  # noqa: E402
 
 RATE = 30.0

@@ -58,7 +58,7 @@ class Density:
 
     def plot(self) -> Figure:
         """Each link as a block, as high as its normalised density."""
-        from sim2real.report.density_plot import density_figure
+        from sim2real.report.range_plots import density_figure
 
         return density_figure(self)
 

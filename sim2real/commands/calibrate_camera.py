@@ -13,8 +13,7 @@ from tqdm import tqdm
 from sim2real.errors import InputError
 from sim2real.hardware.camera_file import write_camera
 from sim2real.hardware.charuco import Board, Picture, calibrate, corner_markers, views
-from sim2real.hardware.lens import Lens
-from sim2real.hardware.plane import stand
+from sim2real.hardware.plane import Lens, stand
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 

@@ -246,7 +246,7 @@ def _described(signal: Excitation, joints: Sequence[Joint]) -> str:
 def _plot(path: Path | None, signal: Excitation, joints: Sequence[Joint]) -> None:
     if path is None:
         return
-    from sim2real.hardware.signal_plot import signal_figure
+    from sim2real.hardware.plots import signal_figure
     from sim2real.report import save_png
 
     save_png(signal_figure(signal, joints), path)

@@ -11,8 +11,8 @@ from tqdm import tqdm
 
 from sim2real.errors import InputError
 from sim2real.hardware.camera_file import read_camera
+from sim2real.hardware.plots import track_figure
 from sim2real.hardware.sync import correlated, flash, joined
-from sim2real.hardware.track_plot import track_figure
 from sim2real.hardware.tracker import Track, frame_count, track
 from sim2real.output import check_writable
 from sim2real.recording import Recording, read_recording, write_recording

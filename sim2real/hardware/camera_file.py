@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.hardware.blob import Blob
-from sim2real.hardware.lens import Lens
 from sim2real.hardware.marker import DICTIONARIES, Marker, size_of
-from sim2real.hardware.plane import Plane, stand
+from sim2real.hardware.plane import Lens, Plane, stand
 from sim2real.output import write_whole
 from sim2real.structured import Fields, finite_number, read_toml
 

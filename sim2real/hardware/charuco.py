@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.hardware.lens import Lens
 from sim2real.hardware.marker import book
+from sim2real.hardware.plane import Lens
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

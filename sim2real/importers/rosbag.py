@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from sim2real.errors import InputError
-from sim2real.importers.ros_joints import command_topics, joint_names
 from sim2real.importers.ros_messages import (
     COMMAND_TYPES,
     STATE_TYPES,
@@ -18,7 +17,16 @@ from sim2real.importers.ros_messages import (
     read_messages,
     set_points,
 )
-from sim2real.importers.ros_series import Series, Stream, Times, angle_series, joint_series, streams
+from sim2real.importers.ros_series import (
+    Series,
+    Stream,
+    Times,
+    angle_series,
+    command_topics,
+    joint_names,
+    joint_series,
+    streams,
+)
 from sim2real.recording import Array, Recording
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}

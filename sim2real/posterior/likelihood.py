@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sim2real.inference.noise import counting
 from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
-from sim2real.posterior.prior import RANDOM_EFFECTS
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
 from sim2real.servo.innovations import WhitenedServo
@@ -26,6 +25,9 @@ Mask = NDArray[np.bool_]
 THREADS = 2
 LONGEST_SUBSTEP_S = 0.001
 """With it sub-steps move a sharp posterior by less than a tenth of its width (tested)."""
+
+RANDOM_EFFECTS = ("latency_jitter", "packet_loss")
+"""Effects whose draws cannot be known from their parameters; they are held, not sampled."""
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.effects import SIGNATURE
+from sim2real.effects import SIGNATURE, named
+from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
-from sim2real.inference.parameters import Priors
+from sim2real.inference.parameters import Parameter, Priors
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     Chain,
@@ -24,9 +25,37 @@ from sim2real.posterior.chain import (
 )
 from sim2real.posterior.convergence import Convergence, convergence, sample
 from sim2real.posterior.laplace import Laplace, laplace, sharpened
-from sim2real.posterior.likelihood import Likelihood, ServoData, loaded, servo_data
-from sim2real.posterior.prior import servo_priors
+from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
+from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.servo.trace import Trace
+
+
+def servo_priors(joint: JointModel) -> Priors:
+    """Wide priors of a servo's gains, latency and the effects that its model holds.
+
+    Gains span natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to 4, each order of
+    magnitude alike; latency is anything up to 0.3 s; an effect's parameters are anywhere within the
+    limits that its file gives, for a servo of this strength.
+    """
+    inertia = joint.inertia_kgm2
+    (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
+    units = ("1/s²", "1/s") if joint.per_inertia else ("", "")
+    parameters = [
+        Parameter("kp_Nm_per_rad", slow**2 * inertia, fast**2 * inertia, joint.kp_Nm_per_rad,
+                  log=True, unit=units[0]),
+        Parameter("kd_Nms_per_rad", 2 * low * slow * inertia, 2 * high * fast * inertia,
+                  max(joint.kd_Nms_per_rad, 1e-9), log=True, unit=units[1]),
+        Parameter("latency_s", *LATENCY_S, 0.05),
+    ]  # fmt: skip
+    for fitted in joint.effects:
+        if fitted.effect in RANDOM_EFFECTS:
+            continue
+        for one in named(fitted.effect).parameters:
+            p = scaled(one, joint.kp_Nm_per_rad, inertia)
+            name = f"{fitted.effect}.{p.name}"
+            parameters.append(Parameter(name, p.low, p.high, p.typical))
+    return Priors(tuple(parameters))
+
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,16 @@ from sim2real.posterior.convergence import require
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.episodes import labelled, listed
-from sim2real.ranges.feedback import camera_noise, joint_noise
-from sim2real.ranges.latency import Latencies, latencies
-from sim2real.ranges.robot import body_ranges, density_ranges, shared_ranges
-from sim2real.ranges.servos import from_model, from_posterior
-from sim2real.ranges.spread import Spread, spread
+from sim2real.ranges.latency import Latencies, Spread, latencies, spread
+from sim2real.ranges.sources import (
+    body_ranges,
+    camera_noise,
+    density_ranges,
+    from_model,
+    from_posterior,
+    joint_noise,
+    shared_ranges,
+)
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.advice import ABOVE_NOISE

@@ -7,11 +7,10 @@ from sim2real.posterior.convergence import LEAST_TIMES
 from sim2real.ranges.entry import Range
 from sim2real.ranges.gather import Gathered
 from sim2real.report.corner_plot import corner_figure
-from sim2real.report.density_plot import density_figure
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
 from sim2real.report.quantity import milliradians, printable, short_name
-from sim2real.report.range_plots import latency_figure, predictive_figure
+from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
 from sim2real.report.style import NARROW
 
 _LEAD = (

@@ -2,7 +2,7 @@ import numpy as np
 import simulated
 
 from sim2real.model import FittedEffect, JointModel
-from sim2real.posterior.prior import servo_priors
+from sim2real.posterior.servo import servo_priors
 from sim2real.servo.parameters import COLUMNS
 
 

@@ -6,7 +6,7 @@ import pytest
 import simulated
 
 from sim2real.ranges.episodes import labelled, listed
-from sim2real.ranges.feedback import camera_noise, joint_noise
+from sim2real.ranges.sources import camera_noise, joint_noise
 
 
 def filmed(seed, place=0.05, direction=0.05, **columns):

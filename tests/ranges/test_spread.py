@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim2real.ranges.spread import spread
+from sim2real.ranges.latency import spread
 
 
 @pytest.mark.parametrize("error", [1e-4, 2e-3, 5e-3])
