@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.hardware.marker import book
+from sim2real.hardware.marker import dictionary_of
 from sim2real.hardware.plane import Lens
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Board:
         import cv2
 
         return cv2.aruco.CharucoBoard(
-            self.squares, self.square_m, self.marker_m, book(self.dictionary)
+            self.squares, self.square_m, self.marker_m, dictionary_of(self.dictionary)
         )
 
 
@@ -118,7 +118,7 @@ def corner_markers(picture: Picture, dictionary: str, numbers: Sequence[int]) ->
     """
     import cv2
 
-    detector = cv2.aruco.ArucoDetector(book(dictionary))
+    detector = cv2.aruco.ArucoDetector(dictionary_of(dictionary))
     corners, ids, _ = detector.detectMarkers(picture)
     seen = {} if ids is None else dict(zip(np.ravel(ids).tolist(), corners, strict=True))
     missing = [number for number in numbers if number not in seen]

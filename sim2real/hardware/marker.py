@@ -55,7 +55,7 @@ class Marker:
         return np.stack([x, y, yaw], axis=1)
 
 
-def book(dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
+def dictionary_of(dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
     """OpenCV's dictionary of that name."""
     import cv2
 
@@ -64,14 +64,14 @@ def book(dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
 
 def size_of(dictionary: str) -> int:
     """How many markers a dictionary holds."""
-    return int(book(dictionary).bytesList.shape[0])
+    return int(dictionary_of(dictionary).bytesList.shape[0])
 
 
 def ink(marker: Marker) -> Array:
     """1 where a cell is black and 0 where it is white, shape (n, n), the border included."""
     import cv2
 
-    words = book(marker.dictionary)
+    words = dictionary_of(marker.dictionary)
     cells = int(words.markerSize) + 2
     printed = cv2.aruco.generateImageMarker(words, marker.number, cells)
     return np.where(np.asarray(printed) > 127, 0.0, 1.0)

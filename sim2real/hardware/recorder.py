@@ -91,7 +91,7 @@ def record(
     outcome = Outcome({mounting.joint.name: 0 for mounting in mountings})
     period = 1 / rate_hz
     start = time.monotonic() + period
-    heard = [start] * len(mountings)
+    answered_s = [start] * len(mountings)
     k = 0
     try:
         while k < len(command):
@@ -103,7 +103,7 @@ def record(
             ask = _health_request(mountings, len(outcome.late_s) - 1)
             sample = _cycle(bus, mountings, command[k], ask, due + BUSY_SHARE * period)
             write(_row(sample, start, len(mountings), ask))
-            _check(mountings, sample, ask, heard, outcome, hottest_C)
+            _check(mountings, sample, ask, answered_s, outcome, hottest_C)
             after = max(k + 1, math.ceil((time.monotonic() - start) / period - 0.5))
             outcome.skipped += min(after, len(command)) - (k + 1)
             progress(after - k)
@@ -199,7 +199,7 @@ def _check(
     mountings: Sequence[Mounting],
     sample: _Sample,
     ask: tuple[int, Command],
-    heard: list[float],
+    answered_s: list[float],
     outcome: Outcome,
     hottest_C: float,
 ) -> None:
@@ -207,10 +207,10 @@ def _check(
     for j, mounting in enumerate(mountings):
         name = mounting.joint.name
         if not math.isnan(sample.position[j]):
-            heard[j] = sample.sent_s
+            answered_s[j] = sample.sent_s
         else:
             outcome.missing[name] += 1
-            if sample.sent_s - heard[j] > CONTACT_S:
+            if sample.sent_s - answered_s[j] > CONTACT_S:
                 raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
     if ask[1] == Command.TEMP_READ and not math.isnan(sample.health):
         check_temperature(mountings[ask[0]], sample.health, hottest_C)
