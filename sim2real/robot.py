@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from sim2real.errors import InputError
 from sim2real.recording import Recording
-from sim2real.stated import Stated, alike, shown
+from sim2real.stated import Sheet, Stated
 from sim2real.structured import Fields, finite_number, read_toml
 
 Place = tuple[str, str]
@@ -22,7 +23,7 @@ LIMITS = "two angles, the smaller first"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Link:
+class Link(Sheet):
     """One rigid link, SI units; ``com_m`` is measured from its front end.
 
     ``mass_sd_kg`` and ``length_sd_m`` say how sure scale and ruler are (standard deviations). Using
@@ -41,14 +42,9 @@ class Link:
     length_sd_m: float | None = None
     where: Place = ("robot", "link")
 
-    __eq__, __repr__ = alike, shown
-
-    def __hash__(self) -> int:
-        return hash(self.name)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Servo:
+class Servo(Sheet):
     """What the maker says of a servo; never fitted. Using what was left out is an InputError."""
 
     name: str
@@ -57,25 +53,15 @@ class Servo:
     position_step_rad: Stated[float] = Stated("a number of at least 0")
     where: Place = ("robot", "servos")
 
-    __eq__, __repr__ = alike, shown
-
-    def __hash__(self) -> int:
-        return hash(self.name)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Joint:
+class Joint(Sheet):
     """Joint k joins links k and k + 1 and is turned by ``servo`` within ``limits_rad``."""
 
     name: str
     servo: Servo
     limits_rad: Stated[tuple[float, float]] = Stated(LIMITS)
     where: Place = ("robot", "joint")
-
-    __eq__, __repr__ = alike, shown
-
-    def __hash__(self) -> int:
-        return hash(self.name)
 
 
 @dataclass(frozen=True)
@@ -99,6 +85,20 @@ class Robot:
     def joint(self, name: str) -> Joint | None:
         """The joint called ``name``, or None."""
         return next((joint for joint in self.joints if joint.name == name), None)
+
+
+def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
+    """Make sure that the robot has every joint of the recordings, and that none is given twice.
+
+    Raises:
+        InputError: If it lacks one, or one is.
+    """
+    files: set[str] = set()
+    for recording in recordings:
+        match_joints(recording, robot)
+        if recording.file in files:
+            raise InputError(recording.file, "", "the recording twice", "each recording once")
+        files.add(recording.file)
 
 
 def match_joints(recording: Recording, robot: Robot) -> None:

@@ -41,15 +41,20 @@ class Stated(Generic[T]):
         vars(instance)[self.name] = None if value is self else value
 
 
-def alike(one: object, other: object) -> bool:
-    """Whether two values of one dataclass state the same, wherever they were read."""
-    mine, yours = (
-        {name: value for name, value in vars(x).items() if name != "where"} for x in (one, other)
-    )
-    return type(one) is type(other) and mine == yours
+class Sheet:
+    """A dataclass with a name that is what it states, wherever it was read."""
 
+    name: str
 
-def shown(one: object) -> str:
-    """What a value of a dataclass states, without what it leaves out."""
-    fields = {n: v for n, v in vars(one).items() if n != "where" and v is not None}
-    return f"{type(one).__name__}({', '.join(f'{n}={v!r}' for n, v in fields.items())})"
+    def _stated(self) -> dict[str, Any]:
+        return {n: v for n, v in vars(self).items() if n != "where" and v is not None}
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._stated() == other._stated()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __repr__(self) -> str:
+        stated = ", ".join(f"{n}={v!r}" for n, v in self._stated().items())
+        return f"{type(self).__name__}({stated})"

@@ -28,7 +28,7 @@ from sim2real.ranges.sources import (
     shared_ranges,
 )
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot, match_recordings
 from sim2real.servo.advice import ABOVE_NOISE
 from sim2real.servo.trace import split, traces
 
@@ -141,12 +141,7 @@ def gather(
 
 
 def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
-    files: set[str] = set()
-    for recording in recordings:
-        match_joints(recording, robot)
-        if recording.file in files:
-            raise InputError(recording.file, "", "the recording twice", "each recording once")
-        files.add(recording.file)
+    match_recordings(recordings, robot)
     for joint in model.joints:
         if robot.joint(joint) is None:
             known = ", ".join(one.name for one in robot.joints)

@@ -4,10 +4,13 @@ Importing this package loads neither Matplotlib nor Jinja; a figure or a page do
 """
 
 from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report.drawing import save_png, svg
+from sim2real.report.fit_plot import fit_figure
 from sim2real.report.identification import identification_section
 from sim2real.report.page import Figure, Note, Section, Table, Text, write_page
-from sim2real.report.plots import fit_figure, parameter_figure, save_png, svg, timing_figure
+from sim2real.report.parameter_plot import parameter_figure
 from sim2real.report.table import fit_report
+from sim2real.report.timing_plot import timing_figure
 
 __all__ = [
     "Figure",

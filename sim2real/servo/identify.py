@@ -17,7 +17,7 @@ from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Load, Recording
-from sim2real.robot import Robot, Servo, match_joints
+from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
@@ -109,12 +109,8 @@ def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
     """Make sure that recordings, robot and the wish for what to hold out agree."""
-    files: set[str] = set()
+    match_recordings(recordings, robot)
     for recording in recordings:
-        match_joints(recording, robot)
-        if recording.file in files:
-            raise InputError(recording.file, "", "the recording twice", "each recording once")
-        files.add(recording.file)
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
