@@ -11,15 +11,9 @@ import pytest
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.plots import (
-    NARROW,
-    fit_figure,
-    parameter_figure,
-    save_png,
-    svg,
-    timing_figure,
-)
+from sim2real.report import fit_figure, parameter_figure, save_png, svg, timing_figure
 from sim2real.report.series import drawable, gaps, largest_move, lone, segments
+from sim2real.report.style import NARROW
 
 
 def lines(axes):
