@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from sim2real.hardware.decoder import Decoder
+from sim2real.hardware.lx import Decoder
 
 CHUNK = 4096
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from sim2real.errors import InputError
 from sim2real.recording import Recording
-from sim2real.stated import Sheet, Stated
-from sim2real.structured import Fields, finite_number, read_toml
+from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""

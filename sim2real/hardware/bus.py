@@ -6,8 +6,7 @@ import time
 from collections.abc import Sequence
 from types import TracebackType
 
-from sim2real.hardware.decoder import Decoder
-from sim2real.hardware.lx import Packet, encode, expects_reply, is_reply
+from sim2real.hardware.lx import Decoder, Packet, encode, expects_reply, is_reply
 from sim2real.hardware.transport import Transport
 
 

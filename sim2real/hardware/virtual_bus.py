@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sim2real.hardware.decoder import Decoder
-from sim2real.hardware.lx import BYTE_S, encode
+from sim2real.hardware.lx import BYTE_S, Decoder, encode
 from sim2real.hardware.virtual_servo import VirtualServo
 
 QUIET_S = 0.005

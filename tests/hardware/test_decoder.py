@@ -6,8 +6,7 @@ from golden import GOLDEN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim2real.hardware.decoder import Decoder
-from sim2real.hardware.lx import HEADER, Packet, checksum, encode
+from sim2real.hardware.lx import HEADER, Decoder, Packet, checksum, encode
 
 PACKETS = st.builds(
     Packet,
