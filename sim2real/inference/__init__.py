@@ -5,6 +5,7 @@ How the pieces go together::
     parameters  ──> what may be fitted: Parameter (name, bounds, unit, nominal, prior), Priors,
                     Gaussian
     noise       ──> samples that count, whitening, autocorrelation times, Wander
+    segments    ──> when a residual is larger than noise
     least_squares > minimise(expand, start, low, high): N problems in step; expand gives loss,
                     slope and curvature at points (M, F) of any of them
     evidence    ──> what a minimum is worth: profile likelihood, Laplace, probabilities
