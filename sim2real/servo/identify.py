@@ -176,7 +176,8 @@ def _identify_joint(
         ends = motor_intervals(motor, own) | ends
         wait = 0.5 * motor.values.get("loop_period_s", 0.0)
         latency = float(best.row[2])
-        ends.setdefault("latency_s", (max(latency - wait, 0.0), latency + wait))
+        if wait > 0:
+            ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held)

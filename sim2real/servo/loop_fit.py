@@ -31,7 +31,7 @@ _DELAY_SD_S = 0.004
 """Spread of the delays beside their mean."""
 _FEWEST = 12
 """Steps from which a period can be told."""
-_CANDIDATES, _LATENCIES, _STEPS, _FINE, _BEST, _ROUNDS = 6, 16, 8, 16, 2, 2
+_CANDIDATES, _LATENCIES, _STEPS, _FINE, _BEST, _ROUNDS = 6, 16, 8, 64, 2, 3
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 
 

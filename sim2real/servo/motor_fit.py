@@ -27,7 +27,7 @@ _SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
 """Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
-_STEPS_PER_RADIAN = 16.0
+_STEPS_PER_RADIAN = 32.0
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""

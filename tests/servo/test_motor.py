@@ -275,3 +275,24 @@ def test_gains_of_a_mujoco_joint_come_back():
     assert joint.kd_Nms_per_rad == pytest.approx(KD, rel=0.02)
     assert joint.latency_s == pytest.approx(LATENCY, abs=5e-4)
     assert figures["heldout"] < 1.15 * 5e-4
+
+
+def test_a_loop_whose_looks_set_points_wait_for_is_found():
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
+    motor = line | {"loop_period_s": 0.005, "loop_phase_s": 0.0012}
+    rng = np.random.default_rng(5)
+    t = np.arange(2500) / 97.0 + rng.normal(0.0, 3e-4, 2500)  # the loop keeps other time
+    t -= t[0]
+    levels = rng.uniform(-0.6, 0.6, 80)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
+    angle = rollout(row(**motor)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    loads = {"j1": Load(INERTIA)}
+    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, loads)
+    model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
+    joint = model.joints["j1"]
+    assert joint.motor["loop_period_s"] == pytest.approx(0.005, rel=1e-3)
+    assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert joint.kd_Nms_per_rad == pytest.approx(KD, rel=0.03)
+    low, high = joint.interval["latency_s"]
+    assert low < LATENCY < high and high - low < 0.0051
+    assert model.fit["j1.position_rad"]["heldout"] < 1.2 * 5e-4
