@@ -279,7 +279,7 @@ def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Arra
             continue
         wide = belief.sd if np.isfinite(belief.sd) else 0.0
         drawn = belief.middle + wide * rng.standard_normal(N)
-        x[:, k] = drawn if belief.log else 0.5 * np.abs(drawn)
+        x[:, k] = drawn if belief.log or belief.middle else 0.5 * np.abs(drawn)
     damping = prior.beliefs[3].middle - prior.beliefs[4].middle
     x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
     x[:, 1] = damping + 0.3 * rng.standard_normal(N)
