@@ -109,6 +109,30 @@ def identify(
     )
 
 
+def fitted_motors(
+    recordings: Sequence[Recording], robot: Robot, *, seed: int = 0
+) -> dict[str, MotorFit]:
+    """The motor of every joint that moves, fitted to all of its recordings with nothing held out.
+
+    For ``servo_type.learn``. Joints that a linear servo explains tell nothing of their motors and
+    are left out.
+    """
+    _check_inputs(recordings, robot, None)
+    rng = np.random.default_rng(seed)
+    found = {}
+    for joint in robot.joints:
+        given = traces(recordings, joint.name)
+        if not given:
+            continue
+        noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+        start, others = first_guess(given, rng)
+        best, _ = best_of(given, [start, *others], _influential(given, start, noise)[0])
+        motor = choose_motor(given, best, joint.servo, noise, rng)
+        if motor.with_gains:
+            found[joint.name] = motor
+    return found
+
+
 def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
     """The joint's data sheet; None where the law asks for none."""
     known = robot.joint(joint)

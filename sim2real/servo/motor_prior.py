@@ -22,8 +22,22 @@ _MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
 """Time constant of small geared motors, rotor inertia times no-load speed over stall torque."""
 _BACK_EMF_SD = 0.3
 """Spread of the damping about the back-EMF's; long tails, as a controller may damp as well."""
-_REPORTED_SD = 0.05
-"""Spread of the drive that the servo itself reports."""
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """What of the prior is judgement, and is checked by ``benchmarks/prior_choice.py``.
+
+    Attributes:
+        losses: Spreads of losses and friction, over those stated below.
+        reported: Spread of the drive that the servo itself reports; infinite where it is not used.
+    """
+
+    losses: float = 1.0
+    reported: float = 0.05
+
+
+SPREADS = Spreads()
 _TICK_S = 2e-7
 """A change of a loop's period that thousands of its looks add up to one that matters."""
 _FREE = np.inf
@@ -92,7 +106,7 @@ class Prior:
         tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
         reported = np.zeros_like(kp)
         if self.per_rad is not None:
-            reported = (kp - stall - np.log(self.per_rad)) / _REPORTED_SD
+            reported = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
         return np.hstack([own, tie[:, None], reported[:, None]])
 
 
@@ -117,7 +131,7 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
         return Belief(name, True, float(np.log(middle)), sd, low, high, unit)
 
     def share(name: str, sd: float, high: float, unit: float) -> Belief:
-        return Belief(name, False, 0.0, sd, 0.0, high, unit)
+        return Belief(name, False, 0.0, SPREADS.losses * sd, 0.0, high, unit)
 
     return Prior(
         (
