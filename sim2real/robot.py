@@ -51,6 +51,8 @@ class Servo(Sheet):
     no_load_speed_rad_s: Stated[float] = Stated()
     position_step_rad: Stated[float] = Stated("a number of at least 0")
     where: Place = ("robot", "servos")
+    type: str = ""
+    """What other servos of the type have told: a name or a file, see ``servo.servo_type``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,7 +149,14 @@ def _servo(name: str, fields: Fields) -> Servo:
         no_load_speed_rad_s=optional("no_load_speed_rad_s", above=0),
         position_step_rad=optional("position_step_rad", low=0),
         where=(str(fields.file), fields.where),
+        type=_type(fields),
     )
+
+
+def _type(fields: Fields) -> str:
+    """The servo's type, a file beside ``robot.toml`` as a whole path."""
+    name = fields.text("type", "")
+    return str(Path(fields.file).parent / name) if name.endswith(".json") else name
 
 
 def _link(fields: Fields) -> Link:

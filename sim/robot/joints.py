@@ -13,7 +13,14 @@ from sim2real.servo.law import (
     pd_torque,
     shaft_inertia,
 )
-from sim2real.servo.motor import MOTOR_BIT, Push, gear_friction, motor_push
+from sim2real.servo.motor import (
+    MOTOR_BIT,
+    Push,
+    gear_friction,
+    motor_push,
+    read_motor,
+    resistance,
+)
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 """Sweeps at most, and the change of a joint's rate in rad/s that ends them."""
@@ -75,7 +82,12 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
         load = load_torque(load, q, v, before, now, h, p, z, active)
         push.torque = kp * error
         if kp > zero and (active & wp.static(MOTOR_BIT)) != 0:
-            push = motor_push(kp, kd, error, v, v, p)
+            m = read_motor(p)
+            push = motor_push(kp, kd, error, v, m)
+            weaker = wp.float64(1.0) / resistance(push, v, m)
+            push.torque *= weaker
+            push.damping *= weaker
+            push.stiffness *= weaker
         torque = push.torque - push.damping * v
         if kp > zero:
             made = motor_torque(torque, q, v, torque, now, h, p, z, active)
@@ -83,7 +95,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
             torque = made
         bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
         if (active & wp.static(MOTOR_BIT)) != 0:
-            bound += gear_friction(v, torque, zero, p)
+            bound += gear_friction(v, torque, zero, read_motor(p))
         inertia = shaft_inertia(zero, p, z, active)
     s.torque[e, k] = torque
     rotor = inertia * v

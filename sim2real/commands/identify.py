@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
         held_out=options.held_out,
         effects=options.effects,
         law=options.law,
+        together=options.together,
         seed=options.seed,
         progress=lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     )

@@ -35,6 +35,11 @@ def _identify(command: argparse.ArgumentParser) -> None:
         help="the linear servo, or a motor on its data sheet's line (default: motor; pd with "
         "--effects)",
     )
+    command.add_argument(
+        "--together",
+        action="store_true",
+        help="joints with one servo in robot.toml have motors of one make",
+    )
     command.add_argument("--no-plots", action="store_true", help="write no MODEL.JOINT.png")
 
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from sim2real.inference.noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
-from sim2real.servo.kernel import simulate_servos
 from sim2real.servo.parameters import BASE, CELLS, COLUMNS
-from sim2real.servo.rollout import active_effects, longest_substep, to_warp
+from sim2real.servo.rollout import active_effects, kernel_for, longest_substep, to_warp
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -199,7 +198,7 @@ class Batch:
         memory = wp.zeros((rows.size, CELLS), dtype=wp.float64, device=dev)
         masks = put(active[problem, variant])
         wp.launch(
-            simulate_servos,
+            kernel_for(active[problem, variant]),
             dim=rows.size,
             inputs=[theta, masks, memory, signals, *self._signals, put(steps)],
             outputs=[angle],

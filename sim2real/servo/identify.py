@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +22,15 @@ from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
-from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor
-from sim2real.servo.motor_prior import motor_prior
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
+from sim2real.servo.motor_choice import choose_motor
+from sim2real.servo.motor_fit import MotorFit
+from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.servo_type import ServoType, learn, read_type
 from sim2real.servo.start import first_guess
-from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
+from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia, split, traces
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
-
-_CLEAR = 6.0
-"""What a choice must gain beyond chance."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +40,7 @@ class JointResult:
     model: JointModel
     figures: dict[str, float | None]
     held_out: str
+    motor: MotorFit | None
 
 
 def identify(
@@ -51,6 +50,7 @@ def identify(
     held_out: str | None = None,
     effects: Sequence[str] = (),
     law: Law | None = None,
+    together: bool = False,
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -65,6 +65,8 @@ def identify(
         law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
             the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
             servo where ``effects`` say what to add to it.
+        together: Whether joints with one servo in the robot's file have motors of one make: each
+            is then fitted again with what the others have told of theirs (``servo.servo_type``).
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 
@@ -85,12 +87,18 @@ def identify(
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
-    results = {
-        joint: _identify_joint(
-            traces(recordings, joint), held_out, wanted, rng, _servo(robot, joint, law)
-        )
-        for joint in progress(moving)
-    }
+    servos = {joint: _servo(robot, joint, law) for joint in moving}
+    types = {joint: read_type(s.type) for joint, s in servos.items() if s is not None and s.type}
+
+    def one(joint: str, known: ServoType | None) -> JointResult:
+        given = traces(recordings, joint)
+        return _identify_joint(given, held_out, wanted, rng, servos[joint], known)
+
+    results = {joint: one(joint, types.get(joint)) for joint in progress(moving)}
+    if together:
+        told = {joint: _told_by_others(joint, servos, results) for joint in moving}
+        for joint, known in told.items():
+            results[joint] = results[joint] if known is None else one(joint, known)
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
@@ -101,10 +109,49 @@ def identify(
     )
 
 
+def fitted_motors(
+    recordings: Sequence[Recording], robot: Robot, *, seed: int = 0
+) -> dict[str, MotorFit]:
+    """The motor of every joint that moves, fitted to all of its recordings with nothing held out.
+
+    For ``servo_type.learn``. Joints that a linear servo explains tell nothing of their motors and
+    are left out.
+    """
+    _check_inputs(recordings, robot, None)
+    rng = np.random.default_rng(seed)
+    found = {}
+    for joint in robot.joints:
+        given = traces(recordings, joint.name)
+        if not given:
+            continue
+        noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+        start, others = first_guess(given, rng)
+        best, _ = best_of(given, [start, *others], _influential(given, start, noise)[0])
+        motor = choose_motor(given, best, joint.servo, noise, rng)
+        if motor.with_gains:
+            found[joint.name] = motor
+    return found
+
+
 def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
     """The joint's data sheet; None where the law asks for none."""
     known = robot.joint(joint)
     return None if law == "pd" or known is None else known.servo
+
+
+def _told_by_others(
+    joint: str, servos: Mapping[str, Servo | None], results: Mapping[str, JointResult]
+) -> ServoType | None:
+    """What the other joints with the same servo have told of its motor, if there are any."""
+    servo, mine = servos[joint], results[joint].motor
+    if servo is None or mine is None:
+        return None
+    others = {j: r.motor for j, r in results.items() if j != joint and servos[j] == servo}
+    motors = [m for m in others.values() if m is not None and m.with_gains]
+    if not motors:
+        return None
+    per_inertia = mine.problem.traces[0].load is PER_INERTIA
+    return learn(servo.name, motors, ", ".join(others), per_inertia=per_inertia)
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
@@ -130,6 +177,7 @@ def _identify_joint(
     wanted: list[Effect],
     rng: np.random.Generator,
     servo: Servo | None,
+    known: ServoType | None,
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
     noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
@@ -138,7 +186,9 @@ def _identify_joint(
     best, rivals = best_of(fitted, [start, *others], free)
     stated = given[0].load
     notes: list[str] = []
-    motor = None if servo is None or unseen else _motor(fitted, best, servo, noise, rng)
+    motor = None
+    if servo is not None and not unseen:
+        motor = choose_motor(fitted, best, servo, noise, rng, known)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
@@ -149,12 +199,12 @@ def _identify_joint(
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
-        notes += advice.on_effects(wanted, shows_inertia=_shows_inertia(fitted))
+        notes += advice.on_effects(wanted, shows_inertia=shows_inertia(fitted))
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
     else:
-        if stated is not PER_INERTIA and _shows_inertia(fitted):
+        if stated is not PER_INERTIA and shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
         units = _units(best)
         spread = uncertainty(best, units)
@@ -163,31 +213,13 @@ def _identify_joint(
         own = uncertainty(motor.fit, motor.units)
         notes += advice.on_motor(motor, own, servo)
         ends = motor_intervals(motor, own) | ends
+        wait = 0.5 * motor.values.get("loop_period_s", 0.0)
+        latency = float(best.row[2])
+        if wait > 0:
+            ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
-    return JointResult(model, figures, held)
-
-
-def _motor(
-    fitted: list[Trace], plain: Fit, servo: Servo, noise: float, rng: np.random.Generator
-) -> MotorFit:
-    """The motor's line alone where that explains the recordings, else its losses as well.
-
-    Where the linear servo explains them the gains stay, and the line comes as near as they allow.
-    Losses are taken where they lower the loss by more than chance and their number account for:
-    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more.
-    """
-    prior = motor_prior(servo, fitted)
-    if rms(plain.residuals) < EXPLAINED * noise:
-        return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
-    line = (*LINE, ROTOR) if _shows_inertia(fitted) else LINE
-    first = fit_motor(fitted, plain, prior, line, rng)
-    if rms(first.fit.residuals) < EXPLAINED * noise:
-        return first
-    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
-    scale, inflation = full.fit.scale_rad, full.inflation
-    gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
-    return full if gain > 2 * len(LOSSES) + _CLEAR else first
+    return JointResult(model, figures, held, motor)
 
 
 def best_of(
@@ -233,11 +265,6 @@ def _influential(
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
     return seen, tuple(p.name for p in free if p.name not in seen)
-
-
-def _shows_inertia(fitted: list[Trace]) -> bool:
-    """Whether a scale of torque is known, so that inertia can be told from the gains."""
-    return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:

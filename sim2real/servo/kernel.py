@@ -1,5 +1,7 @@
 """The Warp kernel of a rollout: one servo a thread, its clock stopping at every event."""
 
+from typing import Any
+
 import warp as wp
 
 from sim2real.effects import SIGNATURE
@@ -8,102 +10,117 @@ from sim2real.servo.law import (
     Row,
     arrival_time,
     exact_motion,
-    loop_period,
     measured_angle,
+    other_inertia,
     resting_angle,
-    shaft_inertia,
-    substep,
+    substep_of,
 )
+from sim2real.servo.motor import MOTOR_BIT, read_motor
+from sim2real.servo.parameters import HELD_CELL
 
 
-@wp.kernel(enable_backward=False)
-def simulate_servos(
-    theta: wp.array2d(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
-    memory: wp.array2d(dtype=wp.float64),
-    signal: wp.array(dtype=wp.int32),
-    times: wp.array2d(dtype=wp.float64),
-    command: wp.array2d(dtype=wp.float64),
-    length: wp.array(dtype=wp.int32),
-    longest: Row,
-    position: wp.array2d(dtype=wp.float64),
-) -> None:
-    """Simulate one servo from rest on its signal's first set-point; see ``rollout.rollout``."""
-    _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
-    row = wp.tid()
-    p = theta[row]
-    z = memory[row]
-    effects = active[row]
-    t = times[signal[row]]
-    sent = command[signal[row]]
-    samples = length[signal[row]]
-    zero = wp.float64(0.0)
-    kp = wp.float64(p[0])
-    kd = wp.float64(p[1])
-    latency = p[2]
-    inertia = wp.float64(p[3])
-    if effects != 0:
-        inertia = shaft_inertia(inertia, p, z, effects)
-    longest_step = longest[row]
-    u = wp.float64(sent[0])
-    state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
-    state[2] = kp * (u - state[0])
-    angle = wp.float64(state[0])
-    start = t[0]
-    now = wp.float64(start)
-    sample = int(0)
-    arrival = int(0)
-    period = loop_period(p)
-    looks = wp.float64(start)
-    tick = bool(False)
-    ticks = wp.float64(0.0)
-    while sample < samples:
-        arrives = t[samples - 1] + wp.float64(1.0)
-        if arrival < samples:
-            arrives = t[arrival] + latency
-            if effects != 0:
-                number = wp.float64(arrival)
-                since = t[arrival] - start
-                arrives = arrival_time(arrives, number, zero, zero, since, zero, p, z, effects)
-                if wp.isinf(arrives):
-                    arrival += 1
-                    continue
-        until = wp.min(t[sample], arrives)
-        if period > zero:
-            if now >= looks:
-                tick = True
-                ticks += wp.float64(1.0)
-                looks = start + ticks * period
-            until = wp.min(until, looks)
-        if until > now:
-            count = int(wp.ceil((until - now) / longest_step))
-            h = (until - now) / wp.float64(count)
-            for k in range(count):
-                time = now - start + wp.float64(k) * h
-                look = tick and k == 0
-                state = substep(state, u, time, h, kp, kd, inertia, p, z, effects, look)
-                if (effects & wp.static(SENSOR_BITS)) != 0:
+def _simulating(effects: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that simulates a servo from rest on its signal's first set-point."""
+    substep = substep_of(effects)
+    mask = MOTOR_BIT - 1 if effects else 0
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def simulate_servos(
+        theta: wp.array2d(dtype=wp.float64),
+        active: wp.array(dtype=wp.int32),
+        memory: wp.array2d(dtype=wp.float64),
+        signal: wp.array(dtype=wp.int32),
+        times: wp.array2d(dtype=wp.float64),
+        command: wp.array2d(dtype=wp.float64),
+        length: wp.array(dtype=wp.int32),
+        longest: Row,
+        position: wp.array2d(dtype=wp.float64),
+    ) -> None:
+        _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
+        row = wp.tid()
+        p = theta[row]
+        z = memory[row]
+        effects = active[row]
+        others = effects & wp.static(mask)
+        m = read_motor(p)
+        t = times[signal[row]]
+        sent = command[signal[row]]
+        samples = length[signal[row]]
+        zero = wp.float64(0.0)
+        kp = wp.float64(p[0])
+        kd = wp.float64(p[1])
+        latency = p[2]
+        inertia = wp.float64(p[3])
+        inertia += m.rotor
+        if others != 0:
+            inertia = other_inertia(inertia, zero, zero, zero, zero, zero, p, z, others)
+        longest_step = longest[row]
+        u = wp.float64(sent[0])
+        state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
+        state[2] = kp * (u - state[0])
+        angle = wp.float64(state[0])
+        start = t[0]
+        now = wp.float64(start)
+        sample = int(0)
+        arrival = int(0)
+        period = m.period
+        looks = wp.float64(start) + m.phase
+        z[wp.static(HELD_CELL)] = state[2]
+        tick = bool(False)
+        ticks = wp.float64(0.0)
+        while sample < samples:
+            arrives = t[samples - 1] + wp.float64(1.0)
+            if arrival < samples:
+                arrives = t[arrival] + latency
+                if others != 0:
+                    number = wp.float64(arrival)
+                    since = t[arrival] - start
+                    arrives = arrival_time(arrives, number, zero, zero, since, zero, p, z, effects)
+                    if wp.isinf(arrives):
+                        arrival += 1
+                        continue
+            until = wp.min(t[sample], arrives)
+            if period > zero:
+                if now >= looks:
+                    tick = True
+                    ticks += wp.float64(1.0)
+                    looks = start + m.phase + ticks * period
+                until = wp.min(until, looks)
+            if until > now:
+                count = int(wp.ceil((until - now) / longest_step))
+                h = (until - now) / wp.float64(count)
+                for k in range(count):
+                    time = now - start + wp.float64(k) * h
+                    look = tick and k == 0
+                    state = substep(state, u, time, h, kp, kd, inertia, m, p, z, effects, look)
+                    if (others & wp.static(SENSOR_BITS)) != 0:
+                        angle = measured_angle(
+                            state[0], state[0], state[1], state[2], time, h, p, z, effects
+                        )
+                now = until
+                tick = False
+            if arrives <= until:
+                u = sent[arrival]
+                arrival += 1
+                if wp.isnan(u):
+                    kp = zero
+                    kd = zero
+                    u = zero
+            elif until == t[sample]:
+                if (others & wp.static(SENSOR_BITS)) == 0:
+                    angle = state[0]
+                elif sample == 0:
                     angle = measured_angle(
-                        state[0], state[0], state[1], state[2], time, h, p, z, effects
+                        state[0], state[0], state[1], state[2], zero, zero, p, z, effects
                     )
-            now = until
-            tick = False
-        if arrives <= until:
-            u = sent[arrival]
-            arrival += 1
-            if wp.isnan(u):
-                kp = zero
-                kd = zero
-                u = zero
-        elif until == t[sample]:
-            if (effects & wp.static(SENSOR_BITS)) == 0:
-                angle = state[0]
-            elif sample == 0:
-                angle = measured_angle(
-                    state[0], state[0], state[1], state[2], zero, zero, p, z, effects
-                )
-            position[row, sample] = angle
-            sample += 1
+                position[row, sample] = angle
+                sample += 1
+
+    return simulate_servos
+
+
+simulate_any, simulate_motors = _simulating(True), _simulating(False)
+"""Kernels for servos with and without effects; see ``rollout.rollout``. The second is faster."""
 
 
 @wp.kernel(enable_backward=False)

@@ -13,12 +13,15 @@ import warp as wp
 from sim2real.effects import CATALOGUE
 from sim2real.servo.motor import (
     MOTOR_BIT,
+    Motor,
     Row,
     gear_friction,
     held_push,
-    loop_period,
     motor_push,
-    rotor_inertia,
+    read_motor,
+    resistance,
+    soft_stop,
+    softness,
     wanted_drive,
 )
 from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
@@ -74,7 +77,7 @@ error_seen = _chain("error")
 motor_torque = _chain("motor")
 load_torque = _chain("load")
 friction_bound = _chain("friction")
-_other_inertia = _chain("inertia")
+other_inertia = _chain("inertia")
 measured_angle = _chain("sensor")
 
 SENSOR_BITS = _at("sensor")[-1]
@@ -85,8 +88,8 @@ SENSOR_BITS = _at("sensor")[-1]
 def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: int) -> wp.float64:
     """Inertia on the shaft in kg m2: the load's, the rotor's and what effects add."""
     zero = wp.float64(0.0)
-    inertia += rotor_inertia(p)
-    return _other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)
+    inertia += read_motor(p).rotor
+    return other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)
 
 
 @wp.func
@@ -103,80 +106,100 @@ def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
     return -gravity * wp.sin(q)
 
 
-@wp.func
-def substep(
-    state: wp.vec4d,
-    u: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    kp: wp.float64,
-    kd: wp.float64,
-    inertia: wp.float64,
-    p: Row,
-    z: Row,
-    active: int,
-    tick: bool,
-) -> wp.vec4d:
-    """Advance (q, v, motor torque, acceleration) by h under a constant set-point.
+def substep_of(effects: bool) -> wp.Function:
+    """The sub-step of servos that may have effects, or of ones that have none and are faster.
 
-    Second order and symmetric: forces at the middle position, damping by the trapezoidal rule, dry
-    friction as an impulse that can stop the shaft but not turn it round. Source: the Moreau-Jean
-    scheme, Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (Springer, 2008),
-    ch. 10. ``tick`` says that a sampled controller looks at the start of the sub-step.
+    It advances (q, v, motor torque, acceleration) by h under a constant set-point. Second order and
+    symmetric: forces at the middle position, damping by the trapezoidal rule, dry friction as an
+    impulse that can stop the shaft but not turn it round. Source: the Moreau-Jean scheme, Acary and
+    Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (Springer, 2008), ch. 10. ``tick``
+    says that a sampled controller looks at the start of the sub-step.
     """
-    half = wp.float64(0.5) * h
-    v = state[1]
-    q = state[0] + half * v
-    speed = v + half * state[3]  # about that of the middle
-    impulse = h / inertia
-    damping = half * kd / inertia
-    stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
-    load = pendulum_torque(q, p[4])
-    weight = load
-    error = u - q
-    others = active & wp.static(MOTOR_BIT - 1)
-    if others != 0:
-        error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
-        error = error_seen(error, q, speed, state[2], time, h, p, z, active)
-        load = load_torque(load, q, speed, state[2], time, h, p, z, active)
-    after = ((wp.float64(1.0) - damping) * v + impulse * (kp * error + load)) * stiff
-    middle = wp.float64(0.5) * (v + after)
-    torque = pd_torque(kp, kd, error, middle)
-    if active == 0:
-        return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
-    still = wp.float64(0.0)
-    dry = wp.float64(0.0)
-    if (active & wp.static(MOTOR_BIT)) != 0:
-        if kp > still:
-            if tick:
-                z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, p)
-            push = motor_push(kp, kd, error, speed, middle, p)
-            if loop_period(p) > still:
-                push = held_push(z[wp.static(HELD_CELL)], kd, speed, p)
-            damping = half * push.damping / inertia
-            stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
-            after = ((wp.float64(1.0) - damping) * v + impulse * (push.torque + load)) * stiff
-            middle = wp.float64(0.5) * (v + after)
-            torque = push.torque - push.damping * middle
-        dry = gear_friction(speed, torque, weight, p)
-    if others != 0:
-        if kp > still:
-            made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
-            if made != torque:
-                after = v + impulse * (made + load)
-            torque = made
+    mask = MOTOR_BIT - 1 if effects else 0
+
+    @wp.func
+    def substep(
+        state: wp.vec4d,
+        u: wp.float64,
+        time: wp.float64,
+        h: wp.float64,
+        kp: wp.float64,
+        kd: wp.float64,
+        inertia: wp.float64,
+        m: Motor,
+        p: Row,
+        z: Row,
+        active: int,
+        tick: bool,
+    ) -> wp.vec4d:
+        half = wp.float64(0.5) * h
+        v = state[1]
+        q = state[0] + half * v
+        speed = v + half * state[3]  # about that of the middle
+        per_h = wp.float64(1.0) / h
+        impulse = h / inertia
+        damp = half / inertia
+        damping = damp * kd
+        stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
+        load = pendulum_torque(q, p[4])
+        weight = load
+        error = u - q
+        others = active & wp.static(mask)
+        if others != 0:
+            error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
+            error = error_seen(error, q, speed, state[2], time, h, p, z, active)
+            load = load_torque(load, q, speed, state[2], time, h, p, z, active)
+        after = ((wp.float64(1.0) - damping) * v + impulse * (kp * error + load)) * stiff
+        middle = wp.float64(0.5) * (v + after)
+        torque = pd_torque(kp, kd, error, middle)
+        if active == 0:
+            return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
+        still = wp.float64(0.0)
+        dry = wp.float64(0.0)
         if (active & wp.static(MOTOR_BIT)) != 0:
-            dry = gear_friction(speed, torque, weight, p)
-        dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
-    stop = impulse * stiff * dry
-    if stop > still:
-        return slide(state, after, stop, half, torque)
-    return wp.vec4d(q + half * after, after, torque, (after - v) / h)
+            if kp > still:
+                if tick:
+                    z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
+                push = motor_push(kp, kd, error, middle, m)
+                if m.period > still:
+                    push = held_push(z[wp.static(HELD_CELL)], kd, m)
+                rise = resistance(push, speed, m)
+                weaker = wp.float64(1.0) / rise
+                damping = damp * push.damping
+                per = wp.float64(1.0) / (rise + damping)
+                after = ((rise - damping) * v + impulse * (push.torque + rise * load)) * per
+                stiff = rise * per
+                middle = wp.float64(0.5) * (v + after)
+                torque = (push.torque - push.damping * middle) * weaker
+            dry = gear_friction(speed, torque, weight, m)
+        if others != 0:
+            if kp > still:
+                made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
+                if made != torque:
+                    after = v + impulse * (made + load)
+                torque = made
+            if (active & wp.static(MOTOR_BIT)) != 0:
+                dry = gear_friction(speed, torque, weight, m)
+            dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
+        stop = impulse * stiff * dry
+        if stop > still:
+            if (active & wp.static(MOTOR_BIT)) != 0 and softness(m) > still:
+                slowed = after - wp.clamp(after - soft_stop(v, after, h, m), -stop, stop)
+                return wp.vec4d(q + half * slowed, slowed, torque, (slowed - v) * per_h)
+            return slide(state, after, stop, half, torque, per_h)
+        return wp.vec4d(q + half * after, after, torque, (after - v) * per_h)
+
+    return substep
 
 
 @wp.func
 def slide(
-    state: wp.vec4d, free: wp.float64, stop: wp.float64, half: wp.float64, torque: wp.float64
+    state: wp.vec4d,
+    free: wp.float64,
+    stop: wp.float64,
+    half: wp.float64,
+    torque: wp.float64,
+    per_h: wp.float64,
 ) -> wp.vec4d:
     """Apply dry friction to a sub-step that would end at speed ``free`` without it.
 
@@ -186,9 +209,7 @@ def slide(
     v = state[1]
     after = free - wp.sign(v) * stop
     if v != wp.float64(0.0) and after * v >= wp.float64(0.0):
-        return wp.vec4d(
-            state[0] + half * (v + after), after, torque, wp.float64(0.5) * (after - v) / half
-        )
+        return wp.vec4d(state[0] + half * (v + after), after, torque, (after - v) * per_h)
     moving = wp.float64(0.0)
     if v != wp.float64(0.0):
         moving = v / (v - after)
@@ -199,7 +220,7 @@ def slide(
         state[0] + half * (moving * v + rest * after),
         after,
         torque,
-        wp.float64(0.5) * (after - v) / half,
+        (after - v) * per_h,
     )
 
 

@@ -10,14 +10,23 @@ speed and b = K / w the back-EMF's damping::
 where l is the weight of the load. Damping that the line has not (kd > b) is the controller's, so
 that the drive of a servo with a proportional controller alone, kd = b, is clip(kp e). Without a
 limit, loss and friction this is the linear servo. The controller may see angle and speed once a
-period only and hold its drive in between; back-EMF it cannot hold.
+period only, from its phase on, and hold its drive in between; back-EMF it cannot hold.
+
+Dry friction stops the shaft at once, or softly: while it is below its bound it lets the speed v
+settle, under a torque T that would accelerate the free shaft by a, at what creeps on::
+
+    v' = (tc a - v) / (ts + tc)                                ts: sticking, tc: creeping
+
+so that ts = tc = 0 is Coulomb's, ts = 0 friction that is viscous near standstill.
 
 Sources: the circuit of a DC motor behind a bridge (any text on motors); friction: Duclusaud,
 Passault, Padois, Ly, Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA
 2025, whose directional model with a Stribeck part this is (the exponent 2 as in
-``effects.stribeck_friction``).
+``effects.stribeck_friction``). Soft sticking: MuJoCo's documentation, Computation, Constraint model
+(friction loss; impedance d and rate b give ts = 1 / b and tc = ts (1 - d) / d, 9.5 and 1.06 ms by
+default).
 
-Symbols and units as in ``law``; ``p`` is the joint's row of parameters.
+Symbols and units as in ``law``; ``p`` is the joint's row of parameters, ``m`` its motor.
 """
 
 import warp as wp
@@ -45,7 +54,62 @@ _OF_LOAD = wp.constant(_column("load_friction"))
 _SLOW_OF_MOTOR = wp.constant(_column("stribeck_motor_friction"))
 _SLOW_OF_LOAD = wp.constant(_column("stribeck_load_friction"))
 _SLOW = wp.constant(_column("stribeck_speed_rad_s"))
+_STICK = wp.constant(_column("stick_time_s"))
+_CREEP = wp.constant(_column("creep_time_s"))
 _PERIOD = wp.constant(_column("loop_period_s"))
+_PHASE = wp.constant(_column("loop_phase_s"))
+
+
+_NO_EXPONENT = wp.constant(wp.float64(36.0))
+"""Exponent from which exp(-x) is below the rounding of 1."""
+
+
+@wp.struct
+class Motor:
+    """A motor and its gears, read off a row once for many sub-steps; symbols as above.
+
+    ``line`` is b, 0 where no line is known; ``per_stall`` is 1 / K or 0, ``per_slow`` 1 / vs.
+    """
+
+    stall: wp.float64
+    per_stall: wp.float64
+    line: wp.float64
+    rise: wp.float64
+    rotor: wp.float64
+    coulomb: wp.float64
+    of_motor: wp.float64
+    of_load: wp.float64
+    slow_of_motor: wp.float64
+    slow_of_load: wp.float64
+    per_slow: wp.float64
+    stick: wp.float64
+    creep: wp.float64
+    period: wp.float64
+    phase: wp.float64
+
+
+@wp.func
+def read_motor(p: Row) -> Motor:
+    """The motor of a row of parameters."""
+    m = Motor()
+    m.stall = p[_STALL]
+    if m.stall > wp.float64(0.0):
+        m.per_stall = wp.float64(1.0) / m.stall
+        if p[_NO_LOAD] > wp.float64(0.0):
+            m.line = m.stall / p[_NO_LOAD]
+    m.rise = p[_RISE]
+    m.rotor = p[_ROTOR]
+    m.coulomb = p[_COULOMB]
+    m.of_motor = p[_OF_MOTOR]
+    m.of_load = p[_OF_LOAD]
+    m.slow_of_motor = p[_SLOW_OF_MOTOR]
+    m.slow_of_load = p[_SLOW_OF_LOAD]
+    m.per_slow = wp.float64(1.0) / wp.max(p[_SLOW], wp.float64(1e-12))
+    m.stick = p[_STICK]
+    m.creep = p[_CREEP]
+    m.period = p[_PERIOD]
+    m.phase = p[_PHASE]
+    return m
 
 
 @wp.struct
@@ -61,38 +125,24 @@ class Push:
 
 
 @wp.func
-def rotor_inertia(p: Row) -> wp.float64:
-    """Inertia of rotor and gears on the shaft, kg m2."""
-    return p[_ROTOR]
-
-
-@wp.func
-def loop_period(p: Row) -> wp.float64:
-    """Period of the controller in s, 0 for one that never sleeps."""
-    return p[_PERIOD]
-
-
-@wp.func
-def back_emf(kd: wp.float64, p: Row) -> wp.float64:
+def back_emf(kd: wp.float64, m: Motor) -> wp.float64:
     """Damping b of the torque-speed line, N m s; ``kd`` where no line is known."""
-    if p[_STALL] > wp.float64(0.0) and p[_NO_LOAD] > wp.float64(0.0):
-        return p[_STALL] / p[_NO_LOAD]
-    return kd
+    return wp.where(m.line > wp.float64(0.0), m.line, kd)
 
 
 @wp.func
 def wanted_drive(
-    kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64, p: Row
+    kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64, m: Motor
 ) -> wp.float64:
     """Drive that the controller asks for, before it clips, N m at stall."""
-    return kp * error - (kd - back_emf(kd, p)) * v
+    return kp * error - (kd - back_emf(kd, m)) * v
 
 
 @wp.func
 def motor_push(
-    kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64, free: wp.float64, p: Row
+    kp: wp.float64, kd: wp.float64, error: wp.float64, free: wp.float64, m: Motor
 ) -> Push:
-    """Torque and damping of the motor, the shaft now at speed ``v``.
+    """Torque and damping of a motor whose resistance does not rise.
 
     ``free`` is the speed that the linear servo would have in the middle of the sub-step.
     """
@@ -100,44 +150,57 @@ def motor_push(
     push.torque = kp * error
     push.damping = kd
     push.stiffness = kp
-    limit = p[_STALL]
-    if limit > wp.float64(0.0) and wp.abs(wanted_drive(kp, kd, error, free, p)) > limit:
-        push.torque = wp.clamp(wanted_drive(kp, kd, error, free, p), -limit, limit)
-        push.damping = back_emf(kd, p)
+    drive = wanted_drive(kp, kd, error, free, m)
+    if m.stall > wp.float64(0.0) and wp.abs(drive) > m.stall:
+        push.torque = wp.clamp(drive, -m.stall, m.stall)
+        push.damping = back_emf(kd, m)
         push.stiffness = wp.float64(0.0)
-    return weakened(push, v, p)
-
-
-@wp.func
-def held_push(drive: wp.float64, kd: wp.float64, v: wp.float64, p: Row) -> Push:
-    """The same for a drive that the controller holds."""
-    push = Push()
-    push.torque = drive
-    if p[_STALL] > wp.float64(0.0):
-        push.torque = wp.clamp(drive, -p[_STALL], p[_STALL])
-    push.damping = back_emf(kd, p)
-    return weakened(push, v, p)
-
-
-@wp.func
-def weakened(push: Push, v: wp.float64, p: Row) -> Push:
-    """What is left of it as the motor's resistance rises with its current."""
-    if p[_RISE] > wp.float64(0.0) and p[_STALL] > wp.float64(0.0):
-        size = wp.abs(push.torque - push.damping * v) / p[_STALL]
-        root = wp.sqrt(wp.float64(1.0) + wp.float64(4.0) * p[_RISE] * size)
-        left = wp.float64(2.0) / (wp.float64(1.0) + root)
-        push.torque *= left
-        push.damping *= left
-        push.stiffness *= left
     return push
 
 
 @wp.func
-def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, p: Row) -> wp.float64:
+def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
+    """The same for a drive that the controller holds."""
+    push = Push()
+    push.torque = drive
+    if m.stall > wp.float64(0.0):
+        push.torque = wp.clamp(drive, -m.stall, m.stall)
+    push.damping = back_emf(kd, m)
+    return push
+
+
+@wp.func
+def resistance(push: Push, v: wp.float64, m: Motor) -> wp.float64:
+    """The motor's resistance at speed ``v`` over that of a motor at rest: 1 + r |m| / K.
+
+    The torque that is left of the push is the push over this.
+    """
+    if m.rise == wp.float64(0.0):
+        return wp.float64(1.0)
+    size = wp.abs(push.torque - push.damping * v) * m.per_stall
+    return wp.float64(0.5) + wp.sqrt(wp.float64(0.25) + m.rise * size)
+
+
+@wp.func
+def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor) -> wp.float64:
     """Largest torque of dry friction in bearings and gears, N m."""
-    bound = p[_COULOMB] + wp.abs(p[_OF_MOTOR] * torque - p[_OF_LOAD] * load)
-    if p[_SLOW_OF_MOTOR] > wp.float64(0.0) or p[_SLOW_OF_LOAD] > wp.float64(0.0):
-        slow = v / wp.max(p[_SLOW], wp.float64(1e-12))
-        more = wp.abs(p[_SLOW_OF_MOTOR] * torque - p[_SLOW_OF_LOAD] * load)
-        bound += wp.exp(-slow * slow) * more
+    bound = m.coulomb + wp.abs(m.of_motor * torque - m.of_load * load)
+    if m.slow_of_motor + m.slow_of_load > wp.float64(0.0):
+        slow = v * m.per_slow
+        if slow * slow < _NO_EXPONENT:
+            more = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
+            bound += wp.exp(-slow * slow) * more
     return bound
+
+
+@wp.func
+def softness(m: Motor) -> wp.float64:
+    """Time in which dry friction stops the shaft, s; 0 where at once."""
+    return m.stick + m.creep
+
+
+@wp.func
+def soft_stop(v: wp.float64, free: wp.float64, h: wp.float64, m: Motor) -> wp.float64:
+    """Speed after h, friction below its bound, of a shaft at ``v`` that would reach ``free``."""
+    creeping = m.creep * (free - v) / h
+    return creeping + (v - creeping) * wp.exp(-h / softness(m))

@@ -13,7 +13,7 @@ from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.fit import Fit, errors, plain_row
 from sim2real.servo.motor_prior import Prior
-from sim2real.servo.parameters import COLUMNS, motor_of
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.start import WINDOW_S
 from sim2real.servo.trace import Trace
@@ -23,9 +23,12 @@ Array = NDArray[np.float64]
 _CANDIDATES, _STARTS = 64, 4
 _ROUNDS, _FIRST, _LATER = 4, 20, 10
 """Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
+_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
+"""Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
-_STEPS_PER_RADIAN = 16.0
+_STEPS_PER_RADIAN = 32.0
+_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
 
@@ -41,9 +44,16 @@ class _Problem:
     simulator: Simulator
 
     def rows(self, x: Array) -> Array:
-        """Rows of the servo's parameters for those searched, (B, F) to (B, P)."""
+        """Rows of the servo's parameters for those searched, (B, F) to (B, P).
+
+        The phase of a sampled loop is searched less the latency, so that a change of latency moves
+        both, and no set-point to another look.
+        """
         rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
         rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
+        period = rows[:, _PERIOD]
+        phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
+        rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
         return rows
 
     def residuals(self, x: Array) -> Array:
@@ -153,6 +163,11 @@ class MotorFit:
         away = np.abs(self.x[list(self.problem.free)] - middle)
         return np.asarray(away > 2 * self.believed_sd)
 
+    def losses(self, x: Array) -> Array:
+        """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
+        error = self.problem.residuals(x)
+        return _loss(self.problem, x, error, self.fit.scale_rad, self.inflation)
+
     def loss_at(self, scale_rad: float, inflation: float) -> float:
         """The loss for residuals of another scale and correlation."""
         error = np.concatenate(self.fit.residuals)[None]
@@ -167,6 +182,7 @@ def fit_motor(
     rng: np.random.Generator,
     *,
     start: Array | None = None,
+    starts: Array | None = None,
     gains: bool = True,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; what is not free has no effect.
@@ -183,6 +199,7 @@ def fit_motor(
         free_names: Columns to fit beside the gains and the latency.
         rng: For the candidates.
         start: A further start as searched, shape (F,).
+        starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else they stay those of the plain servo.
     """
     free = tuple(
@@ -192,10 +209,10 @@ def fit_motor(
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
     problem = _Problem(traces, prior, free, substep, Simulator(traces))
-    x = _starts(problem, plain, rng, start)
+    x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
-    else:
+    elif starts is None:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
         near = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(near.residuals(x)), axis=1)
@@ -216,6 +233,25 @@ def fit_motor(
         if number and abs(scale / before - 1) < 0.05:
             break
     return _result(problem, x[0], scale, inflation, loss)
+
+
+def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
+    """The fit gone on with from servos ``x`` (B, F), which have a loop; the best first."""
+    period = motor.problem.prior.index(LOOP[0])
+    free = tuple(sorted({*motor.problem.free, period}))
+    problem = replace(motor.problem, free=free)
+    x, loss = _descend(problem, x, motor.fit.scale_rad, motor.inflation, steps)
+    order = np.argsort(loss)
+    inflation = [_inflation(error, problem.traces) for error in problem.residuals(x)]
+    scale = motor.fit.scale_rad
+    return [_result(problem, x[k], scale, inflation[k], loss[k : k + 1]) for k in order]
+
+
+def softer(motor: MotorFit) -> Array:
+    """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
+    x = np.tile(motor.x, (len(_SOFT_S), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+    return x
 
 
 def _inflation(error: Array, traces: Sequence[Trace]) -> float:
@@ -243,7 +279,7 @@ def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Arra
             continue
         wide = belief.sd if np.isfinite(belief.sd) else 0.0
         drawn = belief.middle + wide * rng.standard_normal(N)
-        x[:, k] = drawn if belief.log else 0.5 * np.abs(drawn)
+        x[:, k] = drawn if belief.log or belief.middle else 0.5 * np.abs(drawn)
     damping = prior.beliefs[3].middle - prior.beliefs[4].middle
     x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
     x[:, 1] = damping + 0.3 * rng.standard_normal(N)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LINE
+from sim2real.servo.parameters import BASE, LINE, LOOP
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
@@ -22,8 +22,24 @@ _MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
 """Time constant of small geared motors, rotor inertia times no-load speed over stall torque."""
 _BACK_EMF_SD = 0.3
 """Spread of the damping about the back-EMF's; long tails, as a controller may damp as well."""
-_REPORTED_SD = 0.05
-"""Spread of the drive that the servo itself reports."""
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """What of the prior is judgement, and is checked by ``benchmarks/prior_choice.py``.
+
+    Attributes:
+        losses: Spreads of losses and friction, over those stated below.
+        reported: Spread of the drive that the servo itself reports; infinite where it is not used.
+    """
+
+    losses: float = 1.0
+    reported: float = 0.05
+
+
+SPREADS = Spreads()
+_TICK_S = 2e-7
+"""A change of a loop's period that thousands of its looks add up to one that matters."""
 _FREE = np.inf
 
 
@@ -90,7 +106,7 @@ class Prior:
         tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
         reported = np.zeros_like(kp)
         if self.per_rad is not None:
-            reported = (kp - stall - np.log(self.per_rad)) / _REPORTED_SD
+            reported = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
         return np.hstack([own, tie[:, None], reported[:, None]])
 
 
@@ -115,7 +131,7 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
         return Belief(name, True, float(np.log(middle)), sd, low, high, unit)
 
     def share(name: str, sd: float, high: float, unit: float) -> Belief:
-        return Belief(name, False, 0.0, sd, 0.0, high, unit)
+        return Belief(name, False, 0.0, SPREADS.losses * sd, 0.0, high, unit)
 
     return Prior(
         (
@@ -132,6 +148,9 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             share("motor.stribeck_motor_friction", 0.3, 0.9, 0.2),
             share("motor.stribeck_load_friction", 0.3, 2.0, 0.2),
             log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
+            share("motor.stick_time_s", 0.01, 0.1, 0.01),
+            share("motor.creep_time_s", 0.002, 0.05, 0.002),
+            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, _TICK_S) for name in LOOP),
         ),
         float(np.median(slopes)) if slopes else None,
     )

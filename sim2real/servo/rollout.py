@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.kernel import simulate_servos, solve_servos
+from sim2real.servo.kernel import simulate_any, simulate_motors, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
@@ -80,7 +80,7 @@ def rollout(
         step = to_warp(longest[part], device)
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
         wp.launch(
-            simulate_servos,
+            kernel_for(active[part]),
             dim=out.shape[0],
             inputs=[*(to_warp(x, device) for x in given), *signals, step],
             outputs=[out],
@@ -188,7 +188,7 @@ class Simulator:
             own = (active_effects(rows), np.zeros((len(rows), CELLS)))
             longest = to_warp(np.full(len(rows), substep_s), "cpu")
             given = [servos, *(to_warp(x, "cpu") for x in own), *inputs, longest]
-            kernel = simulate_servos
+            kernel = kernel_for(own[0])
         wp.launch(kernel, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
         return angle
 
@@ -210,6 +210,11 @@ def active_effects(rows: Array) -> NDArray[np.int32]:
         on = rows[:, first : first + len(effect.parameters)].any(axis=1)
         active |= on.astype(np.int32) << np.int32(k)
     return active
+
+
+def kernel_for(active: NDArray[np.int32]) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that simulates servos with these masks (N,), the fast one where it may."""
+    return simulate_any if np.any(active & (MOTOR_BIT - 1)) else simulate_motors
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs

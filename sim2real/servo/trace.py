@@ -113,6 +113,11 @@ def drive_slope(error: Array, load: Array) -> float | None:
     return slope
 
 
+def shows_inertia(fitted: Sequence[Trace]) -> bool:
+    """Whether a scale of torque is known, so that inertia can be told from the gains."""
+    return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
+
+
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
     """The traces of ``joint`` in all recordings in which it is sent and seen to move."""
     every = [trace(recording, joint) for recording in recordings if joint in recording.joints]

@@ -1,0 +1,86 @@
+"""Which parts of a motor's law recordings ask for: the line, losses, soft friction, a loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim2real.inference.holdout import rms
+from sim2real.inference.noise import whiteness
+from sim2real.robot import Servo
+from sim2real.servo.fit import Fit
+from sim2real.servo.loop_fit import sampled
+from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor, softer
+from sim2real.servo.motor_prior import Prior, motor_prior
+from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
+from sim2real.servo.servo_type import ServoType
+from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia
+
+_CLEAR = 6.0
+"""What a choice must gain beyond chance."""
+_OF_A_LOOP = 12
+"""What a sampled loop counts for: the best of a thousand periods and phases."""
+_WHITE = 0.1
+"""Lag-1 autocorrelation of a residual in which nothing is left."""
+_TOO_MUCH, _NEARLY = 15.0, 1.5
+"""Times the noise: what may be left without a loop, and with it, for it to be told."""
+
+
+def choose_motor(
+    fitted: list[Trace],
+    plain: Fit,
+    servo: Servo,
+    noise: float,
+    rng: np.random.Generator,
+    known: ServoType | None = None,
+) -> MotorFit:
+    """The motor's line alone where that explains the recordings, else its losses as well.
+
+    Where the linear servo explains them the gains stay, and the line comes as near as they allow.
+    Losses are taken where they lower the loss by more than chance and their number account for:
+    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more. So are, while
+    something is left, friction that stops softly and a sampled loop. A servo of a known type has
+    the losses of its type.
+    """
+    prior = motor_prior(servo, fitted)
+    if known is not None:
+        prior = known.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
+    if rms(plain.residuals) < EXPLAINED * noise:
+        return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
+    chosen = _continuous(fitted, plain, prior, noise, rng, known)
+    left = rms(chosen.fit.residuals) / noise
+    explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
+    looped = None if explained or left > _TOO_MUCH else sampled(chosen)
+    if looped is None or rms(looped.fit.residuals) > _NEARLY * noise:
+        return chosen
+    return _better(chosen, looped, _OF_A_LOOP)
+
+
+def _continuous(
+    fitted: list[Trace],
+    plain: Fit,
+    prior: Prior,
+    noise: float,
+    rng: np.random.Generator,
+    known: ServoType | None,
+) -> MotorFit:
+    """The motor whose controller looks all the time."""
+    line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
+    if known is not None and set(known.beliefs) & set(LOSSES):  # nothing to choose
+        softness = SOFT if set(known.beliefs) & set(SOFT) else ()
+        return fit_motor(fitted, plain, prior, (*line, *LOSSES, *softness), rng)
+    first = fit_motor(fitted, plain, prior, line, rng)
+    if rms(first.fit.residuals) < EXPLAINED * noise:
+        return first
+    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
+    chosen = _better(first, full, len(LOSSES))
+    if rms(chosen.fit.residuals) < EXPLAINED * noise:
+        return chosen
+    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=softer(full))
+    return _better(chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0))
+
+
+def _better(fewer: MotorFit, more: MotorFit, added: int) -> MotorFit:
+    """The fit with so many more parameters, where they gain more than chance."""
+    scale, inflation = more.fit.scale_rad, more.inflation
+    gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
+    return more if gain > 2 * added + _CLEAR else fewer
