@@ -1,30 +1,22 @@
-"""One robot to diagnose: its joints made ready for it, and what is known of each in the end."""
+"""One robot to diagnose, and its joints made ready for it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.check import all_findings, check
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import Finding
-from sim2real.diagnose.search import Hypothesis, Set
-from sim2real.diagnose.unmodelled import WANDER
-from sim2real.diagnose.wording import fitted_effects
+from sim2real.diagnose.search import Set
 from sim2real.errors import InputError
-from sim2real.inference.holdout import rms
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
-from sim2real.servo.holdout import Unseen
-from sim2real.servo.parameters import joint_row, motor_of
-from sim2real.servo.trace import PER_INERTIA, Trace, traces
-
-Array = NDArray[np.float64]
+from sim2real.servo.trace import Trace, traces
 
 
 @dataclass(frozen=True)
@@ -59,12 +51,19 @@ class Joint:
         traces: Its recordings.
         noise: Standard deviation of its sensor's noise, rad.
         step_rad: Step of its sensor where that is coarser than stated, or None.
+        given: The model of it to start from, or None.
     """
 
     name: str
     traces: list[Trace]
     noise: float
     step_rad: float | None
+    given: JointModel | None = None
+
+    @property
+    def base(self) -> Set:
+        """Effects that its given model has."""
+        return frozenset(e.effect for e in self.given.effects) if self.given else frozenset()
 
 
 def prepared(case: Case) -> list[Joint]:
@@ -84,7 +83,8 @@ def prepared(case: Case) -> list[Joint]:
         if given:
             noise = max(noise_floor(x.t, x.command, x.position) for x in given)
             step = coarse_step(given, joint.servo.position_step_rad)
-            joints.append(Joint(joint.name, given, noise, step))
+            model = case.model.joints.get(joint.name) if case.model else None
+            joints.append(Joint(joint.name, given, noise, step, model))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"
@@ -92,56 +92,10 @@ def prepared(case: Case) -> list[Joint]:
     return joints
 
 
-def rows(cases: Sequence[Case], joints: Sequence[Sequence[Joint]]) -> Array | None:
-    """Parameter rows of the given models, one a joint, NaN where there is none, shape (J, P)."""
-    if all(case.model is None for case in cases):
-        return None
-    found = []
-    for case, some in zip(cases, joints, strict=True):
-        for joint in some:
-            model = case.model.joints.get(joint.name) if case.model else None
-            unknown = np.full_like(joint_row(_NOBODY, None), np.nan)
-            found.append(unknown if model is None else joint_row(model, None, joint.name))
-    return np.array(found)
-
-
-_NOBODY = JointModel(1.0, 0.0, 0.0, 1.0)
-
-
-def bases(cases: Sequence[Case], joints: Sequence[Sequence[Joint]]) -> list[frozenset[str]] | None:
-    """Effects of the given models, one set a joint."""
-    if all(case.model is None for case in cases):
-        return None
-    found = []
-    for case, some in zip(cases, joints, strict=True):
-        for joint in some:
-            model = case.model.joints.get(joint.name) if case.model else None
-            found.append(frozenset(e.effect for e in model.effects) if model else frozenset())
-    return found
-
-
-def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
-    """A fitted joint as a model states it.
-
-    Args:
-        joint: The joint.
-        theta: Its parameters, shape (P,); what it has of a motor included.
-        hypothesis: The effects that it has.
-    """
-    motor = motor_of(theta)
-    load = joint.traces[0].load
-    kp, kd, latency = (float(x) for x in theta[:3])
-    return JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=load is PER_INERTIA,
-        law="motor" if motor else "pd",
-        motor=motor,
-        load=None if load is PER_INERTIA else load,
-        effects=fitted_effects(hypothesis, joint.step_rad),
-    )
+def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
+    """Which of all joints are each robot's, where they stand one after the other."""
+    ends = np.cumsum([0, *(len(joints) for joints in robots)])
+    return [list(range(a, b)) for a, b in pairwise(ends)]
 
 
 def gate(case: Case) -> tuple[str, ...]:
@@ -165,90 +119,3 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     if found <= DECISION.coarser * stated_rad or max(steps) > 1.1 * found:
         return None
     return found
-
-
-@dataclass(frozen=True)
-class JointResult:
-    """One joint.
-
-    Attributes:
-        joint: Its recordings.
-        finding: What it is missing.
-        rich: The servo with what is named.
-        before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
-        after: Those of the enriched one.
-        least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
-        unseen: Errors on held-out data, by the effects that a servo has; empty where nothing can be
-            held out.
-    """
-
-    joint: Joint
-    finding: Finding
-    rich: Hypothesis
-    before: Array
-    after: Array
-    least_squares: Array
-    unseen: Mapping[Set, Unseen]
-
-    @property
-    def name(self) -> str:
-        """Of the joint."""
-        return self.joint.name
-
-    @property
-    def signal(self) -> str:
-        """Of the joint's angle."""
-        return f"{self.name}.position_rad"
-
-    @property
-    def richer(self) -> bool:
-        """Whether anything was added to the plain servo."""
-        return self.rich.members != self.finding.tried.base
-
-    @property
-    def unseen_plain(self) -> Unseen | None:
-        """Errors of the plain servo on held-out data."""
-        return self.unseen.get(self.finding.tried.base)
-
-    @property
-    def error(self) -> float:
-        """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
-        return self.unseen_plain.rmse if self.unseen_plain else self._train(self.before)
-
-    def fit(self, *, enriched: bool) -> dict[str, float | None]:
-        """Errors on fitted and on held-out data, rad."""
-        members = self.rich.members if enriched else self.finding.tried.base
-        unseen = self.unseen.get(members)
-        train = self._train(self.after if enriched else self.before)
-        return {"train": train, "heldout": None if unseen is None else unseen.rmse}
-
-    def heldout(self) -> dict[str, float | None]:
-        """Errors on held-out data, and the share of the removable that is removed."""
-        plain, rich = self.unseen_plain, self.unseen.get(self.rich.members)
-        if plain is None or rich is None:
-            return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
-        # A sensor may wander slowly; no model removes that.
-        noise = min(self.joint.noise * np.sqrt(1 + WANDER.share**2), plain.rmse)
-        removable = plain.rmse - noise
-        removed = (plain.rmse - rich.rmse) / removable if removable > 0 else 0.0
-        return {
-            "rmse_before": plain.rmse,
-            "rmse_after": rich.rmse,
-            "recoverable_removed": float(np.clip(removed, -1.0, 1.0)),
-        }
-
-    def changes(self, effect: str) -> float:
-        """Share by which an effect lowers the held-out error beside the others; or infinity.
-
-        Infinity where that cannot be told: of chance and of rounding, which nobody can foretell,
-        and where nothing is held out.
-        """
-        rich = self.unseen.get(self.rich.members)
-        without = self.unseen.get(self.rich.members - {effect}, self.unseen_plain)
-        if effect not in self.rich.members or rich is None or without is None:
-            return float("inf")
-        return 1 - rich.rmse / without.rmse
-
-    def _train(self, residual: Array) -> float:
-        pairs = zip(residual, self.joint.traces, strict=False)
-        return rms([row[: t.t.size][t.used] for row, t in pairs])

@@ -18,21 +18,14 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.per_recording import (
-    Fitted,
-    Linear,
-    Own,
-    fit_own,
-    gains,
-    linearised,
-)
+from sim2real.diagnose.per_recording import Linear, fit_own, fitted, gains, linearised
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.search import LOG_PRIOR
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Fits, Servos, minimise
+from sim2real.servo.problem import Servos
 from sim2real.servo.screen import candidate
 from sim2real.servo.trace import Trace
 
@@ -40,6 +33,7 @@ Array = NDArray[np.float64]
 
 _BEHIND, _MOST = 6.0, 8
 """How far behind the first, and how many, are fitted for good."""
+_FREE = ("columns", "unit", "low", "high")
 
 
 @dataclass(frozen=True)
@@ -116,13 +110,11 @@ class Change:
         group: The likeliest effect and those that it can't be told from. Nothing is resampled: its
             stability repeats its probability.
         probability: Of each effect, and of each parameter of the plain servo.
-        strange: Probability that the change is none of them.
         theta: Parameters of the case with the likeliest effect, shape (P,), where it was fitted.
     """
 
     group: Group
     probability: Mapping[str, float]
-    strange: float
     theta: Array | None = None
 
 
@@ -143,7 +135,7 @@ def change(found: Contrast) -> Change:
     )
     sure = min(sum(probability[n] for n in members), DECISION.most_certain)
     theta = None if found.theta is None else found.theta[found.effects.index(members[0])]
-    return Change(Group(members, sure, sure), probability, strange * changed, theta)
+    return Change(Group(members, sure, sure), probability, theta)
 
 
 def contrast(linear: Linear) -> Contrast:
@@ -207,18 +199,18 @@ def refined(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
         It of these changes alone, where any is worth fitting.
     """
     evidence = found.evidence
-    if linear.fitted is None or evidence.max() < DECISION.change_worth:
+    if evidence.max() < DECISION.change_worth:
         return found
     order = _likeliest(found.effects, evidence)
-    owns, label = [_nothing()], [-1]
+    nothing = replace(linear.servos, **{n: getattr(linear.servos, n)[:, :0] for n in _FREE})
+    owns, label = [nothing], [-1]
     for k in order:
-        for own in _starts(found, int(k), linear.fitted, linear.shared):
+        for own in _starts(found, int(k), linear):
             owns.append(own)
             label.append(int(k))
-    before = list(linear.fitted.traces[: linear.references])
-    batch = Batch([before, list(linear.fitted.traces[linear.references :])], device)
-    fits = fit_own(batch, linear.fitted.servos, linear.fitted.noise, owns)
-    gain = fits.loglikelihood - fits.loglikelihood[0]
+    parts = linear.traces[: linear.references], linear.traces[linear.references :]
+    likelihood, left, theta = fit_own(Batch(parts, device), linear, owns)
+    gain = likelihood - likelihood[0]
     best = [max(np.flatnonzero(np.array(label) == k), key=lambda h: gain[h]) for k in order]
     loudest = found.energy / float(linear.gram[linear.references :, 0, 0].sum())
     return replace(
@@ -229,8 +221,8 @@ def refined(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
         gain=np.maximum(gain[best], 0.0),
         before=found.before[order],
         spread2=found.spread2[order],
-        left=fits.left[best] * loudest,
-        theta=fits.theta[best],
+        left=left[best] * loudest,
+        theta=theta[best],
     )
 
 
@@ -242,30 +234,30 @@ def _likeliest(effects: Sequence[str], evidence: Array) -> NDArray[np.intp]:
     return np.array([first, *near])
 
 
-def _nothing() -> Own:
-    empty = np.zeros(0)
-    return Own(np.zeros(0, dtype=np.int32), empty, empty, empty, empty)
-
-
-def _starts(found: Contrast, k: int, fitted: Fitted, shared: int) -> Sequence[Own]:
+def _starts(found: Contrast, k: int, linear: Linear) -> list[Servos]:
     """Where the fit of a change begins: as it was looked at, and as large as it seemed to be."""
     name, column, size = found.effects[k], int(found.column[k]), float(found.size[k])
-    servos = fitted.servos
-    if column < shared:
-        place = servos.columns[0, column]
-        unit = servos.unit[0, column : column + 1]
-        low, high = (x[0, column : column + 1] for x in (servos.low, servos.high))
-        value = servos.theta[0, place] + size * unit
-        return [Own(np.array([place]), np.clip(value, low, high), unit, low, high)]
-    load = fitted.traces[0].load.inertia_kgm2
-    option = candidate(named(name), float(servos.theta[0, 0]), load)
-    value = fitted.rows[column, option.columns]
-    given = [value]
-    if not is_limit(option.effect.parameters[0]):
-        larger = value.copy()
-        larger[0] = np.clip(size * value[0], option.low[0], option.high[0])
-        given.append(larger)
-    return [Own(option.columns, v, option.unit, option.low, option.high) for v in given]
+    servos = linear.servos
+    if column < linear.shared:
+        here = slice(column, column + 1)
+        columns, unit = servos.columns[:, here], servos.unit[:, here]
+        low, high = servos.low[:, here], servos.high[:, here]
+        values = [servos.theta[0, columns[0]] + size * unit[0]]
+    else:
+        load = linear.traces[0].load.inertia_kgm2
+        option = candidate(named(name), float(servos.theta[0, 0]), load)
+        columns, unit = option.columns[None], option.unit[None]
+        low, high = option.low[None], option.high[None]
+        values = [linear.rows[column, option.columns]]
+        if not is_limit(option.effect.parameters[0]):
+            values.append(values[0].copy())
+            values[1][0] = size * values[0][0]
+    starts = []
+    for value in values:
+        theta = servos.theta.copy()
+        theta[0, columns[0]] = np.clip(value, low[0], high[0])
+        starts.append(Servos(servos.joint, theta, columns, unit, low, high))
+    return starts
 
 
 @dataclass(frozen=True)
@@ -319,19 +311,14 @@ def misstated(
     }
     if not differs:
         return None
-    as_before = _fitted([*references, *(replace(t, load=known) for t in case)], servos, device)
-    as_stated = _fitted([*references, *case], servos, device)
+    restated = [replace(t, load=known) for t in case]
+    _, as_before = fitted([*references, *restated], servos, device)
+    _, as_stated = fitted([*references, *case], servos, device)
     theta = as_before.servos.theta[0].copy()
     for column, value in differs.items():
         theta[COLUMNS.index(column)] += value
     gain = float(as_before.loglikelihood[0] - as_stated.loglikelihood[0])
     return Misstated(differs, gain, theta)
-
-
-def _fitted(traces: Sequence[Trace], servos: Sequence[Servos], device: str) -> Fits:
-    batch = Batch([list(traces)], device)
-    fits = [minimise(batch, one, iterations=15) for one in servos]
-    return max(fits, key=lambda fit: float(fit.loglikelihood[0]))
 
 
 def what_changed(

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import JointResult
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.formula import guesses
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.knockoffs import best_knockoff, directions, false_discovery_of
 from sim2real.diagnose.next_experiment import next_experiment
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
@@ -42,13 +42,11 @@ def with_checks(
         gate: What the data gate found.
         rng: For knockoffs and black boxes.
     """
-    names, findings = [one.name for one in joints], [one.finding for one in joints]
-    data, rich = [one.joint.traces for one in joints], [one.rich for one in joints]
     ladders = {one.signal: rungs for one in joints if (rungs := _ladder(one, rng)) is not None}
     return replace(
         found,
-        hypothesis=guesses(names, data, findings, rich, [one.after for one in joints]),
-        false_discovery_rate=false_discovery_of(data, findings, rng),
+        hypothesis=guesses(joints),
+        false_discovery_rate=false_discovery_of(joints, rng),
         ladders=ladders,
         detection_limits=tuple(limit for one in joints for limit in _limits(one)),
         next_experiment=_next(robot, joints),

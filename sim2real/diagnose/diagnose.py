@@ -8,18 +8,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, JointResult, bases, gate, prepared, rows, servo
+from sim2real.diagnose.case import Case, Joint, gate, places, prepared
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.motors import with_motors
 from sim2real.diagnose.predicting import predicting, until_then
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
 from sim2real.diagnose.search import Hypothesis, Set, joined
-from sim2real.diagnose.wording import gathered, mismatch, named_effects, rivals
+from sim2real.diagnose.wording import gathered, mismatch, named_effect, rivals
 from sim2real.effects import named
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
 from sim2real.recording import Recording
 from sim2real.robot import Robot
@@ -133,21 +134,12 @@ def _joint_results(
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
     joints = [joint for some in ready for joint in some]
-    ends = np.cumsum([0, *(len(some) for some in ready)])
-    robots = [list(range(a, b)) for a, b in pairwise(ends)]
-    data = [joint.traces for joint in joints]
-    batch = Batch(data, device)
+    robots = places(ready)
+    batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
-        batch,
-        data,
-        robots,
-        rng=rng,
-        steps=[joint.step_rad for joint in joints],
-        models=rows(cases, ready),
-        bases=bases(cases, ready),
-        progress=lambda share: progress(0.8 * share),
+        batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    findings = against_references(batch, cases, ready, robots, findings)
+    findings = against_references(batch, cases, joints, robots, findings)
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
@@ -204,30 +196,24 @@ def _unseen(
 def _diagnosis(
     case: Case, joints: Sequence[JointResult], negligible: float, seed: int
 ) -> Diagnosis:
-    findings = {one.name: one.finding for one in joints}
-    rich = {one.name: one.rich for one in joints}
-    said = gathered(findings)
-    effects = named_effects(findings, said, rich, {one.name: one.heldout() for one in joints})
-    by_name = {one.name: one for one in joints}
-    small = [
-        e for e, s in zip(effects, said, strict=True)
-        if all(by_name[j].changes(e.effect) < negligible for j in s.joints)
-    ]  # fmt: skip
-    differing = tuple(
-        mismatch(one.finding, one.name, one.joint.traces, one.before, (one.error, one.joint.noise))
-        for one in joints
-        if one.finding.mismatch
+    results = {one.name: one for one in joints}
+    said = gathered(results)
+    effects = [named_effect(results, one) for one in said]
+    small = tuple(
+        effect
+        for effect, one in zip(effects, said, strict=True)
+        if all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
     )
+    large = tuple(effect for effect in effects if effect not in small)
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
-    large = tuple(effect for effect in effects if effect not in small)
     return Diagnosis(
-        verdict=_verdict(joints, large, tuple(small), changed=bool(case.references)),
-        mismatch=differing,
+        verdict=_verdict(joints, large, small, changed=bool(case.references)),
+        mismatch=tuple(mismatch(one) for one in joints if one.finding.mismatch),
         effects=large,
-        negligible=tuple(small),
-        rivals=rivals(findings, said),
-        unknown={name: finding.unknown for name, finding in findings.items()},
+        negligible=small,
+        rivals=rivals(results, said),
+        unknown={one.name: one.finding.unknown for one in joints},
         hypothesis={},
         false_discovery_rate=0.0,
         baseline_fit={one.signal: one.fit(enriched=False) for one in joints},
@@ -237,7 +223,7 @@ def _diagnosis(
         next_experiment=None,
         gate=(),
         model=_model(case, joints, origin),
-        baseline=Model(joints={one.name: _plain(one) for one in joints}),
+        baseline=Model(joints={one.name: one.model(enriched=False) for one in joints}),
         provenance=origin,
     )
 
@@ -270,19 +256,9 @@ def _model(case: Case, joints: Sequence[JointResult], origin: dict[str, object])
         for effect, value in uneven.items()
     )
     return Model(
-        joints={
-            one.name: servo(one.joint, one.rich.fit.servos.theta[0], one.rich)
-            if one.richer
-            else _plain(one)
-            for one in joints
-        },
+        joints={one.name: one.model(enriched=True) for one in joints},
         body=case.model.body if case.model else {},
         effects=shared,
         fit={one.signal: one.fit(enriched=True) for one in joints},
         provenance=dict(origin),
     )
-
-
-def _plain(one: JointResult) -> JointModel:
-    """The plain servo, as ``identify`` fits it."""
-    return servo(one.joint, one.least_squares, one.finding.tried.plain)

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import Finding
-from sim2real.diagnose.search import Hypothesis
-from sim2real.diagnose.unmodelled import WANDER
-from sim2real.inference.noise import counting
+from sim2real.diagnose.joint_result import JointResult
+from sim2real.inference.noise import RESIDUAL_WANDER, counting
 from sim2real.servo.holdout import simulated
 from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
 from sim2real.servo.trace import PER_INERTIA, Trace
@@ -31,44 +29,25 @@ _LAGS = 3
 """Samples after a gap that do not count."""
 
 
-def nameless(finding: Finding) -> bool:
-    """Whether a joint misses something that no effect in the catalogue explains."""
-    named = any(group.probability >= DECISION.named for group in finding.groups)
-    return finding.mismatch and (finding.unknown > DECISION.named or not named)
-
-
-def guesses(
-    names: Sequence[str],
-    joints: Sequence[Sequence[Trace]],
-    findings: Sequence[Finding],
-    rich: Sequence[Hypothesis],
-    residuals: Sequence[Array],
-) -> Mapping[str, str]:
-    """Formulas by joint, for those joints that have one.
-
-    Args:
-        names: The joints.
-        joints: Their recordings.
-        findings: What was found on them.
-        rich: The servos with what is named.
-        residuals: Simulated minus measured angles of these in rad, shape (R, T) each.
-    """
+def guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
+    """Formulas by joint, for those that miss something that no effect explains and have one."""
     found = {}
-    for k, name in enumerate(names):
-        if nameless(findings[k]):
-            others = [j for j in range(len(names)) if j != k]
-            moving = {names[j]: {t.file: t for t in joints[j]} for j in others}
-            # The same terms for every recording.
-            always = {n: x for n, x in moving.items() if all(t.file in x for t in joints[k])}
-            theta = rich[k].fit.servos.theta[0]
-            left = [
-                what_is_left(trace, row, theta, {n: x[trace.file] for n, x in always.items()})
-                for trace, row in zip(joints[k], residuals[k], strict=False)
-            ]
-            bare = joints[k][0].load is PER_INERTIA
-            text = formula(left, "N m/(kg m²)" if bare else "N m")
-            if text:
-                found[name] = f"missing torque ≈ {text}"
+    for one in joints:
+        named = any(g.probability >= DECISION.named for g in one.finding.groups)
+        if not one.finding.mismatch or (named and one.finding.unknown <= DECISION.named):
+            continue
+        given = one.joint.traces
+        moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
+        # The same terms for every recording.
+        always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
+        theta = one.rich.fit.servos.theta[0]
+        left = [
+            what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
+            for trace, row in zip(given, one.after, strict=False)
+        ]
+        text = formula(left, "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m")
+        if text:
+            found[one.name] = f"missing torque ≈ {text}"
     return found
 
 
@@ -293,7 +272,7 @@ def _rows(left: Left, which: str) -> Array:
 
 
 def _white(left: Left, columns: Array) -> Array:
-    numerator, denominator, _ = WANDER.filter(float(np.median(np.diff(left.measured.t))))
+    numerator, denominator, _ = RESIDUAL_WANDER.filter(float(np.median(np.diff(left.measured.t))))
     return np.asarray(lfilter(numerator, denominator, columns, axis=0)[left.counts])
 
 

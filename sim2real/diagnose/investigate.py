@@ -6,21 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.posterior import Group, Posterior, posterior
-from sim2real.diagnose.search import (
-    LOG_PRIOR,
-    Found,
-    Hypothesis,
-    ServoSearch,
-    Set,
-    baselines,
-    joined,
-    search,
-)
-from sim2real.diagnose.unmodelled import Unmodelled, excess, unmodelled
+from sim2real.diagnose.posterior import Group, Posterior, posteriors
+from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, joined, search
+from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
@@ -28,10 +19,6 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import residual_angles
-from sim2real.servo.screen import FITTED
-from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -72,39 +59,34 @@ class Finding:
 
 def investigate(
     batch: Batch,
-    joints: Sequence[Sequence[Trace]],
+    joints: Sequence[Joint],
     robots: Sequence[Sequence[int]],
     *,
     rng: np.random.Generator,
-    steps: Sequence[float | None] | None = None,
-    models: Array | None = None,
-    bases: Sequence[Set] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Finding]:
     """Find what each joint is missing.
 
     Args:
         batch: The recordings, joint by joint.
-        joints: The same, as traces.
-        robots: Which joints of the batch share a supply and a link.
+        joints: The joints of the batch.
+        robots: Which of them share a supply and a link.
         rng: For bootstraps.
-        steps: Steps of angle sensors found coarser than stated, one a joint.
-        models: Parameter rows of given models, shape (joints, P), NaN where there is none.
-        bases: Effects that the given models have.
         progress: Called with the share that is done.
     """
-    known = _Known(joints, robots, steps, models, bases)
-    findings = _pass(batch, known, rng, lambda share: progress(0.7 * share))
+    findings = _pass(batch, joints, robots, rng, lambda share: progress(0.7 * share))
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured]
     if again:
-        some = known.of(again)
-        free = Batch(some.joints, batch.device, batch.threads, bounded=False)
-        second = _pass(free, some, rng, lambda share: progress(0.7 + 0.3 * share))
+        some = [joints[j] for j in again]
+        free = Batch([one.traces for one in some], batch.device, batch.threads, bounded=False)
+        groups = [[again.index(j) for j in robot if j in again] for robot in robots]
+        groups = [group for group in groups if group]
+        second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share))
         for j, finding in zip(again, second, strict=True):
             mismatch = finding.mismatch or findings[j].mismatch
             findings[j] = replace(_placed(finding, j), mismatch=mismatch)
-    findings = _with_links(batch, known, findings)
+    findings = _with_links(batch, joints, robots, findings)
     progress(1.0)
     return findings
 
@@ -120,19 +102,22 @@ def _placed(finding: Finding, joint: int) -> Finding:
     return replace(finding, tried=replace(finding.tried, tried=tried), best=best)
 
 
-def _with_links(batch: Batch, known: _Known, findings: Sequence[Finding]) -> list[Finding]:
+def _with_links(
+    batch: Batch,
+    joints: Sequence[Joint],
+    robots: Sequence[Sequence[int]],
+    findings: Sequence[Finding],
+) -> list[Finding]:
     """Findings that also say what is uneven on the link.
 
     Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
     what was found on its joints and without.
     """
-    clear = [
-        [j for j in robot if findings[j].excess < DECISION.link_masked] for robot in known.robots
-    ]
+    clear = [[j for j in robot if findings[j].excess < DECISION.link_masked] for robot in robots]
     robots = [robot for robot in clear if robot]
     both = links(
         [
-            link_data(batch, known.joints, robot, fits)
+            link_data(batch, joints, robot, fits)
             for fits in ([f.tried.plain for f in findings], [f.best for f in findings])
             for robot in robots
         ]
@@ -181,7 +166,7 @@ def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
 
 def link_data(
     batch: Batch,
-    joints: Sequence[Sequence[Trace]],
+    joints: Sequence[Joint],
     robot: Sequence[int],
     fits: Sequence[Hypothesis],
     noticed: float = DECISION.link_gain,
@@ -197,63 +182,37 @@ def link_data(
                     t.t, t.command, t.used, residual[r, : t.t.size], kp, kd, latency,
                     t.load.inertia_kgm2, t.load.gravity_Nm,
                 )
-                for r, t in enumerate(joints[j])
+                for r, t in enumerate(joints[j].traces)
             )
         )  # fmt: skip
     return LinkData(tuple(left), batch.lags, batch.least_gain, noticed)
 
 
-@dataclass(frozen=True)
-class _Known:
-    """What is given, joint by joint."""
-
-    joints: Sequence[Sequence[Trace]]
-    robots: Sequence[Sequence[int]]
-    steps: Sequence[float | None] | None
-    models: Array | None
-    bases: Sequence[Set] | None
-
-    def of(self, some: Sequence[int]) -> _Known:
-        """What is given of some of the joints."""
-        place = {j: k for k, j in enumerate(some)}
-        robots = [[place[j] for j in robot if j in place] for robot in self.robots]
-        return _Known(
-            [self.joints[j] for j in some],
-            [robot for robot in robots if robot],
-            None if self.steps is None else [self.steps[j] for j in some],
-            None if self.models is None else self.models[list(some)],
-            None if self.bases is None else [self.bases[j] for j in some],
-        )
-
-
 def _pass(
     batch: Batch,
-    known: _Known,
+    joints: Sequence[Joint],
+    robots: Sequence[Sequence[int]],
     rng: np.random.Generator,
     progress: Callable[[float], None],
 ) -> list[Finding]:
-    levels = np.empty(len(known.joints))
-    for robot in known.robots:
-        levels[list(robot)] = DECISION.false_alarms / len(robot)
-    plain = baselines(batch, known.models)
+    plain = baselines(batch, [joint.given for joint in joints])
     progress(0.1)
     found, problem = search(
         batch,
         plain,
-        level=float(levels.min()),
+        level=DECISION.false_alarms / max(len(robot) for robot in robots),
         rng=rng,
-        bases=known.bases,
+        bases=[joint.base for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
-    posteriors = _posteriors(found, known.robots, rng)
-    best = [one.tried[p.sets[0]] for one, p in zip(found, posteriors, strict=True)]
-    left = unmodelled(batch, known.joints, known.robots, joined([one.plain.fit for one in found]))
-    after = _excesses(batch, known.joints, best)
+    probable = posteriors(found, robots, rng)
+    best = [one.tried[p.sets[0]] for one, p in zip(found, probable, strict=True)]
+    data = [joint.traces for joint in joints]
+    left = unmodelled(batch, data, robots, joined([one.plain.fit for one in found]))
+    _, after = beyond_noise(batch, data, joined([h.fit for h in best]))
     progress(1.0)
     return [
-        _finding(
-            one, problem, posteriors[j], left[j], after[j], known.steps[j] if known.steps else None
-        )
+        _finding(one, problem, probable[j], left[j], after[j], joints[j].step_rad)
         for j, one in enumerate(found)
     ]
 
@@ -355,39 +314,3 @@ def size_in_noise(best: Hypothesis, effect: str) -> float:
     noise = np.sqrt(best.fit.error2[0] / best.fit.count[0])
     column = f"{effect}.{named(effect).parameters[0].name}"
     return float(theta[COLUMNS.index(column)] / theta[0] / noise)
-
-
-def _posteriors(
-    found: Sequence[Found], robots: Sequence[Sequence[int]], rng: np.random.Generator
-) -> list[Posterior]:
-    alone = [posterior(one, rng) for one in found]
-    after = list(alone)
-    for robot in robots:
-        for j in robot:
-            odds = _shared_odds([alone[i] for i in robot if i != j])
-            after[j] = posterior(found[j], rng, odds)
-    return after
-
-
-def _shared_odds(others: Sequence[Posterior]) -> dict[str, float]:
-    """What the other joints say of the effects of the supply and the link, as log odds."""
-    odds = {}
-    for effect in FITTED:
-        if effect.component == "joint" or not others:
-            continue
-        absent = float(np.prod([1 - DECISION.shared * p.inclusion(effect.name) for p in others]))
-        before = np.exp(LOG_PRIOR)
-        after = absent * before + (1 - absent) * DECISION.shared / (1 - DECISION.shared)
-        odds[effect.name] = float(np.log(after / before))
-    return odds
-
-
-def _excesses(
-    batch: Batch, joints: Sequence[Sequence[Trace]], best: Sequence[Hypothesis]
-) -> list[float]:
-    fits = joined([h.fit for h in best])
-    residuals = residual_angles(batch, fits)
-    return [
-        excess(residuals[j], traces, batch, float(np.sqrt(h.fit.error2[0] / h.fit.count[0])))
-        for j, (traces, h) in enumerate(zip(joints, best, strict=True))
-    ]

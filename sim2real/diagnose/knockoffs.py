@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.search import Set
 from sim2real.inference.holdout import rms
@@ -182,52 +183,41 @@ def _gains(columns: Array, taken: Array, left: Array, candidate: NDArray[np.intp
 
     See ``Screen.gain``; ``columns`` (N, S), ``taken`` orthonormal (N, F), ``left`` (N,).
     """
-    cross = taken.T @ columns
-    norm2 = np.einsum("ns,ns->s", columns, columns)
-    seen2 = norm2 - np.einsum("fs,fs->s", cross, cross)
-    along = np.maximum(-(left @ columns), 0.0)
-    share = np.where(
-        seen2 > 1e-6 * norm2 + 1e-30, along**2 / np.maximum(seen2, 1e-300) / (left @ left), 0.0
-    )
+    share = _drop(columns, taken, np.maximum(-(left @ columns), 0.0)) / (left @ left)
     gain = -0.5 * left.size * np.log1p(-np.minimum(share, 1 - 1e-9))
     best = np.zeros(int(candidate.max()) + 1)
     np.maximum.at(best, candidate, gain)
     return best
 
 
-def false_discovery_of(
-    joints: Sequence[Sequence[Trace]],
-    findings: Sequence[Finding],
-    rng: np.random.Generator,
-    copies: int = COPIES,
-) -> float:
+def _drop(columns: Array, taken: Array, along: Array) -> Array:
+    """How far each column lowers a sum of squares beside what is taken, shape (S,)."""
+    cross = taken.T @ columns
+    norm2 = np.einsum("ns,ns->s", columns, columns)
+    seen2 = norm2 - np.einsum("fs,fs->s", cross, cross)
+    there = seen2 > 1e-6 * norm2 + 1e-30
+    return np.where(there, along**2 / np.maximum(seen2, 1e-300), 0.0)
+
+
+def false_discovery_of(joints: Sequence[JointResult], rng: np.random.Generator) -> float:
     """Expected share of wrong ones among the effects that are named on a robot's joints.
 
     Each named effect is judged against knockoffs of all effects, from the fit that lacks it and has
     the others. What is found on the link or read off the sensor's numbers is no part of this. It
     says how often chance would pass for an effect, not how often one effect passes for another.
-
-    Args:
-        joints: Recordings of each joint.
-        findings: What was found on it.
-        rng: For the knockoffs.
-        copies: Knockoffs of each effect.
     """
     chances, considered = [], 0
-    for traces, finding in zip(joints, findings, strict=True):
+    for one in joints:
+        finding = one.finding
         considered += len(_judged(finding, finding.tried.base))
         for group in finding.groups:
             if group.probability >= DECISION.named and set(group.members) & finding.best.members:
-                chances.append(_chance(traces, finding, group, rng, copies))
+                chances.append(_chance(one.joint.traces, finding, group, rng))
     return false_discovery_rate(chances, considered)
 
 
 def _chance(
-    traces: Sequence[Trace],
-    finding: Finding,
-    group: Group,
-    rng: np.random.Generator,
-    copies: int,
+    traces: Sequence[Trace], finding: Finding, group: Group, rng: np.random.Generator
 ) -> float:
     tried = finding.tried
     without = finding.best.members - set(group.members)
@@ -236,7 +226,7 @@ def _chance(
     options = _judged(finding, without)
     fit = tried.tried[without].fit
     given = directions(traces, fit.servos, options)
-    result = contest(traces, given, fit.autoregression[0], rng, copies)
+    result = contest(traces, given, fit.autoregression[0], rng)
     return result.chance([k for k, c in enumerate(options) if c.effect.name in group.members])
 
 
@@ -292,11 +282,7 @@ def _left_of_best(
     most, chosen = 0.0, None
     for knockoffs in drawn:
         columns = _rows(knockoffs, fold.fitted)
-        cross = basis.T @ columns
-        norm2 = np.einsum("ns,ns->s", columns, columns)
-        seen2 = norm2 - np.einsum("fs,fs->s", cross, cross)
-        there = seen2 > 1e-6 * norm2 + 1e-30
-        drop = np.where(there, (residual @ columns) ** 2 / np.maximum(seen2, 1e-300), 0.0)
+        drop = _drop(columns, basis, residual @ columns)
         best = int(drop.argmax())
         if drop[best] > most:
             most, chosen = float(drop[best]), (knockoffs, best)

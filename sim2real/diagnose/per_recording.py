@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from sim2real.diagnose.search import padded, stacked
 from sim2real.effects import named
 from sim2real.inference import least_squares
 from sim2real.servo.batch import Batch, Problems
@@ -23,7 +24,6 @@ from sim2real.servo.screen import candidates
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int32]
 
 ALIKE = 0.08
 """Commands that differ by less of their standard deviation are one command."""
@@ -49,7 +49,10 @@ class Linear:
         directions: For each column but the first the effect, or the plain servo's parameter.
         signed: Which of them mean something with either sign, shape (F + S,).
         repeated: Whether what is common to recordings of one command has been taken away.
-        fitted: What it was worked out from; None of one made by hand.
+        traces: The recordings, less what is common to those of one command.
+        servos: The shared servo, of one row.
+        noise: Its noise model on the references, shape (1, lags).
+        rows: Parameters of each direction, shape (F + S, P).
     """
 
     gram: Array
@@ -59,20 +62,6 @@ class Linear:
     directions: tuple[str, ...]
     signed: NDArray[np.bool_]
     repeated: bool
-    fitted: Fitted | None = None
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """The servo that recordings share.
-
-    Attributes:
-        traces: The recordings, less what is common to those of one command.
-        servos: The servo, of one row.
-        noise: Its noise model on the references, shape (1, lags).
-        rows: Parameters of each direction, shape (F + S, P).
-    """
-
     traces: tuple[Trace, ...]
     servos: Servos
     noise: Array
@@ -97,9 +86,7 @@ def linearised(
         device: Warp device.
     """
     every = [*references, *case]
-    batch = Batch([every], device)
-    fits = [minimise(batch, one, iterations=15) for one in servos]
-    best = max(fits, key=lambda fit: float(fit.loglikelihood[0]))
+    batch, best = fitted(every, servos, device)
     alone = Problems(best.servos.joint, best.servos.theta[:, None], np.zeros((1, 1)))
     left = batch.evaluate(alone, keep=True).residual
     assert left is not None
@@ -121,8 +108,20 @@ def linearised(
         directions,
         signed,
         same,
-        Fitted(tuple(every), best.servos, noise, problems.theta[0, 1:]),
+        tuple(every),
+        best.servos,
+        noise,
+        problems.theta[0, 1:],
     )
+
+
+def fitted(
+    traces: Sequence[Trace], servos: Sequence[Servos], device: str = "cpu"
+) -> tuple[Batch, Fits]:
+    """Recordings of one joint, and the likeliest fit to all of them from any of these starts."""
+    batch = Batch([list(traces)], device)
+    fits = [minimise(batch, one, iterations=15) for one in servos]
+    return batch, max(fits, key=lambda fit: float(fit.loglikelihood[0]))
 
 
 def _finite(gram: Array) -> Array:
@@ -215,62 +214,39 @@ def _largest(error2: Array, slope: Array, normal: Array, count: Array) -> tuple[
     return now, x
 
 
-@dataclass(frozen=True)
-class Own:
-    """What the case has to itself.
-
-    Attributes:
-        columns: Columns of its K parameters, shape (K,).
-        value: Where they start, shape (K,).
-        unit: Their natural sizes, shape (K,).
-        low: Their smallest values, shape (K,).
-        high: Their largest values, shape (K,).
-    """
-
-    columns: Whole
-    value: Array
-    unit: Array
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True)
-class OwnFits:
-    """Where the fits ended, one for each set of own parameters.
-
-    Attributes:
-        loglikelihood: Its logarithm, up to a constant, shape (H,).
-        left: Sum of squared innovations in the case, rad2, shape (H,).
-        theta: Parameters of the case, shape (H, P).
-    """
-
-    loglikelihood: Array
-    left: Array
-    theta: Array
-
-
-def fit_own(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own]) -> OwnFits:
-    """Fit the shared servo together with each set of the case's own parameters.
+def fit_own(batch: Batch, linear: Linear, owns: Sequence[Servos]) -> tuple[Array, Array, Array]:
+    """Fit the shared servo together with each set of parameters that the case has to itself.
 
     Each recording has a variance of its own.
 
     Args:
         batch: The references as its first joint and the case as its second.
-        servo: Where the shared servo starts, of one row.
-        noise: The noise model, shape (1, lags).
-        owns: What is free in the case alone, a fit each; it may be nothing.
+        linear: The recordings, with the shared servo and its noise.
+        owns: The case's servo, of one row, free in what the case has to itself; a fit each.
+
+    Returns:
+        Log-likelihood up to a constant, sum of squared innovations in the case in rad2, each of
+        shape (H,), and parameters of the case, shape (H, P).
     """
-    H, F = len(owns), servo.columns.shape[1]
-    before, case = _both(servo, owns)
-    start = case.values()
+    H, F = len(owns), linear.shared
+    before = replace(linear.servos[np.zeros(H, dtype=np.intp)], joint=np.zeros(H, dtype=np.int32))
+    own = stacked([padded(one, max(one.columns.shape[1] for one in owns)) for one in owns])
     # Of a parameter that the case has to itself the shared value is the references' alone.
+    taken = (before.columns[:, :, None] == own.columns[:, None]).any(axis=2)
+    case = Servos(
+        np.ones(H, dtype=np.int32),
+        own.theta,
+        np.hstack([np.where(taken, -1, before.columns), own.columns]),
+        *(np.hstack([getattr(x, name) for x in (before, own)]) for name in ("unit", "low", "high")),
+    )
+    start = case.values()
     start[:, :F] = before.values()
     moving = case.free.copy()
     moving[:, :F] = True
 
     def expand(x: Array, index: least_squares.Index) -> least_squares.Expansion:
         parts = before[index].at(x[:, :F]), case[index].at(x)
-        return _expansion(batch, parts, np.repeat(noise, len(index), axis=0))
+        return _expansion(batch, parts, np.repeat(linear.noise, len(index), axis=0))
 
     found = least_squares.minimise(
         expand,
@@ -282,11 +258,11 @@ def fit_own(batch: Batch, servo: Servos, noise: Array, owns: Sequence[Own]) -> O
     )
     # What the case shares stands in its row, too, but for what it has to itself.
     shared, mine = before.at(found.x[:, :F]).theta, case.at(found.x).theta
-    own = np.zeros(mine.shape, dtype=bool)
-    for h in range(H):
-        own[h, owns[h].columns] = True
+    alone = np.zeros(mine.shape, dtype=bool)
+    row, place = np.nonzero(own.free)
+    alone[row, own.columns[row, place]] = True
     at = found.expansion
-    return OwnFits(-at.loss, at.aside["left"], np.where(own, mine, shared))
+    return -at.loss, at.aside["left"], np.where(alone, mine, shared)
 
 
 def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> least_squares.Expansion:
@@ -310,26 +286,6 @@ def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> leas
     loss[lost], left[lost] = np.inf, np.inf
     slope[lost], normal[lost] = 0.0, np.eye(size)
     return least_squares.Expansion(loss, slope, normal, {"left": left})
-
-
-def _both(servo: Servos, owns: Sequence[Own]) -> tuple[Servos, Servos]:
-    """The references' servo and the case's, for each set of own parameters."""
-    H, F = len(owns), servo.columns.shape[1]
-    K = max(own.columns.size for own in owns)
-    before = servo[np.zeros(H, dtype=np.intp)]
-    before = replace(before, joint=np.zeros(H, dtype=np.int32))
-    pad = ((0, 0), (0, K))
-    columns = np.pad(before.columns, pad, constant_values=-1)
-    unit = np.pad(before.unit, pad, constant_values=1.0)
-    low, high = np.pad(before.low, pad), np.pad(before.high, pad)
-    theta = before.theta.copy()
-    for h, own in enumerate(owns):
-        some = slice(F, F + own.columns.size)
-        columns[h, :F][np.isin(columns[h, :F], own.columns)] = -1
-        columns[h, some], theta[h, own.columns] = own.columns, own.value
-        unit[h, some], low[h, some], high[h, some] = own.unit, own.low, own.high
-    joint = np.ones(H, dtype=np.int32)
-    return before, Servos(joint, theta, columns, unit, low, high)
 
 
 def freed_of_the_common(

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import Found, Hypothesis, Set
+from sim2real.diagnose.search import LOG_PRIOR, Found, Hypothesis, Set
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.servo.problem import Fits
+from sim2real.servo.screen import FITTED
 
 Array = NDArray[np.float64]
 
@@ -70,6 +72,38 @@ class Posterior:
             there = np.array([bool(s & set(members)) for s in self.sets])
             groups.append(Group(members, self.inclusion(*members), float(self.first[there].sum())))
         return tuple(groups)
+
+
+def posteriors(
+    found: Sequence[Found], robots: Sequence[Sequence[int]], rng: np.random.Generator
+) -> list[Posterior]:
+    """Probabilities of the sets of each joint, given what the robot's other joints say.
+
+    Args:
+        found: What was tried, joint by joint.
+        robots: Which joints share a supply and a link.
+        rng: For the bootstrap.
+    """
+    alone = [posterior(one, rng) for one in found]
+    after = list(alone)
+    for robot in robots:
+        for j in robot:
+            odds = _shared_odds([alone[i] for i in robot if i != j])
+            after[j] = posterior(found[j], rng, odds)
+    return after
+
+
+def _shared_odds(others: Sequence[Posterior]) -> dict[str, float]:
+    """What the other joints say of the effects of the supply and the link, as log odds."""
+    odds = {}
+    for effect in FITTED:
+        if effect.component == "joint" or not others:
+            continue
+        absent = float(np.prod([1 - DECISION.shared * p.inclusion(effect.name) for p in others]))
+        before = np.exp(LOG_PRIOR)
+        after = absent * before + (1 - absent) * DECISION.shared / (1 - DECISION.shared)
+        odds[effect.name] = float(np.log(after / before))
+    return odds
 
 
 def posterior(

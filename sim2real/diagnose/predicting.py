@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING
+from sim2real.diagnose.joint_result import fitted_effects
 from sim2real.diagnose.result import Diagnosis, NamedEffect
 from sim2real.diagnose.search import Found, Hypothesis, baselines, search
-from sim2real.diagnose.wording import fitted_effects
 from sim2real.model import JointModel
 from sim2real.recording import Recording
-from sim2real.servo.batch import Batch, Normal, Problems
+from sim2real.servo.batch import Batch
 from sim2real.servo.holdout import held_out
 from sim2real.servo.trace import Trace, traces
 
@@ -38,23 +38,6 @@ _NOTE = (
     "No set of effects explains the recordings whole: this model has those that predict unseen "
     "recordings best, which may stand in for something else."
 )
-
-
-class _White(Batch):
-    """Recordings whose residuals are taken for white noise, in every fit and screen."""
-
-    def evaluate(
-        self,
-        problems: Problems,
-        *,
-        blocks: int = 1,
-        deep: int | None = None,
-        autoregression: Array | None = None,
-        keep: bool = False,
-    ) -> Normal:
-        """As ``Batch.evaluate``, with no autoregression."""
-        white = np.zeros((problems.joint.size, self.lags))
-        return super().evaluate(problems, blocks=blocks, deep=deep, autoregression=white, keep=keep)
 
 
 def until_then(progress: Callable[[float], None]) -> Callable[[float], None]:
@@ -83,7 +66,7 @@ def predicting(
     differing = {entry.signal.partition(".")[0] for entry in found.mismatch}
     names = [name for name in found.model.joints if name in differing]
     given = [traces(recordings, name) for name in names]
-    batch = _White(given, bounded=False)
+    batch = Batch(given, bounded=False, white=True)
     rng = np.random.default_rng(seed)
     tried, _ = search(
         batch,

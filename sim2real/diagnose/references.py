@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, Joint, prepared, servo
+from sim2real.diagnose.case import Case, Joint, places, prepared
 from sim2real.diagnose.change import Change, what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
+from sim2real.diagnose.joint_result import servo
 from sim2real.diagnose.posterior import Posterior
 from sim2real.diagnose.search import BLOCKS, Hypothesis, Set, with_effects
 from sim2real.model import Model
@@ -42,22 +43,16 @@ def with_known_servos(
     known = list(cases)
     if not some:
         return known
-    ready = [before[k] for k in some]
-    everyone = [joint for joints in ready for joint in joints]
-    ends = np.cumsum([len(joints) for joints in ready])
-    data = [joint.traces for joint in everyone]
-    findings = investigate(
-        Batch(data, device),
-        data,
-        [list(range(e - len(js), e)) for e, js in zip(ends, ready, strict=True)],
-        rng=rng,
-        steps=[joint.step_rad for joint in everyone],
-    )
-    best = iter([finding.best for finding in findings])
-    for k, joints in zip(some, ready, strict=True):
-        # How finely a sensor reads, each recording says itself.
-        fits = [(replace(joint, step_rad=None), next(best)) for joint in joints]
-        servos = {j.name: servo(j, h.fit.servos.theta[0], h) for j, h in fits}
+    joints = [joint for k in some for joint in before[k]]
+    robots = places([before[k] for k in some])
+    batch = Batch([joint.traces for joint in joints], device)
+    found = investigate(batch, joints, robots, rng=rng)
+    for k, robot in zip(some, robots, strict=True):
+        servos = {}
+        for j in robot:
+            # How finely a sensor reads, each recording says itself.
+            best, joint = found[j].best, replace(joints[j], step_rad=None)
+            servos[joint.name] = servo(joint, best.fit.servos.theta[0], best)
         known[k] = replace(cases[k], model=Model(joints=servos))
     return known
 
@@ -65,7 +60,7 @@ def with_known_servos(
 def against_references(
     batch: Batch,
     cases: Sequence[Case],
-    ready: Sequence[Sequence[Joint]],
+    joints: Sequence[Joint],
     robots: Sequence[Sequence[int]],
     findings: Sequence[Finding],
 ) -> list[Finding]:
@@ -74,27 +69,25 @@ def against_references(
     Args:
         batch: The recordings, joint by joint.
         cases: The robots; those without references keep their findings.
-        ready: Their joints.
-        robots: Places of these among the findings.
+        joints: Their joints.
+        robots: Which of these are each robot's.
         findings: What is missing, joint by joint.
     """
     changed = list(findings)
-    for case, joints, robot in zip(cases, ready, robots, strict=True):
-        for joint, j in zip(joints, robot, strict=True):
-            before = traces(case.references, joint.name)
+    for case, robot in zip(cases, robots, strict=True):
+        for j in robot:
+            before = traces(case.references, joints[j].name)
             if before:
-                changed[j] = _changed(batch, case, joint, before, findings[j])
+                changed[j] = _changed(batch, joints[j], before, findings[j])
     return changed
 
 
-def _changed(
-    batch: Batch, case: Case, joint: Joint, before: Sequence[Trace], finding: Finding
-) -> Finding:
+def _changed(batch: Batch, joint: Joint, before: Sequence[Trace], finding: Finding) -> Finding:
     tried = finding.tried
     plain = tried.plain.fit.servos
     starts = [plain.theta[0]]
-    if case.model is not None and joint.name in case.model.joints:
-        starts.append(joint_row(case.model.joints[joint.name], None, joint.name))
+    if joint.given is not None:
+        starts.append(joint_row(joint.given, None, joint.name))
     inertia = before[0].load.inertia_kgm2
     kp, first = float(plain.theta[0, 0]), np.zeros(1, dtype=np.int32)
     servos = [

@@ -14,8 +14,9 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
+from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
 from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
 from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
@@ -36,12 +37,12 @@ _REFINED = 3
 _BETTER = 1.0
 
 
-def baselines(batch: Batch, models: Array | None = None) -> Fits:
+def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
     """Fit the plain servo to every joint of a batch, with no guess by hand.
 
     Args:
         batch: The recordings.
-        models: Parameter rows to start from as well, shape (joints, P), NaN where there is none.
+        given: Models to start from as well, one a joint, where there are any.
     """
     J = batch.recordings.size
     points = qmc.Sobol(3, seed=0).random(_CANDIDATES)
@@ -60,10 +61,13 @@ def baselines(batch: Batch, models: Array | None = None) -> Fits:
     error2 = seen.square[:, 0].reshape(J, _CANDIDATES)
     best = np.argsort(error2, axis=1)[:, :6]
     starts = np.take_along_axis(theta, best[:, :, None], axis=1)
-    if models is not None:
-        given = np.where(np.isfinite(models), models, starts[:, 0])
-        starts = np.concatenate([starts, given[:, None]], axis=1)
-        starts[:, :, len(BASE) :] = given[:, None, len(BASE) :]
+    if any(given):
+        known = starts[:, :1].copy()
+        for j, model in enumerate(given):
+            if model is not None:
+                known[j] = joint_row(model, None)
+        starts = np.concatenate([starts, known], axis=1)
+        starts[:, :, len(BASE) :] = known[:, :, len(BASE) :]
     K = starts.shape[1]
     starting = np.repeat(np.arange(J), K)
     begin = starts.reshape(J * K, -1)
@@ -174,7 +178,7 @@ class ServoSearch:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
         servos = [self._with_effects(*job) for job in jobs]
         width = max(s.columns.shape[1] for s in servos)
-        rough = minimise(self.batch, _stacked([_padded(s, width) for s in servos]), iterations=5)
+        rough = minimise(self.batch, stacked([padded(s, width) for s in servos]), iterations=5)
         best: dict[tuple[int, Set], int] = {}
         for k, (ledger, members, _) in enumerate(jobs):
             key = (ledger.case, members)
@@ -258,7 +262,8 @@ def _width(fit: Fits) -> int:
     return int(fit.servos.columns.shape[1])
 
 
-def _padded(servos: Servos, width: int) -> Servos:
+def padded(servos: Servos, width: int) -> Servos:
+    """Servos with places for so many free parameters."""
     more = ((0, 0), (0, width - servos.columns.shape[1]))
     return Servos(
         servos.joint,
@@ -287,7 +292,8 @@ def _trimmed(fits: Fits, n: int) -> Fits:
     return Fits(servos, gram, one.count, one.autoregression)
 
 
-def _stacked(servos: Sequence[Servos]) -> Servos:
+def stacked(servos: Sequence[Servos]) -> Servos:
+    """Servos of as many free parameters each, one after the other."""
     columns = zip(*(vars(s).values() for s in servos), strict=True)
     return Servos(*(np.concatenate(values) for values in columns))
 
@@ -297,7 +303,7 @@ def joined(fits: Sequence[Fits]) -> Fits:
     width = max(fit.servos.columns.shape[1] for fit in fits)
     more = [width - fit.servos.columns.shape[1] for fit in fits]
     return Fits(
-        _stacked([_padded(fit.servos, width) for fit in fits]),
+        stacked([padded(fit.servos, width) for fit in fits]),
         np.concatenate(
             [
                 np.pad(fit.gram, ((0, 0), (0, 0), (0, m), (0, m)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.inference.noise import Wander
+from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.processes import shared
 from sim2real.servo.batch import Batch
 from sim2real.servo.problem import Fits, minimise, residual_angles
@@ -25,8 +25,6 @@ LARGER = 5.0
 EDGE_COST = 12.0
 """Log-likelihood that each edge of a window must earn."""
 SHORTEST_S = 0.1
-WANDER = Wander(3.0, 1.5)
-"""Slow wander that sensors have; beyond it a residual is structured."""
 _ROUNDS = 3
 
 
@@ -64,11 +62,7 @@ def unmodelled(
         robots: Which joints belong together.
         plain: The fit of the plain servo, one a joint.
     """
-    residuals = residual_angles(batch, plain)
-    excesses = [
-        excess(residuals[j], traces, batch, float(np.sqrt(plain.error2[j] / plain.count[j])))
-        for j, traces in enumerate(joints)
-    ]
+    residuals, excesses = beyond_noise(batch, joints, plain)
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
@@ -89,14 +83,24 @@ def unmodelled(
     ]
 
 
+def beyond_noise(
+    batch: Batch, joints: Sequence[Sequence[Trace]], fits: Fits
+) -> tuple[Array, list[float]]:
+    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each."""
+    residuals, noise = residual_angles(batch, fits), np.sqrt(fits.error2 / fits.count)
+    return residuals, [
+        excess(residuals[j], traces, batch, float(noise[j])) for j, traces in enumerate(joints)
+    ]
+
+
 def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
     """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
 
-    The residual is whitened for white noise and ``WANDER``.
+    The residual is whitened for white noise and ``RESIDUAL_WANDER``.
     """
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
-        numerator, denominator, spread = WANDER.filter(float(np.median(np.diff(trace.t))))
+        numerator, denominator, spread = RESIDUAL_WANDER.filter(float(np.median(np.diff(trace.t))))
         innovation = lfilter(numerator, denominator, row[: trace.t.size])
         used = trace.used.copy()
         used[: batch.lags] = False
@@ -156,13 +160,18 @@ def intermittent(
 def _windows(
     residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
 ) -> tuple[tuple[Window, ...], ...]:
-    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    rows = measured_only(residual, traces)
     masks = [
         inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
         for k, t in enumerate(traces)
     ]
     sd = robust_sd(np.concatenate(rows), np.concatenate(masks))
     return tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
+
+
+def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
+    """The residual (R, T) of each recording, NaN where nothing was measured, (T,) each."""
+    return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
 
 
 def _share(given: tuple[tuple[Window, ...], ...], traces: Sequence[Trace]) -> float:

@@ -6,21 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
-from sim2real.diagnose.search import Hypothesis
-from sim2real.diagnose.unmodelled import Window, robust_sd, windows
+from sim2real.diagnose.unmodelled import Window, measured_only, robust_sd, windows
 from sim2real.effects import named
-from sim2real.model import FittedEffect
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.parameters import BASE
 from sim2real.servo.smooth import Smooth
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _RIVALS = 8
 _Q95 = 1.645
@@ -49,12 +44,12 @@ class Said:
     component: str
 
 
-def gathered(findings: Mapping[str, Finding]) -> list[Said]:
+def gathered(results: Mapping[str, JointResult]) -> list[Said]:
     """Groups of all joints; what is on the supply or the link of several is said once."""
     said: list[Said] = []
     shared: dict[str, list[tuple[str, Group]]] = {}
-    for joint, finding in findings.items():
-        for group in finding.groups:
+    for joint, result in results.items():
+        for group in result.finding.groups:
             if group.probability < DECISION.named:
                 continue
             if named(group.members[0]).component == "joint":
@@ -79,42 +74,20 @@ def _doubted(one: Said) -> Said:
     return replace(one, group=replace(one.group, probability=probability))
 
 
-def named_effects(
-    findings: Mapping[str, Finding],
-    said: Sequence[Said],
-    models: Mapping[str, Hypothesis],
-    heldout: Mapping[str, Mapping[str, float | None]],
-) -> tuple[NamedEffect, ...]:
-    """What was left out.
-
-    Args:
-        findings: By joint.
-        said: Groups, gathered.
-        models: The enriched servo of each joint.
-        heldout: Figures of each joint on data that its refits have not seen.
-    """
-    return tuple(_named(findings, one, models, heldout) for one in said)
-
-
-def _named(
-    findings: Mapping[str, Finding],
-    one: Said,
-    models: Mapping[str, Hypothesis],
-    heldout: Mapping[str, Mapping[str, float | None]],
-) -> NamedEffect:
-    effect, joint = one.group.members[0], one.joints[0]
-    found = [_estimates(models[j], effect, findings[j]) for j in one.joints]
-    found = [entry for entry in found if entry]
-    parameters = _combined(found)
-    plain = findings[joint].tried.plain.fit.servos.theta[0]
-    rich = models[joint].fit.servos.theta[0]
+def named_effect(results: Mapping[str, JointResult], one: Said) -> NamedEffect:
+    """What was left out."""
+    effect, result = one.group.members[0], results[one.joints[0]]
+    found = [results[joint].estimates(effect) for joint in one.joints]
+    parameters = _combined([entry for entry in found if entry])
+    plain = result.finding.tried.plain.fit.servos.theta[0]
+    rich = result.rich.fit.servos.theta[0]
     return NamedEffect(
         effect=effect,
         component=one.component,
         probability=one.group.probability,
         group=one.group.members,
         parameters=parameters,
-        heldout=dict(heldout.get(joint, {})),
+        heldout=result.heldout(),
         baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
         stability=one.group.stability,
         statement=statement(one, parameters),
@@ -132,48 +105,20 @@ def statement(one: Said, parameters: Mapping[str, Estimate]) -> str:
     return f"{', '.join(one.joints)}: {clause}{doubt}."
 
 
-def rivals(findings: Mapping[str, Finding], said: Sequence[Said]) -> tuple[Rival, ...]:
+def rivals(results: Mapping[str, JointResult], said: Sequence[Said]) -> tuple[Rival, ...]:
     """What was considered and not named, likeliest first."""
     taken = {
         (joint, effect) for one in said for joint in one.joints for effect in one.group.members
     }
     found = []
-    for joint, finding in findings.items():
+    for joint, result in results.items():
+        finding = result.finding
         effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
         for effect in effects:
             p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
             if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
                 found.append(Rival(effect, joint, p))
     return tuple(sorted(found, key=lambda r: -r.probability)[:_RIVALS])
-
-
-def _estimates(model: Hypothesis, effect: str, finding: Finding) -> dict[str, Estimate]:
-    if finding.link is not None and finding.link.effect == effect:
-        mean, sd = finding.link.value, finding.link.sd
-        ends = max(mean - _Q95 * sd, 0.0), mean + _Q95 * sd
-        return {named(effect).parameters[0].name: Estimate(mean, sd, *ends)}
-    return estimates(model, effect, finding.step_rad)
-
-
-def estimates(model: Hypothesis, effect: str, step_rad: float | None) -> dict[str, Estimate]:
-    """Parameters of an effect with their spread, by name; empty where the fit has it not."""
-    if step_rad is not None and not named(effect).fitted:
-        return {"step_rad": Estimate(step_rad, 0.0, step_rad, step_rad)}
-    servos = model.fit.servos
-    columns = [COLUMNS[k] for k in servos.columns[0]]
-    total = model.fit.gram[0].sum(axis=0)[1:, 1:]
-    variance = float(model.fit.error2[0] / model.fit.count[0])
-    covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
-    found = {}
-    for k, name in enumerate(columns):
-        if not name.startswith(f"{effect}."):
-            continue
-        mean = float(servos.theta[0, servos.columns[0, k]])
-        sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
-        low, high = mean - _Q95 * sd, mean + _Q95 * sd
-        low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
-        found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
-    return found
 
 
 def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
@@ -195,46 +140,14 @@ def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
     return combined
 
 
-def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
-    """Effects of an enriched servo as a model states them."""
-    theta = model.fit.servos.theta[0]
-    listed = [
-        FittedEffect(
-            name,
-            {
-                p.name: float(theta[COLUMNS.index(f"{name}.{p.name}")])
-                for p in named(name).parameters
-            },
-        )
-        for name in sorted(model.members)
-    ]
-    if step_rad is not None:
-        listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
-    return tuple(listed)
-
-
-def mismatch(
-    finding: Finding,
-    joint: str,
-    traces: Sequence[Trace],
-    residual: Array,
-    errors: tuple[float, float],
-) -> Mismatch:
-    """What is said of a joint that differs.
-
-    Args:
-        finding: What was found on the joint.
-        joint: Its name.
-        traces: Its recordings.
-        residual: Simulated minus measured angle of the plain servo in rad, shape (R, T).
-        errors: Root mean square error of the plain servo, and the noise, rad.
-    """
-    rmse, noise = errors
-    when = _when(finding, traces, residual, noise)
+def mismatch(one: JointResult) -> Mismatch:
+    """What is said of a joint that differs."""
+    finding, traces, noise, rmse = one.finding, one.joint.traces, one.joint.noise, one.error
+    when = _when(one)
     smooth = finding.unmodelled.smooth
     return Mismatch(
-        signal=f"{joint}.position_rad",
-        component=joint,
+        signal=one.signal,
+        component=one.name,
         rmse=rmse,
         noise=noise,
         share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
@@ -252,16 +165,15 @@ def dependence(smooth: Smooth, count: float) -> Mapping[str, float]:
     }
 
 
-def _when(
-    finding: Finding, traces: Sequence[Trace], residual: Array, noise: float
-) -> list[tuple[Window, ...]]:
+def _when(one: JointResult) -> list[tuple[Window, ...]]:
+    finding, traces, noise = one.finding, one.joint.traces, one.joint.noise
     without = finding.unmodelled
     if finding.unknown > DECISION.named and without.windows is not None:
         return list(without.windows)
     if finding.unknown > DECISION.named and without.smooth.state == "jump":
         instants = without.smooth.jumps_s
         return [((at, float(t.t[-1])),) for at, t in zip(instants, traces, strict=True)]
-    rows = [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+    rows = measured_only(one.before, traces)
     everywhere = np.concatenate(rows)
     spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
     sd = max(noise, min(spread, DECISION.structured * noise))

@@ -62,6 +62,8 @@ class Wander:
 
 WANDER = Wander(4.0, 2.5)
 """Slowest and largest wander that a servo's sensor may have."""
+RESIDUAL_WANDER = Wander(3.0, 1.5)
+"""Slow wander that sensors usually have; beyond it a residual is structured."""
 
 
 def lags(period_s: float) -> int:

@@ -77,6 +77,7 @@ class Batch:
         threads: CPU threads.
         bounded: Whether the noise is that of a sensor, whose slow wander is bounded; else it may
             be anything, as what no model explains must be.
+        white: Whether the noise is taken for white, whatever a fit or a screen asks for.
     """
 
     def __init__(
@@ -86,13 +87,14 @@ class Batch:
         threads: int = 2,
         *,
         bounded: bool = True,
+        white: bool = False,
     ) -> None:
         every = [trace for traces in joints for trace in traces]
         longest = max(trace.t.size for trace in every)
         period = float(np.median(np.concatenate([np.diff(trace.t) for trace in every[:64]])))
         self.device, self.threads, self.period = device, threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
-        self.lags = lags(period)
+        self.lags, self.white = lags(period), white
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
         self.length = np.array([trace.t.size for trace in every], dtype=np.int32)
@@ -135,6 +137,8 @@ class Batch:
             keep: Whether to return residuals and innovations as well.
         """
         N, V, _ = problems.theta.shape
+        if self.white:
+            autoregression = np.zeros((N, self.lags))
         room = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(room / per_problem))

@@ -23,6 +23,7 @@ from sim2real.diagnose.search import baselines
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
+from sim2real.servo.problem import Servos
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}
 FILTERED = {"command_filter": {"time_constant_s": 0.06}}
@@ -45,7 +46,11 @@ def linear(sizes, seed=0, references=3, lacking=0.0):
         grams.append(rows.T @ rows)
     count = np.full(len(sizes), float(COUNT))
     signed = np.array([True, True, True, True])
-    return Linear(np.array(grams), count, references, 1, NAMES, signed, True)
+    none = np.zeros((1, 0))
+    nobody = Servos(np.zeros(1, int), none, np.zeros((1, 0), int), none, none, none)
+    return Linear(
+        np.array(grams), count, references, 1, NAMES, signed, True, (), nobody, none, none
+    )
 
 
 NOTHING = [(0, 0, 0)] * 4
@@ -77,7 +82,7 @@ def test_a_change_in_the_case_is_named():
     found = change(contrast(linear(OFFSET)))
     assert found.group.members == ("sensor_offset",)
     assert found.group.probability == pytest.approx(DECISION.most_certain)
-    assert found.strange == 0
+    assert sum(found.probability.values()) > 0.99
 
 
 def test_nothing_is_named_where_nothing_changed():
@@ -120,7 +125,7 @@ def test_what_no_effect_explains_gets_no_name():
     alien = replace(weighed, energy=50.0, left=np.full(len(weighed.effects), 45.0))
     found = change(alien)
     assert found.group.probability < 0.1
-    assert found.strange > 0.9
+    assert sum(found.probability.values()) < 0.1
 
 
 def test_a_repeated_command_is_found_with_its_lag():

@@ -8,15 +8,16 @@ from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
 from sim2real.diagnose.search import baselines
-from sim2real.diagnose.unmodelled import WANDER, excess, unmodelled
+from sim2real.diagnose.unmodelled import excess, unmodelled
+from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.problem import residual_angles
 
 
-def wander(seed, size, share=WANDER.share):
+def wander(seed, size, share=RESIDUAL_WANDER.share):
     """An Ornstein-Uhlenbeck process as slow and as large as a sensor's may be."""
     rng = np.random.default_rng(seed)
-    keep = np.exp(-PERIOD / WANDER.time_s)
+    keep = np.exp(-PERIOD / RESIDUAL_WANDER.time_s)
     x = np.empty(size)
     x[0] = rng.normal()
     for k in range(1, size):
@@ -46,7 +47,7 @@ def recorded(seconds=15.0, **effects):
 
 
 def test_noise_that_wanders_is_nothing():
-    assert excess_of(wandering(WANDER.share)) == pytest.approx(1.0, abs=0.1)
+    assert excess_of(wandering(RESIDUAL_WANDER.share)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_white_noise_is_nothing():

@@ -1,0 +1,190 @@
+"""What is known of one joint in the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.case import Joint
+from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.result import Estimate
+from sim2real.diagnose.search import Hypothesis, Set
+from sim2real.effects import named
+from sim2real.inference.holdout import rms
+from sim2real.inference.noise import RESIDUAL_WANDER
+from sim2real.model import FittedEffect, JointModel
+from sim2real.servo.holdout import Unseen
+from sim2real.servo.parameters import COLUMNS, motor_of
+from sim2real.servo.trace import PER_INERTIA
+
+Array = NDArray[np.float64]
+
+_Q95 = 1.645
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """One joint.
+
+    Attributes:
+        joint: Its recordings.
+        finding: What it is missing.
+        rich: The servo with what is named.
+        before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
+        after: Those of the enriched one.
+        least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
+        unseen: Errors on held-out data, by the effects that a servo has; empty where nothing can be
+            held out.
+    """
+
+    joint: Joint
+    finding: Finding
+    rich: Hypothesis
+    before: Array
+    after: Array
+    least_squares: Array
+    unseen: Mapping[Set, Unseen]
+
+    @property
+    def name(self) -> str:
+        """Of the joint."""
+        return self.joint.name
+
+    @property
+    def signal(self) -> str:
+        """Of the joint's angle."""
+        return f"{self.name}.position_rad"
+
+    @property
+    def richer(self) -> bool:
+        """Whether anything was added to the plain servo."""
+        return self.rich.members != self.finding.tried.base
+
+    @property
+    def unseen_plain(self) -> Unseen | None:
+        """Errors of the plain servo on held-out data."""
+        return self.unseen.get(self.finding.tried.base)
+
+    @property
+    def error(self) -> float:
+        """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
+        return self.unseen_plain.rmse if self.unseen_plain else self._train(self.before)
+
+    def fit(self, *, enriched: bool) -> dict[str, float | None]:
+        """Errors on fitted and on held-out data, rad."""
+        members = self.rich.members if enriched else self.finding.tried.base
+        unseen = self.unseen.get(members)
+        train = self._train(self.after if enriched else self.before)
+        return {"train": train, "heldout": None if unseen is None else unseen.rmse}
+
+    def heldout(self) -> dict[str, float | None]:
+        """Errors on held-out data, and the share of the removable that is removed."""
+        plain, rich = self.unseen_plain, self.unseen.get(self.rich.members)
+        if plain is None or rich is None:
+            return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
+        # A sensor may wander slowly; no model removes that.
+        noise = min(self.joint.noise * np.sqrt(1 + RESIDUAL_WANDER.share**2), plain.rmse)
+        removable = plain.rmse - noise
+        removed = (plain.rmse - rich.rmse) / removable if removable > 0 else 0.0
+        return {
+            "rmse_before": plain.rmse,
+            "rmse_after": rich.rmse,
+            "recoverable_removed": float(np.clip(removed, -1.0, 1.0)),
+        }
+
+    def changes(self, effect: str) -> float:
+        """Share by which an effect lowers the held-out error beside the others; or infinity.
+
+        Infinity where that cannot be told: of chance and of rounding, which nobody can foretell,
+        and where nothing is held out.
+        """
+        rich = self.unseen.get(self.rich.members)
+        without = self.unseen.get(self.rich.members - {effect}, self.unseen_plain)
+        if effect not in self.rich.members or rich is None or without is None:
+            return float("inf")
+        return 1 - rich.rmse / without.rmse
+
+    def model(self, *, enriched: bool) -> JointModel:
+        """The servo with what is named, or the plain one as ``identify`` fits it."""
+        if enriched and self.richer:
+            return servo(self.joint, self.rich.fit.servos.theta[0], self.rich)
+        return servo(self.joint, self.least_squares, self.finding.tried.plain)
+
+    def estimates(self, effect: str) -> dict[str, Estimate]:
+        """Parameters of an effect with their spread, by name; empty where the fit has it not."""
+        link, step = self.finding.link, self.finding.step_rad
+        first = named(effect).parameters[0].name
+        if link is not None and link.effect == effect:
+            ends = max(link.value - _Q95 * link.sd, 0.0), link.value + _Q95 * link.sd
+            return {first: Estimate(link.value, link.sd, *ends)}
+        if effect == ROUNDING and step is not None:
+            return {first: Estimate(step, 0.0, step, step)}
+        return estimates(self.rich, effect)
+
+    def _train(self, residual: Array) -> float:
+        pairs = zip(residual, self.joint.traces, strict=False)
+        return rms([row[: t.t.size][t.used] for row, t in pairs])
+
+
+def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
+    """A fitted joint as a model states it.
+
+    Args:
+        joint: The joint.
+        theta: Its parameters, shape (P,); what it has of a motor included.
+        hypothesis: The effects that it has.
+    """
+    motor = motor_of(theta)
+    load = joint.traces[0].load
+    kp, kd, latency = (float(x) for x in theta[:3])
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=load is PER_INERTIA,
+        law="motor" if motor else "pd",
+        motor=motor,
+        load=None if load is PER_INERTIA else load,
+        effects=fitted_effects(hypothesis, joint.step_rad),
+    )
+
+
+def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
+    """Effects of an enriched servo as a model states them."""
+    theta = model.fit.servos.theta[0]
+    listed = [
+        FittedEffect(
+            name,
+            {
+                p.name: float(theta[COLUMNS.index(f"{name}.{p.name}")])
+                for p in named(name).parameters
+            },
+        )
+        for name in sorted(model.members)
+    ]
+    if step_rad is not None:
+        listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
+    return tuple(listed)
+
+
+def estimates(model: Hypothesis, effect: str) -> dict[str, Estimate]:
+    """Fitted parameters of an effect with their spread, by name; empty where there are none."""
+    servos = model.fit.servos
+    columns = [COLUMNS[k] for k in servos.columns[0]]
+    total = model.fit.gram[0].sum(axis=0)[1:, 1:]
+    variance = float(model.fit.error2[0] / model.fit.count[0])
+    covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+    found = {}
+    for k, name in enumerate(columns):
+        if not name.startswith(f"{effect}."):
+            continue
+        mean = float(servos.theta[0, servos.columns[0, k]])
+        sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
+        low, high = mean - _Q95 * sd, mean + _Q95 * sd
+        low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
+        found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
+    return found
