@@ -93,16 +93,34 @@ def diagnose_all(
             experiment and what the figures show as well.
         progress: Called with the share that is done.
     """
-    found: dict[int, Diagnosis] = {}
+    rng = np.random.default_rng(seed)
+    found = []
+    for case, joints in examined(cases, seed=seed, device=device, progress=progress):
+        found.append(diagnosis(case, joints, negligible, seed))
+        if thorough:
+            found[-1] = with_checks(found[-1], case.robot, joints, gate(case), rng)
+    return found
+
+
+def examined(
+    cases: Sequence[Case],
+    *,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress = lambda share: None,
+) -> list[tuple[Case, list[JointResult]]]:
+    """What is known of each joint of each robot, before it is put into words; as ``diagnose_all``.
+
+    Returns:
+        For each robot the case with the servos that were taken for granted, and its joints.
+    """
+    found: dict[int, tuple[Case, list[JointResult]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng, device)
         some = with_motors(some, rng)
         results = _joint_results(some, rng, device, step)
-        for k, case, joints in zip(group, some, results, strict=True):
-            found[k] = _diagnosis(case, joints, negligible, seed)
-            if thorough:
-                found[k] = with_checks(found[k], case.robot, joints, gate(case), rng)
+        found.update(zip(group, zip(some, results, strict=True), strict=True))
         step(1.0)
     return [found[k] for k in range(len(cases))]
 
@@ -167,12 +185,17 @@ def _enriched(finding: Finding) -> Hypothesis:
 def _unseen(
     joints: Sequence[Joint], findings: Sequence[Finding], rich: Sequence[Hypothesis], device: str
 ) -> list[dict[Set, Unseen]]:
-    """For each joint the errors on held-out data: plain, enriched, and that without each effect."""
+    """For each joint the errors on held-out data: plain, enriched, best, and those without each."""
     sets: list[list[Set]] = []
-    for finding, best in zip(findings, rich, strict=True):
-        fewer = [best.members - {effect} for effect in best.members - finding.tried.base]
+    for finding, chosen in zip(findings, rich, strict=True):
+        base = finding.tried.base
+        fewer = [
+            best.members - {effect}
+            for best in (chosen, finding.best)
+            for effect in best.members - base
+        ]
         known = [s for s in fewer if s in finding.tried.tried]
-        sets.append(list(dict.fromkeys([finding.tried.base, best.members, *known])))
+        sets.append(list(dict.fromkeys([base, chosen.members, finding.best.members, *known])))
     jobs = [(j, s) for j, some in enumerate(sets) for s in some]
     servos = [findings[j].tried.tried.get(s, rich[j]).fit.servos for j, s in jobs]
     # The plain servo is refitted for prediction; what is named stands as it was found.
@@ -193,9 +216,13 @@ def _unseen(
     return found
 
 
-def _diagnosis(
-    case: Case, joints: Sequence[JointResult], negligible: float, seed: int
+def diagnosis(
+    case: Case,
+    joints: Sequence[JointResult],
+    negligible: float = DECISION.negligible,
+    seed: int = 0,
 ) -> Diagnosis:
+    """What is said of a robot whose joints were examined."""
     results = {one.name: one for one in joints}
     said = gathered(results)
     effects = [named_effect(results, one) for one in said]

@@ -9,6 +9,7 @@ import numpy as np
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
 from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, joined, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
@@ -17,7 +18,6 @@ from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
-from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
@@ -202,6 +202,7 @@ def _pass(
         plain,
         level=DECISION.false_alarms / max(len(robot) for robot in robots),
         rng=rng,
+        noise=[joint.noise for joint in joints],
         bases=[joint.base for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
@@ -212,7 +213,7 @@ def _pass(
     _, after = beyond_noise(batch, data, joined([h.fit for h in best]))
     progress(1.0)
     return [
-        _finding(one, problem, probable[j], left[j], after[j], joints[j].step_rad)
+        _finding(one, problem, probable[j], left[j], after[j], joints[j])
         for j, one in enumerate(found)
     ]
 
@@ -223,12 +224,13 @@ def _finding(
     after: Posterior,
     without: Unmodelled,
     excess_after: float,
-    step: float | None,
+    joint: Joint,
 ) -> Finding:
+    step = joint.step_rad
     best = tried.tried[after.sets[0]]
     structured = excess_after > DECISION.structured
     strange = strangeness(tried, best, without, excess_after)
-    groups = tuple(g for g in after.groups(tried.base) if not _trifle(best, g))
+    groups = tuple(g for g in after.groups(tried.base) if not _trifle(best, g, joint.noise))
     groups = _doubted(tried, groups, crowded=len(groups) > DECISION.few, structured=structured)
     mismatch = (
         problem.remains(tried, tried.base)
@@ -301,16 +303,8 @@ def _doubted(
     return tuple(doubted(k, g) for k, g in enumerate(by_evidence(tried, groups)))
 
 
-def _trifle(best: Hypothesis, group: Group) -> bool:
+def _trifle(best: Hypothesis, group: Group, noise_rad: float) -> bool:
     """Whether a group is no more than what every servo has a little of."""
     if not named(group.members[0]).everywhere:
         return False
-    return size_in_noise(best, group.members[0]) < DECISION.ripple
-
-
-def size_in_noise(best: Hypothesis, effect: str) -> float:
-    """A torque's size as the angle that it turns the servo by, in noises."""
-    theta = best.fit.servos.theta[0]
-    noise = np.sqrt(best.fit.error2[0] / best.fit.count[0])
-    column = f"{effect}.{named(effect).parameters[0].name}"
-    return float(theta[COLUMNS.index(column)] / theta[0] / noise)
+    return size_in_noise(best, group.members[0], noise_rad) < DECISION.ripple

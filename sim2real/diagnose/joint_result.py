@@ -101,11 +101,12 @@ class JointResult:
         Infinity where that cannot be told: of chance and of rounding, which nobody can foretell,
         and where nothing is held out.
         """
-        rich = self.unseen.get(self.rich.members)
-        without = self.unseen.get(self.rich.members - {effect}, self.unseen_plain)
-        if effect not in self.rich.members or rich is None or without is None:
-            return float("inf")
-        return 1 - rich.rmse / without.rmse
+        for members in (self.rich.members, self.finding.best.members):
+            rich = self.unseen.get(members)
+            without = self.unseen.get(members - {effect}, self.unseen_plain)
+            if effect in members and rich is not None and without is not None:
+                return 1 - rich.rmse / without.rmse
+        return float("inf")
 
     def model(self, *, enriched: bool) -> JointModel:
         """The servo with what is named, or the plain one as ``identify`` fits it."""

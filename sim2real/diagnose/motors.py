@@ -25,22 +25,23 @@ from sim2real.servo.trace import PER_INERTIA, Trace, traces
 def with_motors(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
     """The cases, each joint that reaches the line of its data sheet with a model that has it.
 
-    A case that comes with a model or with references keeps what it knows.
+    A case with references keeps what it knows, and a joint a given model that is not a plain servo.
     """
-    return [
-        case if case.model is not None or case.references else _with_lines(case, rng)
-        for case in cases
-    ]
+    return [case if case.references else _with_lines(case, rng) for case in cases]
 
 
 def _with_lines(case: Case, rng: np.random.Generator) -> Case:
+    known = case.model or Model(joints={})
     found = {}
     for joint in case.robot.joints:
+        before = known.joints.get(joint.name)
+        if before is not None and (before.law != "pd" or before.effects):
+            continue
         given = traces(case.recordings, joint.name)
         model = _on_its_line(given, joint.servo, rng) if given else None
         if model is not None:
             found[joint.name] = model
-    return replace(case, model=Model(joints=found)) if found else case
+    return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
 
 
 def _on_its_line(given: list[Trace], servo: Servo, rng: np.random.Generator) -> JointModel | None:

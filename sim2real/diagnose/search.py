@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.nuisances import with_nuisances
 from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
@@ -86,6 +87,7 @@ def search(
     *,
     level: float,
     rng: np.random.Generator,
+    noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Found], ServoSearch]:
@@ -96,19 +98,24 @@ def search(
         plain: The fit of the plain servo, one a joint.
         level: Share of joints with nothing missing that may be searched beyond single effects.
         rng: For the bootstrap.
+        noise: Standard deviation of each joint's sensor, rad; where it is not known, nothing is
+            taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
         progress: Called with the share that is done.
 
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
-    ledgers = []
+    ledgers: list[Found] = []
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
         fit = _trimmed(plain, j)
         ledgers.append(Found(j, base))
         ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
     problem = ServoSearch(batch, level, rng)
+    if noise is not None:
+        ledgers = with_nuisances(problem, ledgers, noise)
+    progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
     again = problem.rebased(ledgers)
@@ -148,7 +155,7 @@ class ServoSearch:
             # A finding may have been moved to a place in another batch.
             joint = np.array([one.case for one, _ in some], dtype=np.int32)
             fits = replace(fits, servos=replace(fits.servos, joint=joint))
-            lists = [candidates(s, *self._strength(one)) for one, s in some]
+            lists = [candidates(s, *self.strength(one)) for one, s in some]
             screens = screen(self.batch, fits, lists, blocks=BLOCKS)
             for (one, s), seen, given in zip(some, screens, lists, strict=True):
                 self._seen[one.case, s] = seen, given
@@ -197,10 +204,15 @@ class ServoSearch:
 
         What every servo has a little of does not count: it is named only where it is large.
         """
+        gain, limit = self.left(ledger, members)
+        return gain > limit
+
+    def left(self, ledger: Found, members: Set) -> tuple[float, float]:
+        """Largest gain that an effect would still make, and what chance would make."""
         seen, given = self.seen(ledger, members)
         counted = seen.of(np.array([not c.effect.everywhere for c in given]))
         limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
-        return float(counted.gain.max()) > limit
+        return float(counted.gain.max()), limit
 
     def rebased(self, ledgers: Sequence[Found]) -> list[Found]:
         """Those whose plain servo fits better with the gains that the best single effect found."""
@@ -217,13 +229,18 @@ class ServoSearch:
             del self._seen[one.case, cast(Set, one.base)]
         return better
 
-    def _strength(self, ledger: Found) -> tuple[float, float]:
+    def screened(self, places: Sequence[Hypothesis], lists: list[list[Candidate]]) -> list[Screen]:
+        """What these candidates would explain of what each hypothesis leaves."""
+        fits = joined([h.fit for h in places])
+        return screen(self.batch, fits, lists, blocks=BLOCKS)
+
+    def strength(self, ledger: Found) -> tuple[float, float]:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
     def _with_effects(self, ledger: Found, members: Set, theta: Array) -> Servos:
-        return with_effects(ledger.plain.fit.servos, members, theta, *self._strength(ledger))
+        return with_effects(ledger.plain.fit.servos, members, theta, *self.strength(ledger))
 
 
 def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: float) -> Servos:
