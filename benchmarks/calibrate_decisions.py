@@ -118,7 +118,7 @@ def measured(k: int) -> list[Row]:
 
 
 def _measured(k: int, kind: str, hidden: Sequence[Any], folder: Path) -> list[Row]:
-    from sim2real.diagnose.case import Case, places, prepared
+    from sim2real.diagnose.case import Case, by_robot, prepared
     from sim2real.diagnose.investigate import (
         by_evidence,
         investigate,
@@ -139,7 +139,7 @@ def _measured(k: int, kind: str, hidden: Sequence[Any], folder: Path) -> list[Ro
     recordings = [read_recording(path) for path in sorted(folder.glob("*.csv"))]
     case = Case(recordings, robot, read_model(given) if given.exists() else None)
     joints = prepared(case)
-    batch, robots = Batch([joint.traces for joint in joints]), places([joints])
+    batch, robots = Batch([joint.traces for joint in joints]), by_robot([joints])
     findings = investigate(batch, joints, robots, rng=np.random.default_rng([SEED, k]))
     fits = [finding.tried.plain for finding in findings], [finding.best for finding in findings]
     alone, beside = links([link_data(batch, joints, robots[0], fit, 0.0) for fit in fits])

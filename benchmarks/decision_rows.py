@@ -74,8 +74,10 @@ def read(path: Path) -> list[Row]:
 
 def measured(challenge: Path, answer: Row, verdicts: Path) -> list[Row]:
     """What is known of each joint of a case; its verdict is written along."""
-    from sim2real.diagnose.diagnose import Case, diagnosis, examined
+    from sim2real.diagnose.decision import DECISION
+    from sim2real.diagnose.diagnose import Case, examined
     from sim2real.diagnose.result import write_diagnosis
+    from sim2real.diagnose.wording import diagnosis
     from sim2real.model import read_model, write_model
     from sim2real.recording import read_recording
     from sim2real.robot import read_robot
@@ -87,7 +89,7 @@ def measured(challenge: Path, answer: Row, verdicts: Path) -> list[Row]:
     model = read_model(given) if given.exists() else None
     robot = read_robot(folder / "robot.toml")
     ((case, joints),) = examined([Case(recordings, robot, model, references)])
-    found = diagnosis(case, joints)
+    found = diagnosis(case, joints, DECISION.negligible, 0)
     target = verdicts / answer["case"]
     target.mkdir(parents=True, exist_ok=True)
     write_diagnosis(found, target / "diagnosis.json", "enriched.json")

@@ -76,7 +76,7 @@ class EffectSearch(Generic[Fit]):
     enough: float
     tell: Callable[[], None] = lambda: None
 
-    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
+    def look(self, pairs: Sequence[tuple[Ledger[Fit], Members]]) -> None:
         """Nothing to get ready."""
 
     def additions(

@@ -16,6 +16,7 @@ from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
+from sim2real.servo.motor_line import on_its_line
 from sim2real.servo.trace import Trace, traces
 
 
@@ -36,11 +37,6 @@ class Case:
     model: Model | None = None
     references: Sequence[Recording] = ()
 
-    @property
-    def before(self) -> Case:
-        """The references as a case of their own."""
-        return replace(self, recordings=self.references, references=())
-
 
 @dataclass(frozen=True)
 class Joint:
@@ -52,6 +48,7 @@ class Joint:
         noise: Standard deviation of its sensor's noise, rad.
         step_rad: Step of its sensor where that is coarser than stated, or None.
         given: The model of it to start from, or None.
+        before: Its references.
     """
 
     name: str
@@ -59,6 +56,7 @@ class Joint:
     noise: float
     step_rad: float | None
     given: JointModel | None = None
+    before: Sequence[Trace] = ()
 
     @property
     def base(self) -> Set:
@@ -84,7 +82,8 @@ def prepared(case: Case) -> list[Joint]:
             noise = max(noise_floor(x.t, x.command, x.position) for x in given)
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
-            joints.append(Joint(joint.name, given, noise, step, model))
+            before = traces(case.references, joint.name)
+            joints.append(Joint(joint.name, given, noise, step, model, before))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"
@@ -92,7 +91,25 @@ def prepared(case: Case) -> list[Joint]:
     return joints
 
 
-def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
+def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
+    """The case, each joint that reaches the line of its data sheet with a model that has it.
+
+    One with references keeps what it knows, and a joint a given model that is no plain servo.
+    """
+    found, known = {}, case.model or Model(joints={})
+    limits = {"clear": DECISION.line_clear, "room": DECISION.line_room}
+    for joint in case.robot.joints if not case.references else ():
+        before = known.joints.get(joint.name)
+        if before is not None and (before.law != "pd" or before.effects):
+            continue
+        given = traces(case.recordings, joint.name)
+        model = on_its_line(given, joint.servo, rng, **limits) if given else None
+        if model is not None:
+            found[joint.name] = model
+    return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
+
+
+def by_robot(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
     """Which of all joints are each robot's, where they stand one after the other."""
     ends = np.cumsum([0, *(len(joints) for joints in robots)])
     return [list(range(a, b)) for a, b in pairwise(ends)]
@@ -100,11 +117,12 @@ def places(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
 
 def gate(case: Case) -> tuple[str, ...]:
     """What the data gate found, a sentence each."""
-    sentences: dict[str, None] = {}
-    for recording in case.recordings:
-        for sentence in all_findings(check(recording, case.robot)):
-            sentences[f"{recording.name}: {sentence}"] = None
-    return tuple(sentences)
+    told = (
+        f"{recording.name}: {sentence}"
+        for recording in case.recordings
+        for sentence in all_findings(check(recording, case.robot))
+    )
+    return tuple(dict.fromkeys(told))
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:

@@ -19,8 +19,8 @@ from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.per_recording import Linear, fit_own, fitted, gains, linearised
-from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.search import LOG_PRIOR
+from sim2real.diagnose.posterior import Group, Posterior
+from sim2real.diagnose.search import LOG_PRIOR, Set
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
 from sim2real.servo.batch import Batch
@@ -116,6 +116,14 @@ class Change:
     group: Group
     probability: Mapping[str, float]
     theta: Array | None = None
+
+    def posterior(self, base: Set) -> Posterior:
+        """The probabilities as those of sets of effects, nothing more than ``base`` among them."""
+        effects = {n: p for n, p in self.probability.items() if n not in (*BASE, *base)}
+        order = sorted(effects, key=lambda n: -effects[n])
+        sets = (base, *(base | {n} for n in order))
+        probability = np.array([1 - sum(effects.values()), *(effects[n] for n in order)])
+        return Posterior(sets, probability, probability)
 
 
 def change(found: Contrast) -> Change:
@@ -265,19 +273,14 @@ class Misstated:
     """What speaks for the load of the references, where another is stated.
 
     Attributes:
-        differs: What the references' load has more, by column: torque in N m, inertia in kg m2.
+        effects: The effects that stand for the difference.
         gain: Gain in log-likelihood with the references' load.
         theta: Parameters of the servo under the stated load, with the difference, shape (P,).
     """
 
-    differs: Mapping[str, float]
+    effects: tuple[str, ...]
     gain: float
     theta: Array
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """The effects that stand for the difference."""
-        return tuple(column.partition(".")[0] for column in self.differs)
 
 
 def misstated(
@@ -318,7 +321,7 @@ def misstated(
     for column, value in differs.items():
         theta[COLUMNS.index(column)] += value
     gain = float(as_before.loglikelihood[0] - as_stated.loglikelihood[0])
-    return Misstated(differs, gain, theta)
+    return Misstated(tuple(column.partition(".")[0] for column in differs), gain, theta)
 
 
 def what_changed(

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.case import Case, gate
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.formula import guesses
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.knockoffs import best_knockoff, directions, false_discovery_of
-from sim2real.diagnose.next_experiment import next_experiment
-from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
-from sim2real.robot import Robot
+from sim2real.diagnose.next_experiment import for_rivals
+from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Ladder
 from sim2real.servo.black_box import black_box
 from sim2real.servo.holdout import splits
 from sim2real.servo.linear import residual_torque, smooth_speed
@@ -22,36 +22,29 @@ from sim2real.servo.screen import Candidate, Screen
 
 Array = NDArray[np.float64]
 
-_MOST_RIVALS = 3
 _NINE_IN_TEN = 1.28
 
 
 def with_checks(
-    found: Diagnosis,
-    robot: Robot,
-    joints: Sequence[JointResult],
-    gate: Sequence[str],
-    rng: np.random.Generator,
+    found: Diagnosis, case: Case, joints: Sequence[JointResult], rng: np.random.Generator
 ) -> Diagnosis:
     """The diagnosis of one robot with all that its report shows.
 
     Args:
         found: The diagnosis.
-        robot: The robot.
+        case: The robot.
         joints: What is known of its joints.
-        gate: What the data gate found.
         rng: For knockoffs and black boxes.
     """
-    ladders = {one.signal: rungs for one in joints if (rungs := _ladder(one, rng)) is not None}
     return replace(
         found,
+        gate=gate(case),
+        evidence=tuple(e for one in joints for e in _evidence(one)),
+        detection_limits=tuple(limit for one in joints for limit in _limits(one)),
+        ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
         hypothesis=guesses(joints),
         false_discovery_rate=false_discovery_of(joints, rng),
-        ladders=ladders,
-        detection_limits=tuple(limit for one in joints for limit in _limits(one)),
-        next_experiment=_next(robot, joints),
-        gate=tuple(gate),
-        evidence=tuple(e for one in joints for e in _evidence(one)),
+        next_experiment=for_rivals(case.robot, joints),
     )
 
 
@@ -79,21 +72,6 @@ def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
         black_box=black_box(folds, rng),
         noise=one.joint.noise,
     )
-
-
-def _next(robot: Robot, joints: Sequence[JointResult]) -> Experiment | None:
-    """The next experiment for the first group of several members."""
-    for one in joints:
-        for group in one.finding.groups:
-            rest = one.finding.best.members - {group.members[0]}
-            tried = one.finding.tried.tried
-            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
-            limits = robot.joint(one.name)
-            if len(known) > 1 and limits is not None:
-                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
-                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
-                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
-    return None
 
 
 def _evidence(one: JointResult) -> list[Evidence]:

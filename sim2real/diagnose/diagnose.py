@@ -8,26 +8,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, gate, places, prepared
+from sim2real.diagnose.case import Case, Joint, by_robot, on_their_lines, prepared
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.motors import with_motors
-from sim2real.diagnose.predicting import predicting, until_then
+from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
-from sim2real.diagnose.result import Diagnosis, NamedEffect, Verdict
-from sim2real.diagnose.search import Hypothesis, Set, joined
-from sim2real.diagnose.wording import gathered, mismatch, named_effect, rivals
+from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.search import Hypothesis, Set
+from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
-from sim2real.model import FittedEffect, Model
-from sim2real.output import provenance
+from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import residual_angles
+from sim2real.servo.problem import joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
@@ -68,7 +66,11 @@ def diagnose(
     """
     case = Case(recordings, robot, model, references)
     (found,) = diagnose_all(
-        [case], negligible=negligible, seed=seed, thorough=True, progress=until_then(progress)
+        [case],
+        negligible=negligible,
+        seed=seed,
+        thorough=True,
+        progress=lambda share: progress(BEFORE * share),
     )
     return predicting(found, recordings, seed, progress)
 
@@ -98,7 +100,7 @@ def diagnose_all(
     for case, joints in examined(cases, seed=seed, device=device, progress=progress):
         found.append(diagnosis(case, joints, negligible, seed))
         if thorough:
-            found[-1] = with_checks(found[-1], case.robot, joints, gate(case), rng)
+            found[-1] = with_checks(found[-1], case, joints, rng)
     return found
 
 
@@ -118,7 +120,7 @@ def examined(
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng, device)
-        some = with_motors(some, rng)
+        some = [on_their_lines(case, rng) for case in some]
         results = _joint_results(some, rng, device, step)
         found.update(zip(group, zip(some, results, strict=True), strict=True))
         step(1.0)
@@ -152,12 +154,12 @@ def _joint_results(
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
     joints = [joint for some in ready for joint in some]
-    robots = places(ready)
+    robots = by_robot(ready)
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
         batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    findings = against_references(batch, cases, joints, robots, findings)
+    findings = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
@@ -214,78 +216,3 @@ def _unseen(
             if score is not None:
                 found[jobs[k][0]][jobs[k][1]] = score
     return found
-
-
-def diagnosis(
-    case: Case,
-    joints: Sequence[JointResult],
-    negligible: float = DECISION.negligible,
-    seed: int = 0,
-) -> Diagnosis:
-    """What is said of a robot whose joints were examined."""
-    results = {one.name: one for one in joints}
-    said = gathered(results)
-    effects = [named_effect(results, one) for one in said]
-    small = tuple(
-        effect
-        for effect, one in zip(effects, said, strict=True)
-        if all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
-    )
-    large = tuple(effect for effect in effects if effect not in small)
-    inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
-    origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
-    return Diagnosis(
-        verdict=_verdict(joints, large, small, changed=bool(case.references)),
-        mismatch=tuple(mismatch(one) for one in joints if one.finding.mismatch),
-        effects=large,
-        negligible=small,
-        rivals=rivals(results, said),
-        unknown={one.name: one.finding.unknown for one in joints},
-        hypothesis={},
-        false_discovery_rate=0.0,
-        baseline_fit={one.signal: one.fit(enriched=False) for one in joints},
-        enriched_fit={one.signal: one.fit(enriched=True) for one in joints},
-        ladders={},
-        detection_limits=(),
-        next_experiment=None,
-        gate=(),
-        model=_model(case, joints, origin),
-        baseline=Model(joints={one.name: one.model(enriched=False) for one in joints}),
-        provenance=origin,
-    )
-
-
-def _verdict(
-    joints: Sequence[JointResult],
-    effects: Sequence[NamedEffect],
-    small: Sequence[NamedEffect],
-    *,
-    changed: bool,
-) -> Verdict:
-    differing = [one.finding for one in joints if one.finding.mismatch]
-    unsolved = any(f.left or f.unknown > DECISION.named for f in differing)
-    if changed and not effects and not any(f.unknown > DECISION.named for f in differing):
-        return "unchanged"
-    if not differing or (small and not effects and not unsolved):
-        return "consistent"
-    if not effects:
-        return "unexplained"
-    if unsolved:
-        return "partly_explained"
-    return "ambiguous" if any(len(e.group) > 1 for e in effects) else "explained"
-
-
-def _model(case: Case, joints: Sequence[JointResult], origin: dict[str, object]) -> Model:
-    """The enriched simulator."""
-    uneven = {link.effect: link.value for one in joints if (link := one.finding.link) is not None}
-    shared = tuple(
-        FittedEffect(effect, {named(effect).parameters[0].name: value})
-        for effect, value in uneven.items()
-    )
-    return Model(
-        joints={one.name: one.model(enriched=True) for one in joints},
-        body=case.model.body if case.model else {},
-        effects=shared,
-        fit={one.signal: one.fit(enriched=True) for one in joints},
-        provenance=dict(origin),
-    )

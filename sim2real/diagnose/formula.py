@@ -219,7 +219,7 @@ def formula(given: Sequence[Left], torque_unit: str) -> str:
         error2 = scores[best]
     if not chosen:
         return ""
-    weights = _solve(problem.measured[:, problem.places(chosen)], problem.target)
+    weights = _solve(problem.measured[:, problem.columns(chosen)], problem.target)
     parts = [
         _part(x, problem.terms[k], torque_unit)
         for x, k in zip(weights[_GAINS:], chosen, strict=True)
@@ -246,7 +246,7 @@ class _Problem:
     fold: NDArray[np.intp]
     terms: list[Term]
 
-    def places(self, chosen: Sequence[int]) -> list[int]:
+    def columns(self, chosen: Sequence[int]) -> list[int]:
         """Columns of the gains and of some terms."""
         return [*range(_GAINS), *(_GAINS + k for k in chosen)]
 
@@ -260,8 +260,8 @@ def _problem(given: Sequence[Left]) -> _Problem:
         fold = segment if len(given) == 1 else np.full(left.counts.size, r)
         folds.append(fold[left.counts])
     measured, simulated = (np.concatenate(some) for some in rows)
-    listed = terms(given[0].measured)
-    return _Problem(np.concatenate(targets), measured, simulated, np.concatenate(folds), listed)
+    target, fold = np.concatenate(targets), np.concatenate(folds)
+    return _Problem(target, measured, simulated, fold, terms(given[0].measured))
 
 
 def _rows(left: Left, which: str) -> Array:
@@ -278,8 +278,8 @@ def _white(left: Left, columns: Array) -> Array:
 
 def _unseen(problem: _Problem, chosen: Sequence[int]) -> Array:
     """Squared error of each fold by a fit to the others, shape (folds,)."""
-    places, errors = problem.places(chosen), []
-    fitted, scored = problem.measured[:, places], problem.simulated[:, places]
+    columns, errors = problem.columns(chosen), []
+    fitted, scored = problem.measured[:, columns], problem.simulated[:, columns]
     for fold in np.unique(problem.fold):
         out = problem.fold == fold
         weight = _solve(fitted[~out], problem.target[~out])

@@ -11,14 +11,14 @@ from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
-from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, joined, search
+from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
-from sim2real.servo.problem import residual_angles
+from sim2real.servo.problem import joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -230,7 +230,13 @@ def _finding(
     best = tried.tried[after.sets[0]]
     structured = excess_after > DECISION.structured
     strange = strangeness(tried, best, without, excess_after)
-    groups = tuple(g for g in after.groups(tried.base) if not _trifle(best, g, joint.noise))
+    # What every servo has a little of is none of it.
+    groups = tuple(
+        group
+        for group in after.groups(tried.base)
+        if not named(group.members[0]).everywhere
+        or size_in_noise(best, group.members[0], joint.noise) >= DECISION.ripple
+    )
     groups = _doubted(tried, groups, crowded=len(groups) > DECISION.few, structured=structured)
     mismatch = (
         problem.remains(tried, tried.base)
@@ -301,10 +307,3 @@ def _doubted(
         return replace(group, probability=min(group.probability, most))
 
     return tuple(doubted(k, g) for k, g in enumerate(by_evidence(tried, groups)))
-
-
-def _trifle(best: Hypothesis, group: Group, noise_rad: float) -> bool:
-    """Whether a group is no more than what every servo has a little of."""
-    if not named(group.members[0]).everywhere:
-        return False
-    return size_in_noise(best, group.members[0], noise_rad) < DECISION.ripple

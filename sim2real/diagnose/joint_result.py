@@ -123,7 +123,21 @@ class JointResult:
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, 0.0, step, step)}
-        return estimates(self.rich, effect)
+        servos = self.rich.fit.servos
+        columns = [COLUMNS[k] for k in servos.columns[0]]
+        total = self.rich.fit.gram[0].sum(axis=0)[1:, 1:]
+        variance = float(self.rich.fit.error2[0] / self.rich.fit.count[0])
+        covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+        found = {}
+        for k, name in enumerate(columns):
+            if not name.startswith(f"{effect}."):
+                continue
+            mean = float(servos.theta[0, servos.columns[0, k]])
+            sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
+            low, high = mean - _Q95 * sd, mean + _Q95 * sd
+            low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
+            found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
+        return found
 
     def _train(self, residual: Array) -> float:
         pairs = zip(residual, self.joint.traces, strict=False)
@@ -156,36 +170,11 @@ def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
 
 def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
     """Effects of an enriched servo as a model states them."""
-    theta = model.fit.servos.theta[0]
+    values = dict(zip(COLUMNS, model.fit.servos.theta[0].tolist(), strict=True))
     listed = [
-        FittedEffect(
-            name,
-            {
-                p.name: float(theta[COLUMNS.index(f"{name}.{p.name}")])
-                for p in named(name).parameters
-            },
-        )
+        FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
         for name in sorted(model.members)
     ]
     if step_rad is not None:
         listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
     return tuple(listed)
-
-
-def estimates(model: Hypothesis, effect: str) -> dict[str, Estimate]:
-    """Fitted parameters of an effect with their spread, by name; empty where there are none."""
-    servos = model.fit.servos
-    columns = [COLUMNS[k] for k in servos.columns[0]]
-    total = model.fit.gram[0].sum(axis=0)[1:, 1:]
-    variance = float(model.fit.error2[0] / model.fit.count[0])
-    covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
-    found = {}
-    for k, name in enumerate(columns):
-        if not name.startswith(f"{effect}."):
-            continue
-        mean = float(servos.theta[0, servos.columns[0, k]])
-        sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
-        low, high = mean - _Q95 * sd, mean + _Q95 * sd
-        low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
-        found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
-    return found

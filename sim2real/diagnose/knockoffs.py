@@ -225,9 +225,9 @@ def _chance(
         without = tried.base
     options = _judged(finding, without)
     fit = tried.tried[without].fit
-    given = directions(traces, fit.servos, options)
-    result = contest(traces, given, fit.autoregression[0], rng)
-    return result.chance([k for k, c in enumerate(options) if c.effect.name in group.members])
+    moved = directions(traces, fit.servos, options)
+    members = [k for k, c in enumerate(options) if c.effect.name in group.members]
+    return contest(traces, moved, fit.autoregression[0], rng).chance(members)
 
 
 def _judged(finding: Finding, effects: Set) -> list[Candidate]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,17 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.result import Diagnosis, Experiment
 from sim2real.diagnose.search import Hypothesis
 from sim2real.effects import named
 from sim2real.recording import Load, Recording, write_recording
+from sim2real.robot import Robot
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.problem import Servos, minimise
+from sim2real.servo.problem import Servos, minimise, residual_angles
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
 _LEAST = 2.0
+_MOST_RIVALS = 3
 _PERIOD_S = 0.02
 _WEIGHT = (0.05, 0.1)
 """Mass in kg and arm in m of a weight that anyone can make."""
@@ -39,6 +42,21 @@ class _Plan:
     signal: str
     t: Array
     command: Array
+
+
+def for_rivals(robot: Robot, joints: Sequence[JointResult]) -> Experiment | None:
+    """The next experiment for the first group of several members."""
+    for one in joints:
+        for group in one.finding.groups:
+            rest = one.finding.best.members - {group.members[0]}
+            tried = one.finding.tried.tried
+            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
+            limits = robot.joint(one.name)
+            if len(known) > 1 and limits is not None:
+                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
+                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
+                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
+    return None
 
 
 def next_experiment(
@@ -63,7 +81,8 @@ def next_experiment(
     """
     if len(rivals) < 2:
         return None
-    plans = list(_plans(reach))
+    menu = itertools.product(_CONTEXTS, _signals(reach).items())
+    plans = [_Plan(context, name, t, command) for context, (name, (t, command)) in menu]
     staged = [_staged(trace, plan) for plan in plans]
     pairs = itertools.permutations(rivals, 2)
     scores = np.min([_separations(staged, plans, *pair) for pair in pairs], axis=0)
@@ -112,12 +131,6 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
     )
     write_recording(recording, path)
     return replace(found, next_experiment=replace(plan, file=path.name))
-
-
-def _plans(reach: float) -> Iterator[_Plan]:
-    signals = _signals(reach)
-    for context, (name, (t, command)) in itertools.product(_CONTEXTS, signals.items()):
-        yield _Plan(context, name, t, command)
 
 
 def _signals(reach: float) -> Mapping[str, tuple[Array, Array]]:
@@ -170,7 +183,8 @@ def _separations(
     staged: Sequence[Trace], plans: Sequence[_Plan], first: Hypothesis, second: Hypothesis
 ) -> Array:
     """Distance of two rivals in units of the noise, the first refitted to the second, by plan."""
-    seen = _residuals(Batch([[one] for one in staged]), plans, second)
+    true = replace(second.fit, servos=_for_plans(second, plans))
+    seen = residual_angles(Batch([[one] for one in staged]), true)
     recorded = [replace(one, position=angle[0]) for one, angle in zip(staged, seen, strict=True)]
     batch = Batch([[one] for one in recorded])
     start = _for_plans(first, plans)
@@ -184,19 +198,9 @@ def _separations(
     return np.asarray(np.sqrt(left / variance))
 
 
-def _residuals(batch: Batch, plans: Sequence[_Plan], rival: Hypothesis) -> Array:
-    servos = _for_plans(rival, plans)
-    problems = Problems(servos.joint, servos.theta[:, None], np.zeros((len(plans), 1)))
-    seen = batch.evaluate(problems, keep=True)
-    assert seen.residual is not None
-    return seen.residual
-
-
 def _for_plans(rival: Hypothesis, plans: Sequence[_Plan]) -> Servos:
     """One servo a plan, weaker where the supply is lower."""
-    many = Servos(
-        *(np.repeat(value, len(plans), axis=0) for value in vars(rival.fit.servos).values())
-    )
+    many = rival.fit.servos[np.zeros(len(plans), dtype=np.intp)]
     theta = many.theta.copy()
     theta[[plan.context == "lower_supply" for plan in plans], 0] *= 0.75
     return replace(many, joint=np.arange(len(plans), dtype=np.int32), theta=theta)

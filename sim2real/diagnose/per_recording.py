@@ -12,25 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
-from sim2real.diagnose.search import padded, stacked
 from sim2real.effects import named
 from sim2real.inference import least_squares
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Fits, Servos, minimise, variants
+from sim2real.servo.problem import Fits, Servos, minimise, stacked, variants
+from sim2real.servo.repeats import freed_of_the_common
 from sim2real.servo.screen import candidates
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.08
-"""Commands that differ by less of their standard deviation are one command."""
-_FARTHEST_S = 0.3
-_OVERLAP = 0.7
-"""Share of a recording that another must cover."""
-_LAGS = 61
 _ROUNDS = 4
 _EVALUATIONS = 15
 
@@ -97,11 +90,14 @@ def linearised(
         batch = Batch([every], device)
     noise = Batch([every[: len(references)]], device).evaluate(alone).autoregression
     directions, signed, problems = _looks(best, batch)
-    noise = _of_length(noise, batch.lags)
-    seen = batch.evaluate(problems, autoregression=noise)
+    noise = np.pad(noise, ((0, 0), (0, max(0, batch.lags - noise.shape[1]))))[:, : batch.lags]
+    gram = batch.evaluate(problems, autoregression=noise).gram[0]
+    # A start from which a servo is unstable tells nothing.
+    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
+    gram[:, bad] = gram[:, :, bad] = 0.0
     shared = best.servos.columns.shape[1]
     return Linear(
-        _finite(seen.gram[0]),
+        gram,
         batch.samples.astype(np.float64),
         len(references),
         shared,
@@ -122,19 +118,6 @@ def fitted(
     batch = Batch([list(traces)], device)
     fits = [minimise(batch, one, iterations=15) for one in servos]
     return batch, max(fits, key=lambda fit: float(fit.loglikelihood[0]))
-
-
-def _finite(gram: Array) -> Array:
-    """Inner products without the starts from which a servo is unstable."""
-    clean = gram.copy()
-    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
-    clean[:, bad] = clean[:, :, bad] = 0.0
-    return clean
-
-
-def _of_length(noise: Array, lags: int) -> Array:
-    """Coefficients of a noise model with those of further lags left out or 0, shape (1, lags)."""
-    return np.pad(noise, ((0, 0), (0, max(0, lags - noise.shape[1]))))[:, :lags]
 
 
 def _looks(fit: Fits, batch: Batch) -> tuple[tuple[str, ...], NDArray[np.bool_], Problems]:
@@ -230,7 +213,7 @@ def fit_own(batch: Batch, linear: Linear, owns: Sequence[Servos]) -> tuple[Array
     """
     H, F = len(owns), linear.shared
     before = replace(linear.servos[np.zeros(H, dtype=np.intp)], joint=np.zeros(H, dtype=np.int32))
-    own = stacked([padded(one, max(one.columns.shape[1] for one in owns)) for one in owns])
+    own = stacked(owns)
     # Of a parameter that the case has to itself the shared value is the references' alone.
     taken = (before.columns[:, :, None] == own.columns[:, None]).any(axis=2)
     case = Servos(
@@ -286,65 +269,3 @@ def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> leas
     loss[lost], left[lost] = np.inf, np.inf
     slope[lost], normal[lost] = 0.0, np.eye(size)
     return least_squares.Expansion(loss, slope, normal, {"left": left})
-
-
-def freed_of_the_common(
-    traces: Sequence[Trace], residuals: Sequence[Array], references: int
-) -> tuple[list[Trace], NDArray[np.bool_]]:
-    """Traces less what a servo leaves of other references with the same command.
-
-    Where a recording was taken twice, the difference of the two knows no missing physics that is in
-    both: their repeatability decides what can be told, not the model.
-
-    Args:
-        traces: The recordings of one joint, the references first.
-        residuals: Simulated minus measured angles of a servo on each, rad.
-        references: How many are references.
-
-    Returns:
-        The traces, with angles corrected by the mean of what is left of those, and which
-        of them have any.
-    """
-    freed = list(traces)
-    for r, one in enumerate(traces):
-        common = []
-        for other, left in zip(traces[:references], residuals, strict=False):
-            if other is one:
-                continue
-            lag, difference = alignment(one, other)
-            if difference < ALIKE:
-                seen = other.used
-                common.append(np.interp(one.t + lag, other.t[seen], left[: seen.size][seen]))
-        if common:
-            freed[r] = replace(one, position=one.position + np.mean(common, axis=0))
-    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
-
-
-def alignment(one: Trace, other: Trace) -> tuple[float, float]:
-    """How much later the other's command comes, s, and what then differs.
-
-    Returns:
-        The lag, and the root mean square difference of the two commands in standard deviations of
-        the first.
-    """
-    size = float(np.std(one.command))
-    if size == 0:
-        return 0.0, np.inf
-
-    def difference(lag: float) -> float:
-        inside = (one.t + lag >= other.t[0]) & (one.t + lag <= other.t[-1])
-        if inside.mean() < _OVERLAP:
-            return float("inf")
-        moved = np.interp(one.t[inside] + lag, other.t, other.command) - one.command[inside]
-        return float(np.sqrt(np.mean(moved**2))) / size
-
-    lags = np.linspace(-_FARTHEST_S, _FARTHEST_S, _LAGS)
-    coarse = [difference(float(lag)) for lag in lags]
-    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
-    if not np.isfinite(coarse[k]):
-        return 0.0, np.inf
-    ends = (float(lags[k]) - step, float(lags[k]) + step)
-    fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
-    if fine.fun < coarse[k]:
-        return float(fine.x), float(fine.fun)
-    return float(lags[k]), coarse[k]

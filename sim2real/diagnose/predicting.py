@@ -30,7 +30,7 @@ UNSEEN_SHARE = 0.632
 """Weight of the error on unseen recordings; the rest is that of the fitted ones, as few folds make
 the former alone uncertain. Source: Efron, Journal of the American Statistical Association 78 (1983)
 316-331, whose folds are bootstraps."""
-_BEFORE = 0.7
+BEFORE = 0.7
 """Share of the time that a diagnosis takes before it comes to this."""
 _MOST = 24
 _LEVEL = 0.01
@@ -38,11 +38,6 @@ _NOTE = (
     "No set of effects explains the recordings whole: this model has those that predict unseen "
     "recordings best, which may stand in for something else."
 )
-
-
-def until_then(progress: Callable[[float], None]) -> Callable[[float], None]:
-    """What to call with the share of the diagnosis that is done before ``predicting``."""
-    return lambda share: progress(_BEFORE * share)
 
 
 def predicting(
@@ -73,7 +68,7 @@ def predicting(
         baselines(batch),
         level=_LEVEL,
         rng=rng,
-        progress=lambda share: progress(_BEFORE + 0.8 * (1 - _BEFORE) * share),
+        progress=lambda share: progress(BEFORE + 0.8 * (1 - BEFORE) * share),
     )
     joints, fit = dict(found.model.joints), dict(found.model.fit)
     for name, one, data in zip(names, tried, given, strict=True):

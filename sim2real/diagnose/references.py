@@ -8,19 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, Joint, places, prepared
-from sim2real.diagnose.change import Change, what_changed
+from sim2real.diagnose.case import Case, Joint, by_robot, prepared
+from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.joint_result import servo
-from sim2real.diagnose.posterior import Posterior
-from sim2real.diagnose.search import BLOCKS, Hypothesis, Set, with_effects
+from sim2real.diagnose.search import BLOCKS, Hypothesis, with_effects
 from sim2real.model import Model
 from sim2real.noise import quantization_step
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, joint_row
+from sim2real.servo.parameters import joint_row
 from sim2real.servo.problem import minimise
-from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
 
@@ -38,13 +36,17 @@ def with_known_servos(
     Raises:
         InputError: If references and robot do not agree, or no joint moves in them.
     """
-    before = {k: prepared(case.before) for k, case in enumerate(cases) if case.references}
+    before = {
+        k: prepared(replace(case, recordings=case.references, references=()))
+        for k, case in enumerate(cases)
+        if case.references
+    }
     some = [k for k in before if cases[k].model is None]
     known = list(cases)
     if not some:
         return known
     joints = [joint for k in some for joint in before[k]]
-    robots = places([before[k] for k in some])
+    robots = by_robot([before[k] for k in some])
     batch = Batch([joint.traces for joint in joints], device)
     found = investigate(batch, joints, robots, rng=rng)
     for k, robot in zip(some, robots, strict=True):
@@ -57,32 +59,19 @@ def with_known_servos(
     return known
 
 
-def against_references(
-    batch: Batch,
-    cases: Sequence[Case],
-    joints: Sequence[Joint],
-    robots: Sequence[Sequence[int]],
-    findings: Sequence[Finding],
-) -> list[Finding]:
-    """Findings in which only what differs from the references is named.
+def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
+    """The finding in which only what differs from the joint's references is named.
 
     Args:
-        batch: The recordings, joint by joint.
-        cases: The robots; those without references keep their findings.
-        joints: Their joints.
-        robots: Which of these are each robot's.
-        findings: What is missing, joint by joint.
+        batch: The recordings that it is of.
+        joint: The joint; one without references keeps its finding.
+        finding: What is missing.
     """
-    changed = list(findings)
-    for case, robot in zip(cases, robots, strict=True):
-        for j in robot:
-            before = traces(case.references, joints[j].name)
-            if before:
-                changed[j] = _changed(batch, joints[j], before, findings[j])
-    return changed
-
-
-def _changed(batch: Batch, joint: Joint, before: Sequence[Trace], finding: Finding) -> Finding:
+    before = joint.before
+    if not before:
+        return finding
+    grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
+    coarser = joint.step_rad is not None and joint.step_rad > DECISION.coarser * max(grids)
     tried = finding.tried
     plain = tried.plain.fit.servos
     starts = [plain.theta[0]]
@@ -107,24 +96,9 @@ def _changed(batch: Batch, joint: Joint, before: Sequence[Trace], finding: Findi
         finding,
         mismatch=finding.mismatch or named,
         best=tried.tried.get(rich, tried.plain),
-        posterior=_posterior(tried.base, found),
-        groups=(*coarse, *groups) if _coarser(joint, before) else groups,
+        posterior=found.posterior(tried.base),
+        groups=(*coarse, *groups) if coarser else groups,
         left=finding.left and not named,
         unknown=0.0 if named else finding.unknown,
         link=None,
     )
-
-
-def _coarser(joint: Joint, before: Sequence[Trace]) -> bool:
-    """Whether a joint's angles lie on a coarser grid than in its references."""
-    grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
-    return joint.step_rad is not None and joint.step_rad > DECISION.coarser * max(grids)
-
-
-def _posterior(base: Set, found: Change) -> Posterior:
-    """The probabilities of a change as those of sets of effects, nothing more among them."""
-    effects = {n: p for n, p in found.probability.items() if n not in (*BASE, *base)}
-    order = sorted(effects, key=lambda n: -effects[n])
-    sets = (base, *(base | {n} for n in order))
-    probability = np.array([1 - sum(effects.values()), *(effects[n] for n in order)])
-    return Posterior(sets, probability, probability)

@@ -228,15 +228,15 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     rivals: tuple[Rival, ...]
     unknown: Mapping[str, float]
-    hypothesis: Mapping[str, str]
-    false_discovery_rate: float
     baseline_fit: Mapping[str, Mapping[str, float | None]]
     enriched_fit: Mapping[str, Mapping[str, float | None]]
-    ladders: Mapping[str, Ladder]
-    detection_limits: tuple[DetectionLimit, ...]
-    next_experiment: Experiment | None
-    gate: tuple[str, ...]
     model: Model
+    hypothesis: Mapping[str, str] = field(default_factory=dict)
+    false_discovery_rate: float = 0.0
+    ladders: Mapping[str, Ladder] = field(default_factory=dict)
+    detection_limits: tuple[DetectionLimit, ...] = ()
+    next_experiment: Experiment | None = None
+    gate: tuple[str, ...] = ()
     baseline: Model | None = None
     evidence: tuple[Evidence, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
@@ -279,6 +279,8 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: s
 
 
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
+    plan = diagnosis.next_experiment
+    told = vars(plan) if plan else {}
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -292,7 +294,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
-        "next_experiment": _experiment(diagnosis.next_experiment),
+        "next_experiment": {k: x for k, x in told.items() if k not in ("t", "signal")} or None,
         "gate": list(diagnosis.gate),
         "provenance": dict(diagnosis.provenance),
     }
@@ -307,9 +309,3 @@ def _mismatch(mismatch: Mismatch) -> dict[str, Any]:
     by_recording = content.pop("windows_s")
     windows = sorted(window for each in by_recording.values() for window in each)
     return content | {"windows_s": windows, "windows_by_recording": by_recording}
-
-
-def _experiment(experiment: Experiment | None) -> dict[str, Any] | None:
-    if experiment is None:
-        return None
-    return {name: value for name, value in vars(experiment).items() if name not in ("t", "signal")}

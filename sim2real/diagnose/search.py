@@ -18,7 +18,7 @@ from sim2real.inference.evidence import occam_factor
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
-from sim2real.servo.problem import Fits, Servos, minimise, plain_servos
+from sim2real.servo.problem import Fits, Servos, joined, minimise, plain_servos, stacked
 from sim2real.servo.screen import FITTED, Candidate, Screen, candidate, candidates, screen
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 
@@ -109,7 +109,7 @@ def search(
     ledgers: list[Found] = []
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
-        fit = _trimmed(plain, j)
+        fit = _one(plain, j)
         ledgers.append(Found(j, base))
         ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
     problem = ServoSearch(batch, level, rng)
@@ -146,11 +146,12 @@ class ServoSearch:
         self.look([(ledger, members)])
         return self._seen[ledger.case, members]
 
-    def look(self, places: Sequence[tuple[Found, Set]]) -> None:
+    def look(self, pairs: Sequence[tuple[Found, Set]]) -> None:
         """Screen all other effects from each of these sets; sets of one size share a launch."""
-        new = {(one.case, s): (one, s) for one, s in places if (one.case, s) not in self._seen}
-        for size in sorted({_width(one.tried[s].fit) for one, s in new.values()}):
-            some = [x for x in new.values() if _width(x[0].tried[x[1]].fit) == size]
+        new = {(one.case, s): (one, s) for one, s in pairs if (one.case, s) not in self._seen}
+        sizes = {key: one.tried[s].fit.gram.shape[-1] for key, (one, s) in new.items()}
+        for size in sorted(set(sizes.values())):
+            some = [x for key, x in new.items() if sizes[key] == size]
             fits = joined([one.tried[s].fit for one, s in some])
             # A finding may have been moved to a place in another batch.
             joint = np.array([one.case for one, _ in some], dtype=np.int32)
@@ -183,9 +184,11 @@ class ServoSearch:
 
     def refit(self, jobs: Sequence[tuple[Found, Set, Array]]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
-        servos = [self._with_effects(*job) for job in jobs]
-        width = max(s.columns.shape[1] for s in servos)
-        rough = minimise(self.batch, stacked([padded(s, width) for s in servos]), iterations=5)
+        servos = [
+            with_effects(one.plain.fit.servos, members, theta, *self.strength(one))
+            for one, members, theta in jobs
+        ]
+        rough = minimise(self.batch, stacked(servos), iterations=5)
         best: dict[tuple[int, Set], int] = {}
         for k, (ledger, members, _) in enumerate(jobs):
             key = (ledger.case, members)
@@ -193,7 +196,7 @@ class ServoSearch:
                 best[key] = k
         index = np.array(list(best.values()))
         fine = minimise(self.batch, rough.servos[index], iterations=15, blocks=BLOCKS)
-        fits = {key: _trimmed(fine, n) for n, key in enumerate(best)}
+        fits = {key: _one(fine, n) for n, key in enumerate(best)}
         return [
             Hypothesis(s, fits[one.case, s], _evidence(fits[one.case, s], s - one.base))
             for one, s, _ in jobs
@@ -239,9 +242,6 @@ class ServoSearch:
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
-    def _with_effects(self, ledger: Found, members: Set, theta: Array) -> Servos:
-        return with_effects(ledger.plain.fit.servos, members, theta, *self.strength(ledger))
-
 
 def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: float) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
@@ -259,14 +259,11 @@ def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: 
     for option in given:
         row[option.columns] = theta[option.columns]
     own = _own(plain)
-    return Servos(
-        plain.joint,
-        row[None],
-        np.concatenate([plain.columns[0, own], *(c.columns for c in given)])[None],
-        np.concatenate([plain.unit[0, own], *(c.unit for c in given)])[None],
-        np.concatenate([plain.low[0, own], *(c.low for c in given)])[None],
-        np.concatenate([plain.high[0, own], *(c.high for c in given)])[None],
+    free = (
+        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in given)])[None]
+        for field in ("columns", "unit", "low", "high")
     )
+    return Servos(plain.joint, row[None], *free)
 
 
 def _own(servos: Servos) -> NDArray[np.bool_]:
@@ -275,61 +272,10 @@ def _own(servos: Servos) -> NDArray[np.bool_]:
     return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
 
 
-def _width(fit: Fits) -> int:
-    return int(fit.servos.columns.shape[1])
-
-
-def padded(servos: Servos, width: int) -> Servos:
-    """Servos with places for so many free parameters."""
-    more = ((0, 0), (0, width - servos.columns.shape[1]))
-    return Servos(
-        servos.joint,
-        servos.theta,
-        np.pad(servos.columns, more, constant_values=-1),
-        np.pad(servos.unit, more, constant_values=1.0),
-        np.pad(servos.low, more),
-        np.pad(servos.high, more),
-    )
-
-
-def _trimmed(fits: Fits, n: int) -> Fits:
-    """One fit without the places that hold no parameter."""
+def _one(fits: Fits, n: int) -> Fits:
+    """One fit without columns that hold no parameter."""
     one = fits[np.array([n])]
-    width = int(one.servos.free.sum())
-    s = one.servos
-    servos = Servos(
-        s.joint,
-        s.theta,
-        s.columns[:, :width],
-        s.unit[:, :width],
-        s.low[:, :width],
-        s.high[:, :width],
-    )
-    gram = one.gram[:, :, : 1 + width, : 1 + width]
-    return Fits(servos, gram, one.count, one.autoregression)
-
-
-def stacked(servos: Sequence[Servos]) -> Servos:
-    """Servos of as many free parameters each, one after the other."""
-    columns = zip(*(vars(s).values() for s in servos), strict=True)
-    return Servos(*(np.concatenate(values) for values in columns))
-
-
-def joined(fits: Sequence[Fits]) -> Fits:
-    """Fits of any numbers of parameters as one; those of fewer are padded."""
-    width = max(fit.servos.columns.shape[1] for fit in fits)
-    more = [width - fit.servos.columns.shape[1] for fit in fits]
-    return Fits(
-        stacked([padded(fit.servos, width) for fit in fits]),
-        np.concatenate(
-            [
-                np.pad(fit.gram, ((0, 0), (0, 0), (0, m), (0, m)))
-                for fit, m in zip(fits, more, strict=True)
-            ]
-        ),
-        np.concatenate([fit.count for fit in fits]),
-        np.concatenate([fit.autoregression for fit in fits]),
-    )
+    return one.wide(int(one.servos.free.sum()))
 
 
 def _evidence(fit: Fits, added: Set) -> float:

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.inference.noise import RESIDUAL_WANDER
+from sim2real.inference.segments import Window, inside, robust_sd, windows
 from sim2real.processes import shared
 from sim2real.servo.batch import Batch
 from sim2real.servo.problem import Fits, minimise, residual_angles
@@ -18,13 +19,7 @@ from sim2real.servo.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
-Window = tuple[float, float]
 
-LARGER = 5.0
-"""Standard deviation inside a window, relative to that outside."""
-EDGE_COST = 12.0
-"""Log-likelihood that each edge of a window must earn."""
-SHORTEST_S = 0.1
 _ROUNDS = 3
 
 
@@ -66,17 +61,11 @@ def unmodelled(
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    smooth = shared(
-        smooth_function_of,
-        [
-            (
-                _motions(batch, joints, residuals, j, siblings[j]),
-                _servo(batch, plain, j),
-                j in suspects,
-            )
-            for j in range(len(joints))
-        ],
-    )
+    given = [
+        (_motions(batch, joints, residuals, j, siblings[j]), _servo(batch, plain, j), j in suspects)
+        for j in range(len(joints))
+    ]
+    smooth = shared(smooth_function_of, given)
     nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
     return [
         Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
@@ -123,11 +112,10 @@ def intermittent(
     scores: dict[int, float] = {}
     for _ in range(_ROUNDS):
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
-        found = {
-            j: w
-            for j, w in found.items()
-            if any(w) and _share(w, joints[j]) < DECISION.window_share
-        }
+        length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
+        inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
+        short = {j for j in found if inside_s[j] < DECISION.window_share * length[j]}
+        found = {j: w for j, w in found.items() if any(w) and j in short}
         if not found:
             return {}
         order = list(found)
@@ -172,11 +160,6 @@ def _windows(
 def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
     """The residual (R, T) of each recording, NaN where nothing was measured, (T,) each."""
     return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
-
-
-def _share(given: tuple[tuple[Window, ...], ...], traces: Sequence[Trace]) -> float:
-    inside_s = sum(b - a for some in given for a, b in some)
-    return inside_s / sum(float(t.t[-1] - t.t[0]) for t in traces)
 
 
 def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
@@ -227,55 +210,3 @@ def _servo(batch: Batch, plain: Fits, joint: int) -> Servo:
     first = batch.first_signal[joint]
     load = batch.load[first : first + batch.recordings[joint]]
     return Servo(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)
-
-
-def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
-    """Standard deviation of the residual outside windows, from its median absolute deviation."""
-    outside = residual[~inside & np.isfinite(residual)]
-    if outside.size < 10:
-        outside = residual[np.isfinite(residual)]
-    return float(np.median(np.abs(outside)) / 0.6745)
-
-
-def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
-    """Segments in which the residual is larger than noise.
-
-    The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
-    Transactions on Information Theory 13 (1967) 260-269).
-
-    Args:
-        t: Times in s, shape (T,).
-        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
-        sd: Its standard deviation where nothing is missing, rad.
-
-    Returns:
-        Beginning and end of each segment, s.
-    """
-    z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
-    score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], _likeliest(score), [0]])))
-    found = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
-    return tuple((a, b) for a, b in found if b - a >= SHORTEST_S)
-
-
-def inside(t: Array, given: tuple[Window, ...]) -> NDArray[np.bool_]:
-    """Which times lie in one of the windows, shape (T,)."""
-    mask = np.zeros(t.size, dtype=bool)
-    for begin, end in given:
-        mask |= (t >= begin) & (t <= end)
-    return mask
-
-
-def _likeliest(score: Array) -> NDArray[np.int8]:
-    """1 where the chain is likeliest loud, 0 where quiet, for scores of loud over quiet (T,)."""
-    quiet, loud = 0.0, -EDGE_COST
-    from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
-    for k, x in enumerate(score.tolist()):
-        from_loud[k] = loud - EDGE_COST > quiet
-        from_quiet[k] = quiet - EDGE_COST > loud
-        quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
-    state, path = int(loud - EDGE_COST > quiet), np.zeros(score.size, dtype=np.int8)
-    for k in range(score.size - 1, -1, -1):
-        path[k] = state
-        state = int(not from_quiet[k]) if state else int(from_loud[k])
-    return path

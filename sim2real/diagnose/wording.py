@@ -7,12 +7,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.result import Estimate, Mismatch, NamedEffect, Rival
-from sim2real.diagnose.unmodelled import Window, measured_only, robust_sd, windows
+from sim2real.diagnose.result import (
+    Diagnosis,
+    Estimate,
+    Mismatch,
+    NamedEffect,
+    Rival,
+    Verdict,
+)
+from sim2real.diagnose.unmodelled import measured_only
 from sim2real.effects import named
+from sim2real.inference.segments import Window, robust_sd, windows
+from sim2real.model import FittedEffect, Model
+from sim2real.output import provenance
 from sim2real.servo.parameters import BASE
 from sim2real.servo.smooth import Smooth
 from sim2real.servo.trace import Trace
@@ -42,6 +53,77 @@ class Said:
     group: Group
     joints: tuple[str, ...]
     component: str
+
+
+def diagnosis(case: Case, joints: Sequence[JointResult], negligible: float, seed: int) -> Diagnosis:
+    """What is said of one robot.
+
+    Args:
+        case: The robot.
+        joints: What is known of its joints.
+        negligible: Share of the held-out error below whose change an effect makes no verdict.
+        seed: Of the bootstraps, to be recorded.
+    """
+    results = {one.name: one for one in joints}
+    said = gathered(results)
+    effects = [named_effect(results, one) for one in said]
+    small = tuple(
+        effect
+        for effect, one in zip(effects, said, strict=True)
+        if all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
+    )
+    large = tuple(effect for effect in effects if effect not in small)
+    inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
+    origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
+    return Diagnosis(
+        verdict=_verdict(joints, large, small, changed=bool(case.references)),
+        mismatch=tuple(mismatch(one) for one in joints if one.finding.mismatch),
+        effects=large,
+        negligible=small,
+        rivals=rivals(results, said),
+        unknown={one.name: one.finding.unknown for one in joints},
+        baseline_fit={one.signal: one.fit(enriched=False) for one in joints},
+        enriched_fit={one.signal: one.fit(enriched=True) for one in joints},
+        model=_model(case, joints, origin),
+        baseline=Model(joints={one.name: one.model(enriched=False) for one in joints}),
+        provenance=origin,
+    )
+
+
+def _verdict(
+    joints: Sequence[JointResult],
+    effects: Sequence[NamedEffect],
+    small: Sequence[NamedEffect],
+    *,
+    changed: bool,
+) -> Verdict:
+    differing = [one.finding for one in joints if one.finding.mismatch]
+    unsolved = any(f.left or f.unknown > DECISION.named for f in differing)
+    if changed and not effects and not any(f.unknown > DECISION.named for f in differing):
+        return "unchanged"
+    if not differing or (small and not effects and not unsolved):
+        return "consistent"
+    if not effects:
+        return "unexplained"
+    if unsolved:
+        return "partly_explained"
+    return "ambiguous" if any(len(e.group) > 1 for e in effects) else "explained"
+
+
+def _model(case: Case, joints: Sequence[JointResult], origin: dict[str, object]) -> Model:
+    """The enriched simulator."""
+    uneven = {link.effect: link.value for one in joints if (link := one.finding.link) is not None}
+    shared = tuple(
+        FittedEffect(effect, {named(effect).parameters[0].name: value})
+        for effect, value in uneven.items()
+    )
+    return Model(
+        joints={one.name: one.model(enriched=True) for one in joints},
+        body=case.model.body if case.model else {},
+        effects=shared,
+        fit={one.signal: one.fit(enriched=True) for one in joints},
+        provenance=dict(origin),
+    )
 
 
 def gathered(results: Mapping[str, JointResult]) -> list[Said]:
@@ -144,7 +226,8 @@ def mismatch(one: JointResult) -> Mismatch:
     """What is said of a joint that differs."""
     finding, traces, noise, rmse = one.finding, one.joint.traces, one.joint.noise, one.error
     when = _when(one)
-    smooth = finding.unmodelled.smooth
+    smooth, count = finding.unmodelled.smooth, float(finding.best.fit.count[0])
+    driven = sorted(smooth.shares.items(), key=lambda entry: -entry[1])
     return Mismatch(
         signal=one.signal,
         component=one.name,
@@ -153,16 +236,9 @@ def mismatch(one: JointResult) -> Mismatch:
         share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
         windows_s={t.name: w for t, w in zip(traces, when, strict=True)},
         where=_where(smooth, when, traces, intermittent=finding.unmodelled.windows is not None),
-        dependence=dependence(smooth, float(finding.best.fit.count[0])),
+        # Shares of the innovations' energy that a smooth function of each state explains.
+        dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
     )
-
-
-def dependence(smooth: Smooth, count: float) -> Mapping[str, float]:
-    """Share of the innovations' energy that a smooth function of each state explains."""
-    return {
-        state: float(1 - np.exp(-2 * max(gain, 0.0) / count))
-        for state, gain in sorted(smooth.shares.items(), key=lambda entry: -entry[1])
-    }
 
 
 def _when(one: JointResult) -> list[tuple[Window, ...]]:

@@ -72,7 +72,7 @@ class Ledger(Generic[Fit]):
         return sorted(rivals, key=lambda h: -h.evidence)[:most]
 
 
-Place = tuple[Ledger[Fit], Members]
+Pair = tuple[Ledger[Fit], Members]
 """A set in a case."""
 Job = tuple[Ledger[Fit], Members, Start]
 """A set to refit in a case, and where its fit begins."""
@@ -81,7 +81,7 @@ Job = tuple[Ledger[Fit], Members, Start]
 class Problem(Protocol[Fit, Start]):
     """What the search asks of the servos of a robot, or of a swim."""
 
-    def look(self, places: Sequence[Place[Fit]]) -> None:
+    def look(self, pairs: Sequence[Pair[Fit]]) -> None:
         """Get ready to say what may join these sets, all in one go; nothing where it is cheap."""
 
     def additions(

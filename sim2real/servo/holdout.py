@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.inference.holdout import each_in_turn, rms
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Servos, minimise
+from sim2real.servo.problem import Servos, minimise, stacked
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
 
@@ -75,8 +75,7 @@ def held_out(
     results: dict[int, tuple[list[Array], list[Array]]] = {}
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
         some = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
-        rows = [vars(servos[pairs[k][0]]) for k in some]
-        start = Servos(*(np.concatenate([row[name] for row in rows]) for name in rows[0]))
+        start = stacked([servos[pairs[k][0]] for k in some])
         start = replace(start, joint=np.array(some, dtype=np.int32))
         fits = minimise(training, start, iterations=10, white=white)
         scored = scoring.evaluate(

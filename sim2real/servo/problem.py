@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,14 @@ class Servos:
         """Some of them."""
         return Servos(*(value[index] for value in vars(self).values()))
 
+    def wide(self, width: int) -> Servos:
+        """With so many places for free parameters: empty ones are added, or cut off, at the end."""
+        columns, unit = _wide(self.columns, width), _wide(self.unit, width)
+        columns[:, self.columns.shape[1] :] = -1
+        unit[:, self.columns.shape[1] :] = 1.0
+        low, high = _wide(self.low, width), _wide(self.high, width)
+        return Servos(self.joint, self.theta, columns, unit, low, high)
+
     @property
     def free(self) -> NDArray[np.bool_]:
         """Which places of ``columns`` hold a parameter, shape (N, F)."""
@@ -66,6 +75,21 @@ class Servos:
         value = np.clip(x * self.unit, self.low, self.high)[row, place]
         theta[row, self.columns[row, place]] = value
         return replace(self, theta=theta)
+
+
+def _wide(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
+    """Values with so many places along some axes: zeros are added, or the end cut off."""
+    for axis in axes:
+        more = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
+        values = np.pad(values, more).take(np.arange(width), axis)
+    return values
+
+
+def stacked(servos: Sequence[Servos]) -> Servos:
+    """Servos of any numbers of free parameters, one after the other; those of fewer are padded."""
+    width = max(one.columns.shape[1] for one in servos)
+    parts = [vars(one.wide(width)).values() for one in servos]
+    return Servos(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def plain_servos(
@@ -134,6 +158,20 @@ class Fits:
         """Some of them."""
         rest = (self.gram, self.count, self.autoregression)
         return Fits(self.servos[index], *(value[index] for value in rest))
+
+    def wide(self, width: int) -> Fits:
+        """With so many places for free parameters: see ``Servos.wide``."""
+        gram = _wide(self.gram, 1 + width, (2, 3))
+        return Fits(self.servos.wide(width), gram, self.count, self.autoregression)
+
+
+def joined(fits: Sequence[Fits]) -> Fits:
+    """Fits of any numbers of parameters as one; those of fewer are padded."""
+    width = max(fit.servos.columns.shape[1] for fit in fits)
+    rest = zip(
+        *((x.gram, x.count, x.autoregression) for x in (f.wide(width) for f in fits)), strict=True
+    )
+    return Fits(stacked([fit.servos for fit in fits]), *(np.concatenate(x) for x in rest))
 
 
 def minimise(

@@ -11,19 +11,14 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.change import change, contrast, misstated, refined
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose_all
-from sim2real.diagnose.per_recording import (
-    Linear,
-    alignment,
-    freed_of_the_common,
-    gains,
-    linearised,
-)
+from sim2real.diagnose.per_recording import Linear, gains, linearised
 from sim2real.diagnose.references import with_known_servos
 from sim2real.diagnose.search import baselines
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
 from sim2real.servo.problem import Servos
+from sim2real.servo.repeats import alignment, freed_of_the_common
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}
 FILTERED = {"command_filter": {"time_constant_s": 0.06}}

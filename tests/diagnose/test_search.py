@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose.search import BREADTH, baselines, joined
+from sim2real.diagnose.search import BREADTH, baselines
 from sim2real.effects import named
+from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.batch import Batch
+from sim2real.servo.problem import joined
 from sim2real.servo.screen import FITTED, candidate
 
 
@@ -66,12 +68,11 @@ def test_fits_of_any_width_stand_together(rubbing):
 
 def test_a_model_that_is_given_is_a_start_as_well():
     batch = Batch([[traced(1, "a")]])
-    model = np.zeros((1, baselines(batch).servos.theta.shape[1]))
-    model[0, :5] = KP, KD, LATENCY, 0.002, 0.0
-    model[0, column("coulomb_friction.torque_Nm")] = 0.02
-    fit = baselines(batch, model)
+    rubbing = FittedEffect("coulomb_friction", {"torque_Nm": 0.02})
+    model = JointModel(KP, KD, LATENCY, 0.002, effects=(rubbing,))
+    fit = baselines(batch, [model])
     assert fit.servos.theta[0, column("coulomb_friction.torque_Nm")] == 0.02
-    nobody = baselines(batch, np.full_like(model, np.nan))
+    nobody = baselines(batch, [None])
     np.testing.assert_allclose(nobody.servos.theta[0, :3], [KP, KD, LATENCY], rtol=0.03)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim2real.diagnose.unmodelled import SHORTEST_S, inside, robust_sd, windows
+from sim2real.inference.segments import SHORTEST_S, inside, robust_sd, windows
 
 SD = 0.0015
 T = 0.02 * np.arange(750)

@@ -1,0 +1,67 @@
+"""When a residual is larger than noise: segments of a hidden Markov chain."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Window = tuple[float, float]
+
+LARGER = 5.0
+"""Standard deviation inside a window, relative to that outside."""
+EDGE_COST = 12.0
+"""Log-likelihood that each edge of a window must earn."""
+SHORTEST_S = 0.1
+
+
+def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
+    """Standard deviation of the residual outside windows, from its median absolute deviation."""
+    outside = residual[~inside & np.isfinite(residual)]
+    if outside.size < 10:
+        outside = residual[np.isfinite(residual)]
+    return float(np.median(np.abs(outside)) / 0.6745)
+
+
+def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
+    """Segments in which the residual is larger than noise.
+
+    The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
+    Transactions on Information Theory 13 (1967) 260-269).
+
+    Args:
+        t: Times in s, shape (T,).
+        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
+        sd: Its standard deviation where nothing is missing, rad.
+
+    Returns:
+        Beginning and end of each segment, s.
+    """
+    z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
+    score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], _likeliest(score), [0]])))
+    found = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
+    return tuple((a, b) for a, b in found if b - a >= SHORTEST_S)
+
+
+def inside(t: Array, given: tuple[Window, ...]) -> NDArray[np.bool_]:
+    """Which times lie in one of the windows, shape (T,)."""
+    mask = np.zeros(t.size, dtype=bool)
+    for begin, end in given:
+        mask |= (t >= begin) & (t <= end)
+    return mask
+
+
+def _likeliest(score: Array) -> NDArray[np.int8]:
+    """1 where the chain is likeliest loud, 0 where quiet, for scores of loud over quiet (T,)."""
+    quiet, loud = 0.0, -EDGE_COST
+    from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
+    for k, x in enumerate(score.tolist()):
+        from_loud[k] = loud - EDGE_COST > quiet
+        from_quiet[k] = quiet - EDGE_COST > loud
+        quiet, loud = max(quiet, loud - EDGE_COST), max(loud, quiet - EDGE_COST) + x
+    state, path = int(loud - EDGE_COST > quiet), np.zeros(score.size, dtype=np.int8)
+    for k in range(score.size - 1, -1, -1):
+        path[k] = state
+        state = int(not from_quiet[k]) if state else int(from_loud[k])
+    return path

@@ -1,0 +1,83 @@
+"""Recordings of one command: what they share is no difference between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.08
+"""Commands that differ by less of their standard deviation are one command."""
+_FARTHEST_S = 0.3
+_OVERLAP = 0.7
+"""Share of a recording that another must cover."""
+_LAGS = 61
+
+
+def freed_of_the_common(
+    traces: Sequence[Trace], residuals: Sequence[Array], references: int
+) -> tuple[list[Trace], NDArray[np.bool_]]:
+    """Traces less what a servo leaves of other references with the same command.
+
+    Where a recording was taken twice, the difference of the two knows no missing physics that is in
+    both: their repeatability decides what can be told, not the model.
+
+    Args:
+        traces: The recordings of one joint, the references first.
+        residuals: Simulated minus measured angles of a servo on each, rad.
+        references: How many are references.
+
+    Returns:
+        The traces, with angles corrected by the mean of what is left of those, and which
+        of them have any.
+    """
+    freed = list(traces)
+    for r, one in enumerate(traces):
+        common = []
+        for other, left in zip(traces[:references], residuals, strict=False):
+            if other is one:
+                continue
+            lag, difference = alignment(one, other)
+            if difference < ALIKE:
+                seen = other.used
+                common.append(np.interp(one.t + lag, other.t[seen], left[: seen.size][seen]))
+        if common:
+            freed[r] = replace(one, position=one.position + np.mean(common, axis=0))
+    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
+
+
+def alignment(one: Trace, other: Trace) -> tuple[float, float]:
+    """How much later the other's command comes, s, and what then differs.
+
+    Returns:
+        The lag, and the root mean square difference of the two commands in standard deviations of
+        the first.
+    """
+    size = float(np.std(one.command))
+    if size == 0:
+        return 0.0, np.inf
+
+    def difference(lag: float) -> float:
+        inside = (one.t + lag >= other.t[0]) & (one.t + lag <= other.t[-1])
+        if inside.mean() < _OVERLAP:
+            return float("inf")
+        moved = np.interp(one.t[inside] + lag, other.t, other.command) - one.command[inside]
+        return float(np.sqrt(np.mean(moved**2))) / size
+
+    lags = np.linspace(-_FARTHEST_S, _FARTHEST_S, _LAGS)
+    coarse = [difference(float(lag)) for lag in lags]
+    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
+    if not np.isfinite(coarse[k]):
+        return 0.0, np.inf
+    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    if fine.fun < coarse[k]:
+        return float(fine.x), float(fine.fun)
+    return float(lags[k]), coarse[k]
