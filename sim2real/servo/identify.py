@@ -22,6 +22,7 @@ from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.servo.loop_fit import sampled
 from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor
 from sim2real.servo.motor_prior import motor_prior
 from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 _CLEAR = 6.0
 """What a choice must gain beyond chance."""
+_LOOP_CLEAR = 30.0
+"""The same of a sampled loop, whose period and phase are the best of a hundred."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,9 @@ def _identify_joint(
         own = uncertainty(motor.fit, motor.units)
         notes += advice.on_motor(motor, own, servo)
         ends = motor_intervals(motor, own) | ends
+        wait = 0.5 * motor.values.get("loop_period_s", 0.0)
+        latency = float(best.row[2])
+        ends.setdefault("latency_s", (max(latency - wait, 0.0), latency + wait))
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held)
@@ -191,7 +197,13 @@ def _motor(
     full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
     scale, inflation = full.fit.scale_rad, full.inflation
     gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
-    return full if gain > 2 * len(LOSSES) + _CLEAR else first
+    chosen = full if gain > 2 * len(LOSSES) + _CLEAR else first
+    if rms(chosen.fit.residuals) < EXPLAINED * noise:
+        return chosen
+    looped = sampled(chosen)
+    scale, inflation = looped.fit.scale_rad, looped.inflation
+    gain = chosen.loss_at(scale, inflation) - looped.loss_at(scale, inflation)
+    return looped if gain > _LOOP_CLEAR else chosen
 
 
 def best_of(

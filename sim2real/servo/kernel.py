@@ -14,6 +14,8 @@ from sim2real.servo.law import (
     shaft_inertia,
     substep,
 )
+from sim2real.servo.motor import loop_phase
+from sim2real.servo.parameters import HELD_CELL
 
 
 @wp.kernel(enable_backward=False)
@@ -54,7 +56,8 @@ def simulate_servos(
     sample = int(0)
     arrival = int(0)
     period = loop_period(p)
-    looks = wp.float64(start)
+    looks = wp.float64(start) + loop_phase(p)
+    z[wp.static(HELD_CELL)] = state[2]
     tick = bool(False)
     ticks = wp.float64(0.0)
     while sample < samples:
@@ -73,7 +76,7 @@ def simulate_servos(
             if now >= looks:
                 tick = True
                 ticks += wp.float64(1.0)
-                looks = start + ticks * period
+                looks = start + loop_phase(p) + ticks * period
             until = wp.min(until, looks)
         if until > now:
             count = int(wp.ceil((until - now) / longest_step))

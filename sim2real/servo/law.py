@@ -19,6 +19,8 @@ from sim2real.servo.motor import (
     loop_period,
     motor_push,
     rotor_inertia,
+    soft_stop,
+    softness,
     wanted_drive,
 )
 from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
@@ -170,6 +172,9 @@ def substep(
         dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
     stop = impulse * stiff * dry
     if stop > still:
+        if (active & wp.static(MOTOR_BIT)) != 0 and softness(p) > still:
+            slowed = after - wp.clamp(after - soft_stop(v, after, h, p), -stop, stop)
+            return wp.vec4d(q + half * slowed, slowed, torque, (slowed - v) / h)
         return slide(state, after, stop, half, torque)
     return wp.vec4d(q + half * after, after, torque, (after - v) / h)
 

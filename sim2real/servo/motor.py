@@ -10,12 +10,21 @@ speed and b = K / w the back-EMF's damping::
 where l is the weight of the load. Damping that the line has not (kd > b) is the controller's, so
 that the drive of a servo with a proportional controller alone, kd = b, is clip(kp e). Without a
 limit, loss and friction this is the linear servo. The controller may see angle and speed once a
-period only and hold its drive in between; back-EMF it cannot hold.
+period only, from its phase on, and hold its drive in between; back-EMF it cannot hold.
+
+Dry friction stops the shaft at once, or softly: while it is below its bound it lets the speed v
+settle, under a torque T that would accelerate the free shaft by a, at what creeps on::
+
+    v' = (tc a - v) / (ts + tc)                                ts: sticking, tc: creeping
+
+so that ts = tc = 0 is Coulomb's, ts = 0 friction that is viscous near standstill.
 
 Sources: the circuit of a DC motor behind a bridge (any text on motors); friction: Duclusaud,
 Passault, Padois, Ly, Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA
 2025, whose directional model with a Stribeck part this is (the exponent 2 as in
-``effects.stribeck_friction``).
+``effects.stribeck_friction``). Soft sticking: MuJoCo's documentation, Computation, Constraint model
+(friction loss; impedance d and rate b give ts = 1 / b and tc = ts (1 - d) / d, 9.5 and 1.06 ms by
+default).
 
 Symbols and units as in ``law``; ``p`` is the joint's row of parameters.
 """
@@ -45,7 +54,10 @@ _OF_LOAD = wp.constant(_column("load_friction"))
 _SLOW_OF_MOTOR = wp.constant(_column("stribeck_motor_friction"))
 _SLOW_OF_LOAD = wp.constant(_column("stribeck_load_friction"))
 _SLOW = wp.constant(_column("stribeck_speed_rad_s"))
+_STICK = wp.constant(_column("stick_time_s"))
+_CREEP = wp.constant(_column("creep_time_s"))
 _PERIOD = wp.constant(_column("loop_period_s"))
+_PHASE = wp.constant(_column("loop_phase_s"))
 
 
 @wp.struct
@@ -70,6 +82,18 @@ def rotor_inertia(p: Row) -> wp.float64:
 def loop_period(p: Row) -> wp.float64:
     """Period of the controller in s, 0 for one that never sleeps."""
     return p[_PERIOD]
+
+
+@wp.func
+def loop_phase(p: Row) -> wp.float64:
+    """Its first look after the start, s."""
+    return p[_PHASE]
+
+
+@wp.func
+def softness(p: Row) -> wp.float64:
+    """Time in which dry friction stops the shaft, s; 0 where at once."""
+    return p[_STICK] + p[_CREEP]
 
 
 @wp.func
@@ -141,3 +165,10 @@ def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, p: Row) -
         more = wp.abs(p[_SLOW_OF_MOTOR] * torque - p[_SLOW_OF_LOAD] * load)
         bound += wp.exp(-slow * slow) * more
     return bound
+
+
+@wp.func
+def soft_stop(v: wp.float64, free: wp.float64, h: wp.float64, p: Row) -> wp.float64:
+    """Speed after h, friction below its bound, of a shaft at ``v`` that would reach ``free``."""
+    creeping = p[_CREEP] * (free - v) / h
+    return creeping + (v - creeping) * wp.exp(-h / softness(p))

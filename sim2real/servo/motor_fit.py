@@ -13,7 +13,7 @@ from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.fit import Fit, errors, plain_row
 from sim2real.servo.motor_prior import Prior
-from sim2real.servo.parameters import COLUMNS, motor_of
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.start import WINDOW_S
 from sim2real.servo.trace import Trace
@@ -26,6 +26,7 @@ _ROUNDS, _FIRST, _LATER = 4, 20, 10
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
 _STEPS_PER_RADIAN = 16.0
+_LATENCY = BASE.index("latency_s")
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
 
@@ -153,6 +154,11 @@ class MotorFit:
         away = np.abs(self.x[list(self.problem.free)] - middle)
         return np.asarray(away > 2 * self.believed_sd)
 
+    def losses(self, x: Array) -> Array:
+        """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
+        error = self.problem.residuals(x)
+        return _loss(self.problem, x, error, self.fit.scale_rad, self.inflation)
+
     def loss_at(self, scale_rad: float, inflation: float) -> float:
         """The loss for residuals of another scale and correlation."""
         error = np.concatenate(self.fit.residuals)[None]
@@ -216,6 +222,20 @@ def fit_motor(
         if number and abs(scale / before - 1) < 0.05:
             break
     return _result(problem, x[0], scale, inflation, loss)
+
+
+def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
+    """The fit gone on with from servos ``x`` (B, F), by its scale; the best first.
+
+    What is periodic for them is not followed: a latency that waits for a sampled loop is held.
+    """
+    looped = bool(np.all(x[:, motor.problem.prior.index(LOOP[0])] > 0))
+    free = tuple(k for k in motor.problem.free if k != _LATENCY or not looped)
+    problem = replace(motor.problem, free=free)
+    scale, inflation = motor.fit.scale_rad, motor.inflation
+    x, loss = _descend(problem, x, scale, inflation, steps)
+    order = np.argsort(loss)
+    return [_result(problem, x[k], scale, inflation, loss[k : k + 1]) for k in order]
 
 
 def _inflation(error: Array, traces: Sequence[Trace]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LINE
+from sim2real.servo.parameters import BASE, LINE, LOOP
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
@@ -132,6 +132,9 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             share("motor.stribeck_motor_friction", 0.3, 0.9, 0.2),
             share("motor.stribeck_load_friction", 0.3, 2.0, 0.2),
             log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
+            share("motor.stick_time_s", 0.01, 0.1, 0.01),
+            share("motor.creep_time_s", 0.002, 0.05, 0.002),
+            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, 1e-3) for name in LOOP),
         ),
         float(np.median(slopes)) if slopes else None,
     )

@@ -276,6 +276,15 @@ def test_thermal_derating_comes_with_work():
     assert np.abs(warm - plain)[late].max() > 3 * np.abs(warm - plain)[early].max()
 
 
+def test_punch_helps_small_errors_against_friction():
+    """At rest kp error + punch is the friction's, so the shaft stops nearer by punch / kp."""
+    creep = np.clip(0.2 * (T - 0.2), 0.0, 0.3)
+    friction, punch = {"torque_Nm": 0.1}, {"torque_Nm": 0.06, "width_rad": 1e-3}
+    alone = 0.3 - simulate(creep, kd=0.3, coulomb_friction=friction)[-1]
+    helped = 0.3 - simulate(creep, kd=0.3, coulomb_friction=friction, punch=punch)[-1]
+    assert alone - helped == pytest.approx(0.06 / KP, rel=0.05)
+
+
 def test_deadband_rests_at_its_edge():
     assert simulate(kd=0.3, deadband={"halfwidth_rad": 0.05})[-1] == pytest.approx(0.35, abs=1e-4)
 

@@ -10,6 +10,9 @@ import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
 
+_SEED = wp.constant(31)
+"""Of its own, so that no other effect changes what is drawn."""
+
 
 @wp.func
 def scatter(
@@ -25,7 +28,7 @@ def scatter(
     s: int,
 ) -> wp.float64:
     """Time at which a set-point takes effect in s."""
-    number = wp.float64(wp.randf(wp.rand_init(c, int(q))))
+    number = wp.float64(wp.randf(wp.rand_init(_SEED, int(q))))
     return x + p[c] * (wp.float64(2.0) * number - wp.float64(1.0))
 
 

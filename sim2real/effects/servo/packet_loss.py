@@ -10,6 +10,9 @@ import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
 
+_SEED = wp.constant(33)
+"""Of its own, so that no other effect changes what is drawn."""
+
 
 @wp.func
 def lose(
@@ -25,7 +28,7 @@ def lose(
     s: int,
 ) -> wp.float64:
     """Time at which a set-point takes effect in s; infinite if it is lost."""
-    if wp.float64(wp.randf(wp.rand_init(c, int(q)))) < p[c]:
+    if wp.float64(wp.randf(wp.rand_init(_SEED, int(q)))) < p[c]:
         return wp.float64(wp.inf)
     return x
 
