@@ -12,11 +12,13 @@ import argparse
 import json
 import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+if TYPE_CHECKING:
+    from sim2real.diagnose.joint_result import JointResult
+    from sim2real.robot import Robot
 
 Row = dict[str, Any]
 SHARED = ("supply", "link")
@@ -35,7 +37,8 @@ def main() -> None:
     answers = json.loads((options.set / "answers.json").read_text())
     known = {row["case"] for row in read(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
-    waiting, running, done = iter(left), set(), 0
+    running: set[Future[list[Row]]] = set()
+    waiting, done = iter(left), 0
     spawn = multiprocessing.get_context("spawn")
     with (
         ProcessPoolExecutor(options.processes, mp_context=spawn) as pool,
@@ -102,8 +105,8 @@ def measured(challenge: Path, answer: Row, verdicts: Path) -> list[Row]:
     return [{**row, "cpu_s": spent, "verdict": found.verdict} for row in rows]
 
 
-def _row(answer: Row, one: Any, robot: Any) -> Row:
-    from sim2real.diagnose.investigate import by_evidence, nameless_lead
+def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
+    from sim2real.diagnose.judging import changes, evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
@@ -113,10 +116,15 @@ def _row(answer: Row, one: Any, robot: Any) -> Row:
     outside = answer["kind"] == "outside"
     steps = [quantization_step(t.position) for t in one.joint.traces]
     stated = next(j.servo.position_step_rad for j in robot.joints if j.name == one.name)
-    count = float(best.fit.count[0])
-    unseen = {m: one.unseen[m].rmse if m in one.unseen else None
-              for m in (tried.base, best.members)}  # fmt: skip
-    groups = by_evidence(tried, finding.posterior.groups(tried.base))
+    told = evidence(finding, one.unseen)
+    errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
+    small = {
+        name: size_in_noise(h, name, one.joint.noise)
+        for h in (tried.plain, best)
+        for name in h.members
+        if named(name).everywhere
+    }
+    link = finding.link
     return {
         "case": answer["case"],
         "set": answer.get("plant", "concealed"),
@@ -124,52 +132,35 @@ def _row(answer: Row, one: Any, robot: Any) -> Row:
         "joint": one.name,
         "joints": len(robot.joints),
         "truth": [
-            h["effect"] for h in hidden
-            if h["component"] in (one.name, *SHARED) and not outside
+            h["effect"] for h in hidden if h["component"] in (one.name, *SHARED) and not outside
         ],
         "outside": outside and hidden[0]["component"] == one.name,
-        "base": {name: size_in_noise(tried.plain, name, one.joint.noise) for name in tried.base
-                 if named(name).everywhere},
-        "law": "motor" if tried.plain.fit.servos.columns.shape[1] > 3 else "pd",
-        "period_s": float(np.median(np.diff(one.joint.traces[0].t))),
+        "nuisances": small,
+        "in_base": sorted(tried.base),
+        "law": int((tried.plain.fit.servos.columns[0] >= 0).sum()),
         "noise_rad": one.joint.noise,
-        "innovation_rad": float(np.sqrt(best.fit.error2[0] / count)),
-        "speed_rad_s": float(np.sqrt(np.mean([
-            np.nanmean(np.gradient(t.command, t.t) ** 2) for t in one.joint.traces]))),
-        "count": count,
+        "unseen": errors,
         "excess_plain": finding.unmodelled.excess,
         "excess": finding.excess,
-        "smooth": finding.unmodelled.smooth.evidence(count),
-        "windows": max(finding.unmodelled.windows_evidence, -1e9),
-        "lead": nameless_lead(tried, best, finding.unmodelled),
-        "own": best.evidence - tried.plain.evidence,
-        "left": [finding.search.left(tried, tried.base), finding.search.left(tried, best.members)],
-        "unseen": [unseen[tried.base], unseen[best.members]],
+        "left": finding.search.left(tried, tried.base),
         "step": min(steps) / stated if stated > 0 else 0.0,
-        "mismatch": finding.mismatch,
-        "unknown": finding.unknown,
+        "whole": told.whole,
         "groups": [
             {
                 "members": group.members,
                 "p": group.probability,
-                "stability": group.stability,
-                "alone": max((tried.tried[tried.base | {e}].evidence - tried.plain.evidence
-                              for e in group.members if tried.base | {e} in tried.tried),
-                             default=0.0),
-                "without": best.evidence - tried.tried[best.members - {group.members[0]}].evidence
-                if group.members[0] in best.members
-                and best.members - {group.members[0]} in tried.tried else None,
-                "changes": min(one.changes(group.members[0]), 1e9),
-                "size": size_in_noise(best, group.members[0], one.joint.noise)
-                if named(group.members[0]).everywhere and group.members[0] in best.members
-                else None,
+                "changes": min(changes(finding, one.unseen, group.members[0]), 1e9),
+                "features": features,
             }
-            for group in groups
+            for group, features in told.groups
         ],
+        "link": link and {
+            "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
+            "changes": changes(finding, one.unseen, link.effect), "features": told.link,
+        },
         "said": [[list(g.members), g.probability] for g in finding.groups],
-        "link": None if finding.link is None else {
-            "effect": finding.link.effect, "gain": finding.link.gain, "value": finding.link.value,
-            "shares": finding.link.shares},
+        "unknown": finding.unknown,
+        "mismatch": finding.mismatch,
     }  # fmt: skip
 
 

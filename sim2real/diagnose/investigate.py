@@ -41,6 +41,7 @@ class Finding:
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
         step_rad: Step of an angle sensor that is coarser than stated, or None.
         link: What is uneven on the link, or None.
+        place: Of the joint among those of the link.
     """
 
     tried: Found
@@ -55,6 +56,7 @@ class Finding:
     excess: float
     step_rad: float | None
     link: Uneven | None = None
+    place: int = 0
 
 
 def investigate(
@@ -138,18 +140,14 @@ def _with_links(
 
 def _uneven(finding: Finding, link: Uneven, k: int, *, instead: bool) -> Finding:
     """The finding with an uneven link, beside or ``instead`` of the joint's own effects."""
-    sure = min(float(1 / (1 + np.exp(-link.gain / 2))), DECISION.most_certain)
     rest = () if instead else finding.groups
-    smooth = finding.unmodelled.smooth.evidence(float(finding.best.fit.count[0]))
-    explains = link.shares[k] > smooth
     return replace(
         finding,
         mismatch=True,
         best=finding.tried.plain if instead else finding.best,
-        left=finding.left and not explains,
-        unknown=0.0 if explains else finding.unknown,
-        groups=(*(r for r in rest if r.probability > 0), Group((link.effect,), sure, 1.0)),
+        groups=(*rest, Group((link.effect,), DECISION.most_certain, 1.0)),
         link=link,
+        place=k,
     )
 
 
@@ -158,7 +156,7 @@ def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
     if max(alone.gain, beside.gain) <= 0:
         return False
     showing = [share > DECISION.link_shows for share in beside.shares]
-    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.groups]
+    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
         return False
     return len(showing) < 2 or sum(showing) > 1
@@ -226,10 +224,7 @@ def _finding(
     excess_after: float,
     joint: Joint,
 ) -> Finding:
-    step = joint.step_rad
     best = tried.tried[after.sets[0]]
-    structured = excess_after > DECISION.structured
-    strange = strangeness(tried, best, without, excess_after)
     # What every servo has a little of is none of it.
     groups = tuple(
         group
@@ -237,45 +232,22 @@ def _finding(
         if not named(group.members[0]).everywhere
         or size_in_noise(best, group.members[0], joint.noise) >= DECISION.ripple
     )
-    groups = _doubted(tried, groups, crowded=len(groups) > DECISION.few, structured=structured)
-    mismatch = (
-        problem.remains(tried, tried.base)
-        or any(group.probability > DECISION.certain for group in groups)
-        or without.excess > DECISION.structured
-        or strange > DECISION.explained
-    )
-    left = structured or problem.remains(tried, best.members)
-    most = DECISION.most_certain
-    groups = tuple(replace(g, probability=min(g.probability, most) * (1 - strange)) for g in groups)
-    groups = tuple(sorted(groups, key=lambda g: -g.probability)) if mismatch else ()
-    if step is not None:
-        groups = (*groups, Group((ROUNDING,), most, 1.0))
+    if joint.step_rad is not None:
+        groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
+    structured = without.excess > DECISION.structured
     return Finding(
         tried,
         problem,
         after,
         best,
-        mismatch or step is not None,
-        mismatch and (left or strange > DECISION.explained),
+        structured or problem.remains(tried, tried.base),
+        excess_after > DECISION.structured,
         groups,
         without,
-        strange if mismatch else 0.0,
+        0.0,
         excess_after,
-        step,
+        joint.step_rad,
     )
-
-
-def strangeness(tried: Found, best: Hypothesis, without: Unmodelled, excess_after: float) -> float:
-    """Probability that what is missing is not in the catalogue."""
-    ahead = nameless_lead(tried, best, without) - DECISION.nameless_cost
-    strange = float(1 / (1 + np.exp(-np.clip(ahead / DECISION.nameless_softness, -50, 50))))
-    if without.excess > DECISION.structured:
-        if excess_after < DECISION.clean:
-            return 0.0
-        explained = (without.excess - excess_after) / (without.excess - 1)
-        if explained < DECISION.explained:
-            strange = max(strange, DECISION.nameless)
-    return strange
 
 
 def nameless_lead(tried: Found, best: Hypothesis, without: Unmodelled) -> float:
@@ -292,18 +264,3 @@ def by_evidence(tried: Found, groups: Sequence[Group]) -> list[Group]:
         return max((tried.tried[s].evidence for s in sets if s in tried.tried), default=-np.inf)
 
     return sorted(groups, key=alone, reverse=True)
-
-
-def _doubted(
-    tried: Found, groups: Sequence[Group], *, crowded: bool, structured: bool
-) -> tuple[Group, ...]:
-    """Doubt all effects but the greatest: where a law does not fit, others make up for it."""
-    sure = 0 if crowded else 1 if structured else int(DECISION.few)
-
-    def doubted(k: int, group: Group) -> Group:
-        most = DECISION.of_many if crowded and k == 0 else DECISION.beyond_few
-        if k < sure:
-            return group
-        return replace(group, probability=min(group.probability, most))
-
-    return tuple(doubted(k, g) for k, g in enumerate(by_evidence(tried, groups)))
