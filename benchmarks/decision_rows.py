@@ -12,6 +12,7 @@ import argparse
 import json
 import multiprocessing
 import time
+import traceback
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,6 +61,7 @@ def main() -> None:
                 file.writelines(json.dumps(row) + "\n" for row in first.result())
             except Exception as error:
                 print(f"failed: {error!r}", flush=True)
+                traceback.print_exception(error)
             file.flush()
             print(f"{done} of {len(left)} cases", flush=True)
 

@@ -1,4 +1,4 @@
-"""A case of a foreign plant: servos, what is hidden in them, and three recordings of their motion."""
+"""A case of a foreign plant: servos, what is hidden in them, three recordings of their motion."""
 
 from __future__ import annotations
 
@@ -15,9 +15,19 @@ from cases import SAME_JOINT_SHARE, STRAY_SHARE, STRONGEST, WEAKEST, WEAKEST_OF_
 from catalogue import EFFECTS, Scale
 from clock import Disturbance, draw_disturbance, empty_cells
 from excitation import DURATION_S, signal
-from foreign_servos import ForeignServo, draw_servos
+from foreign_servos import SLOW_LOOP_HZ, ForeignServo, draw_servos
 from foreign_world import (
-    GRID_S, LINK, SENSED, SHAPED, Acting, Hidden, Take, acting_on, arrivals, recorded, seen,
+    GRID_S,
+    LINK,
+    SENSED,
+    SHAPED,
+    Acting,
+    Hidden,
+    Take,
+    acting_on,
+    arrivals,
+    recorded,
+    seen,
 )  # fmt: skip
 from numpy.typing import NDArray
 from outside import OUTSIDERS, draw_windows
@@ -25,6 +35,8 @@ from outside import OUTSIDERS, draw_windows
 Array = NDArray[np.float64]
 
 RATE_HZ = 30.0, 200.0
+ROWS, SHORTEST_S = 1200, 12.0
+"""A recording has about so many rows, but lasts no shorter and no longer than ``DURATION_S``."""
 CLOCK = 20e-6
 """Largest relative difference between the clocks."""
 SMALLEST_COGGING = 8.0
@@ -117,10 +129,10 @@ def draw_case(plant: str, kind: str, name: str, rng: np.random.Generator) -> For
         servos = draw_servos(plant, rng)
     stray = rng.random() < STRAY_SHARE and kind not in ("null", "trap")
     rate = float(RATE_HZ[0] * (RATE_HZ[1] / RATE_HZ[0]) ** rng.random())
-    takes = {}
+    takes, lasts = {}, float(np.clip(ROWS / rate, SHORTEST_S, DURATION_S))
     for recording in RECORDINGS:
-        t = _ticks(rate, draw_disturbance(rng) if stray or name == "clock" else None, rng)
-        command = np.stack([np.round(signal(recording, t, rng), 4) for _ in servos], axis=1)
+        t = _ticks(rate, lasts, draw_disturbance(rng) if stray or name == "clock" else None, rng)
+        command = np.stack([np.round(signal(recording, t, rng, lasts), 4) for _ in servos], axis=1)
         clock = float(rng.uniform(-CLOCK, CLOCK))
         takes[recording] = Take(t, command, rng.random((2, t.size)), clock)
     disturbed = stray or name == "clock"
@@ -151,9 +163,11 @@ def draw_case(plant: str, kind: str, name: str, rng: np.random.Generator) -> For
     return case
 
 
-def _ticks(rate: float, disturbance: Disturbance | None, rng: np.random.Generator) -> Array:
+def _ticks(
+    rate: float, lasts_s: float, disturbance: Disturbance | None, rng: np.random.Generator
+) -> Array:
     """Times of samples, s: honest, in good order or in disorder."""
-    ticks = np.arange(int(DURATION_S * rate) + 1)
+    ticks = np.arange(int(lasts_s * rate) + 1)
     jitter = 0.2e-3
     if disturbance is not None:
         jitter = min(disturbance.jitter_sd_s, 0.15 / rate)
@@ -245,7 +259,10 @@ def _hide_outsider(case: ForeignCase, name: str, rng: np.random.Generator) -> bo
         parameters = kind.draw(list(case.servos), joint, rng)
         case.hidden = [Hidden(name, JOINTS[joint], parameters, 1.0, kind.driver, joint)]
         for recording, windows in draw_windows(kind, rng).items():
-            case.takes[recording].windows = windows
+            last = float(case.takes[recording].t[-1])
+            case.takes[recording].windows = [
+                (a * last / DURATION_S, b * last / DURATION_S) for a, b in windows
+            ]
         if _shows(case, joint):
             return True
     return False
@@ -278,6 +295,11 @@ def nuisances(case: ForeignCase) -> list[dict[str, Any]]:
         n = servo.nuisances
         size = {"torque_Nm": n["ripple_Nm"], "period_rad": 2 * np.pi / n["ripple_per_rad"]}
         found.append({"effect": "cogging", "component": joint, "parameters": size})
+    waits = [0.5 / s.loop_Hz for s in case.servos if s.loop_Hz >= SLOW_LOOP_HZ]
+    if case.plant != "own" and waits:
+        # A new set-point waits for the next turn of the loop.
+        late = {"halfwidth_s": max(waits)}
+        found.append({"effect": "latency_jitter", "component": "link", "parameters": late})
     return found
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from bench import JOINTS, STEPS_RAD, Sensor, Servo, _draw_loads, _log_uniform
 
 PLANTS = ("mujoco", "voltage", "own")
+BENCHES = (0.5, 0.35, 0.15)
+"""Shares of benches of one, two and three servos."""
 MOST_NOISE_LEVELS = 5.0
 LARGEST_NUISANCE_RAD = 6e-3
 RANGE_RAD = 0.8
@@ -19,7 +21,7 @@ RANGE_RAD = 0.8
 SHEET_SPREAD = 0.07
 """Standard deviation of the true stall torque and speed about the stated ones, as logarithms."""
 SLOW_LOOP_HZ = 400.0
-"""Below it a new set-point acts at once on the angle seen last; above, at the next turn of the loop."""
+"""Below it a new set-point acts at once on the angle seen last; above, at the loop's next turn."""
 
 
 @dataclass
@@ -57,7 +59,8 @@ class ForeignServo(Servo):
 
 def draw_servos(plant: str, rng: np.random.Generator) -> list[ForeignServo]:
     """One to three servos of a plant, on one bus."""
-    return [_draw(plant, k, rng) for k in range(int(rng.integers(1, len(JOINTS) + 1)))]
+    count = int(rng.choice(np.arange(len(JOINTS)) + 1, p=BENCHES))
+    return [_draw(plant, k, rng) for k in range(count)]
 
 
 def _draw(plant: str, place: int, rng: np.random.Generator) -> ForeignServo:

@@ -1,4 +1,4 @@
-"""What all plants have in common: the link to them, set-points that are shaped, the sensor's chain."""
+"""What all plants have in common: the link to them, shaped set-points, the chain of the sensor."""
 
 from __future__ import annotations
 
@@ -114,7 +114,9 @@ def _accelerated(raw: Array, most: float) -> Array:
     return out
 
 
-def seen(take: Take, grid: Array, angle: Array, servo: object, acting: Acting, *, bent: bool) -> Array:
+def seen(
+    take: Take, grid: Array, angle: Array, servo: object, acting: Acting, *, bent: bool
+) -> Array:
     """What the sensor reads without noise, rad, shape (T,), of the angle (G,) on ``grid``."""
     if "sensor_filter" in acting:
         keep = float(np.exp(-GRID_S / acting["sensor_filter"]["time_constant_s"]))

@@ -44,9 +44,7 @@ def consult(case: ForeignCase) -> dict[str, Any]:
             told = [_told(case, case.hidden, rest, j) for j in _affected(case, [one])]
             label = f"{one.effect}@{one.component}"
             said["llr_of_each"][label] = float(sum(t[0] for t in told))
-            said["practical_of_each"][label] = bool(
-                max(t[2] / t[3] - 1 for t in told) > PRACTICAL
-            )
+            said["practical_of_each"][label] = bool(max(t[2] / t[3] - 1 for t in told) > PRACTICAL)
     return said
 
 

@@ -1,4 +1,4 @@
-"""Servos as MuJoCo simulates them: a position actuator, armature, damping, dry friction, two bodies.
+"""Servos as MuJoCo simulates them: position actuators, armature, damping, friction, two bodies.
 
 Needs ``pip install mujoco``. The actuator is MuJoCo's: force = kp x ctrl - kv x speed within its
 force range, where ctrl is the error as the controller last saw it. Play and compliance are a second

@@ -1,4 +1,4 @@
-"""A hobby servo by its circuit: firmware that clips its duty, back-EMF, friction that depends on load.
+"""A hobby servo by its circuit: firmware that clips its duty, back-EMF, friction by load.
 
 After Duclusaud, Passault, Padois, Ly, "Extended Friction Models for the Physics Simulation of Servo
 Actuators" (ICRA 2025): friction is solved for in each step, as large as would stop the shaft and no
@@ -30,7 +30,11 @@ FIELDS = {  # with the value at which each does nothing
 _PLACE = {name: k for k, name in enumerate(FIELDS)}
 _FROM = {  # effect: field by parameter
     "coulomb_friction": {"dry": "torque_Nm"},
-    "stribeck_friction": {"dry": "torque_Nm", "breakaway": "breakaway_Nm", "slow": "velocity_rad_s"},
+    "stribeck_friction": {
+        "dry": "torque_Nm",
+        "breakaway": "breakaway_Nm",
+        "slow": "velocity_rad_s",
+    },
     "asymmetric_friction": {"dry": "torque_Nm", "asymmetric": "asymmetry"},
     "load_friction": {"of_load": "ratio"},
     "quadratic_drag": {"drag": "coefficient_Nms2"},

@@ -68,6 +68,8 @@ def with_nuisances(
         best = chosen[one.case]
         more = _small(best, noise[one.case]) if best is not None else frozenset()
         if best is not None and more - one.base:
+            # As fitted beside the best effect, and so they stay.
+            problem.held[one.case] = more - one.base
             jobs.append((one, one.base | more, np.array(best.fit.servos.theta[0])))
     based = {}
     for (one, members, _), found in zip(jobs, problem.refit(jobs) if jobs else (), strict=True):

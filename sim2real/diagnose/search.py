@@ -36,6 +36,8 @@ BLOCKS = 20
 _CANDIDATES = 256
 _REFINED = 3
 _BETTER = 1.0
+_SINGLES, _HOPELESS = 24, 1.0
+"""Starts of single effects that are followed, and the gain at first sight below which none is."""
 
 
 def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
@@ -137,6 +139,8 @@ class ServoSearch:
 
     def __init__(self, batch: Batch, level: float, rng: np.random.Generator) -> None:
         self.batch, self.level, self.rng = batch, level, rng
+        self.held: dict[int, Set] = {}
+        """Effects of each case that stay as they are."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
         self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
@@ -175,6 +179,8 @@ class ServoSearch:
                 theta[option.columns] = option.starts[seen.start[index]]
                 chosen.append((float(gain[index]), option.effect.name, theta))
         chosen.sort(key=lambda entry: -entry[0])
+        if most is None:
+            chosen = [entry for entry in chosen if entry[0] > _HOPELESS][:_SINGLES]
         return [(name, theta) for _, name, theta in chosen[:most]]
 
     def start(self, ledger: Found, members: Set, of: Set | None = None) -> Array:
@@ -185,7 +191,13 @@ class ServoSearch:
     def refit(self, jobs: Sequence[tuple[Found, Set, Array]]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
         servos = [
-            with_effects(one.plain.fit.servos, members, theta, *self.strength(one))
+            with_effects(
+                one.plain.fit.servos,
+                members,
+                theta,
+                *self.strength(one),
+                self.held.get(one.case, frozenset()),
+            )
             for one, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5)
@@ -243,7 +255,14 @@ class ServoSearch:
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
 
-def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: float) -> Servos:
+def with_effects(
+    plain: Servos,
+    effects: Set,
+    theta: Array,
+    kp: float,
+    inertia: float,
+    held: Set = frozenset(),
+) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
 
     Args:
@@ -252,12 +271,14 @@ def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: 
         theta: Where to start, shape (P,).
         kp: Gain that the effects are scaled to, N m/rad.
         inertia: Inertia that they are scaled to, kg m2.
+        held: Those of the effects that stay as they are in ``theta``.
     """
     given = [candidate(named(name), kp, inertia) for name in sorted(effects) if named(name).fitted]
     row = np.zeros_like(theta)
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
     for option in given:
         row[option.columns] = theta[option.columns]
+    given = [option for option in given if option.effect.name not in held]
     own = _own(plain)
     free = (
         np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in given)])[None]
