@@ -175,7 +175,11 @@ def _joint_results(
         known.update(added)
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
     ordinary = [
-        refitted(joint.traces, h.fit.servos.theta[0], [named(e) for e in sorted(h.members)])
+        refitted(
+            joint.traces,
+            h.fit.servos.theta[0],
+            [named(e) for e in sorted(h.members) if not named(e).everywhere],
+        )
         for joint, h in zip(joints, plain, strict=True)
     ]
     results = [

@@ -246,8 +246,14 @@ class ServoSearch:
 
     def screened(self, places: Sequence[Hypothesis], lists: list[list[Candidate]]) -> list[Screen]:
         """What these candidates would explain of what each hypothesis leaves."""
-        fits = joined([h.fit for h in places])
-        return screen(self.batch, fits, lists, blocks=BLOCKS)
+        found: dict[int, Screen] = {}
+        widths = [h.fit.servos.columns.shape[1] for h in places]
+        for width in sorted(set(widths)):
+            some = [k for k, w in enumerate(widths) if w == width]
+            fits = joined([places[k].fit for k in some])
+            seen = screen(self.batch, fits, [lists[k] for k in some], blocks=BLOCKS)
+            found.update(zip(some, seen, strict=True))
+        return [found[k] for k in range(len(places))]
 
     def strength(self, ledger: Found) -> tuple[float, float]:
         """The plain servo's gain and inertia."""
