@@ -1,8 +1,8 @@
 """Read the numbers that decide a verdict or a name off cases of development seeds.
 
     python datasets/foreign/make_foreign.py SET --seed 22 --no-oracle
-    python benchmarks/decision_rows.py SET ROWS.jsonl VERDICTS --processes 16 --seconds 540
-    python benchmarks/calibrate_decisions.py ROWS.jsonl...
+    python -m benchmarks.decision_rows SET ROWS.jsonl VERDICTS --processes 16 --seconds 540
+    python -m benchmarks.calibrate_decisions ROWS.jsonl...
 
 Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves that they were
 read from. No sealed set is looked at. Four logistic curves say how likely a finding is: an effect,
@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from decision_rows import read
 from numpy.typing import NDArray
+
+from benchmarks.decision_rows import read
 
 ROOT = Path(__file__).resolve().parents[1]
 FEWEST = 20

@@ -1,6 +1,6 @@
 """Examine cases whose answers are known: one line a joint with all that a decision may look at.
 
-    python benchmarks/decision_rows.py SET ROWS.jsonl VERDICTS --processes 28 --seconds 450
+    python -m benchmarks.decision_rows SET ROWS.jsonl VERDICTS --processes 28 --seconds 450
 
 SET is a set of ``datasets/concealed`` or ``datasets/foreign``, of development seeds. The verdicts
 are written along. What is in the file already is not examined again.
