@@ -11,13 +11,15 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import random
 import time
 import traceback
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sim2real.diagnose.case import Case
     from sim2real.diagnose.joint_result import JointResult
     from sim2real.robot import Robot
 
@@ -31,39 +33,80 @@ def main() -> None:
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("rows", type=Path, metavar="ROWS.jsonl")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
-    parser.add_argument("--processes", type=int, default=1, metavar="N")
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help="on the processor")
+    parser.add_argument("--device", action="append", default=[], help="further ones, each a Warp"
+                        " device such as cuda:0; may be repeated")  # fmt: skip
+    parser.add_argument("--together", type=int, default=12, metavar="N", help="cases of a launch")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
     options = parser.parse_args()
     deadline = time.perf_counter() + options.seconds
     answers = json.loads((options.set / "answers.json").read_text())
     known = {row["case"] for row in read(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
-    running: set[Future[list[Row]]] = set()
-    waiting, done = iter(left), 0
+    left = alike(options.set, left, options.together)
     spawn = multiprocessing.get_context("spawn")
-    with (
-        ProcessPoolExecutor(options.processes, mp_context=spawn) as pool,
-        options.rows.open("a") as file,
-    ):
-        while True:
-            # The first one alone: it compiles the kernels for all.
-            while len(running) < (options.processes if done else 1):
-                answer = next(waiting, None) if time.perf_counter() < deadline else None
-                if answer is None:
-                    break
-                running.add(pool.submit(measured, options.set, answer, options.verdicts))
-            if not running:
-                break
-            first = next(as_completed(running))
-            running.remove(first)
-            done += 1
-            try:
-                file.writelines(json.dumps(row) + "\n" for row in first.result())
-            except Exception as error:
-                print(f"failed: {error!r}", flush=True)
-                traceback.print_exception(error)
-            file.flush()
-            print(f"{done} of {len(left)} cases", flush=True)
+    lock, place = spawn.Lock(), spawn.Value("i", 0)
+    devices = [*["cpu"] * options.processes, *options.device]
+    workers = [
+        spawn.Process(
+            target=work,
+            args=(options, left, device, 1 if device == "cpu" else options.together),
+            kwargs={"place": place, "lock": lock, "seconds": deadline - time.perf_counter()},
+        )
+        for device in devices
+    ]
+    workers[0].start()
+    # The first one compiles the kernels for all others of its kind.
+    while not read(options.rows) and workers[0].is_alive() and time.perf_counter() < deadline:
+        time.sleep(1.0)
+    for worker in workers[1:]:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    print(f"{len({row['case'] for row in read(options.rows)})} of {len(answers)} cases")
+
+
+def alike(challenge: Path, answers: Sequence[Row], together: int) -> list[Row]:
+    """In random order, but so many of like sampling period together: they share launches."""
+
+    def period(answer: Row) -> float:
+        lines = (challenge / "inputs" / answer["case"] / "a.csv").read_text().splitlines()
+        return float(lines[-1].partition(",")[0]) / (len(lines) - 2)
+
+    ranked = sorted(answers, key=period)
+    chunks = [ranked[k : k + together] for k in range(0, len(ranked), together)]
+    random.Random(0).shuffle(chunks)
+    return [answer for chunk in chunks for answer in chunk]
+
+
+def work(
+    options: argparse.Namespace,
+    left: list[Row],
+    device: str,
+    together: int,
+    *,
+    place: Any,  # noqa: ANN401 - multiprocessing's proxies
+    lock: Any,  # noqa: ANN401
+    seconds: float,
+) -> None:
+    """Take the next cases and examine them, until none is left or the time is over."""
+    deadline = time.perf_counter() + seconds
+    while time.perf_counter() < deadline:
+        with place.get_lock():
+            begin = place.value
+            place.value += together
+        some = left[begin : begin + together]
+        if not some:
+            return
+        try:
+            rows = measured(options.set, some, options.verdicts, device)
+        except Exception as error:
+            print(f"failed: {error!r}", flush=True)
+            traceback.print_exception(error)
+            continue
+        with lock, options.rows.open("a") as file:
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+        print(f"{device}: {', '.join(one['case'] for one in some)}", flush=True)
 
 
 def read(path: Path) -> list[Row]:
@@ -77,34 +120,51 @@ def read(path: Path) -> list[Row]:
     return rows
 
 
-def measured(challenge: Path, answer: Row, verdicts: Path) -> list[Row]:
-    """What is known of each joint of a case; its verdict is written along."""
+def measured(
+    challenge: Path, answers: Sequence[Row], verdicts: Path, device: str = "cpu"
+) -> list[Row]:
+    """What is known of each joint of some cases; their verdicts are written along."""
     from sim2real.diagnose.decision import DECISION
-    from sim2real.diagnose.diagnose import Case, examined
+    from sim2real.diagnose.diagnose import examined
     from sim2real.diagnose.result import write_diagnosis
     from sim2real.diagnose.wording import diagnosis
-    from sim2real.model import read_model, write_model
+    from sim2real.model import write_model
+
+    start, begin = time.process_time(), time.perf_counter()
+    cases = [_case(challenge / "inputs" / answer["case"]) for answer in answers]
+    rows = []
+    for answer, (case, joints) in zip(answers, examined(cases, device=device), strict=True):
+        found = diagnosis(case, joints, DECISION.negligible, 0)
+        target = verdicts / answer["case"]
+        target.mkdir(parents=True, exist_ok=True)
+        write_diagnosis(found, target / "diagnosis.json", "enriched.json")
+        write_model(found.model, target / "enriched.json")
+        if found.baseline is not None:
+            write_model(found.baseline, target / "baseline.json")
+        rows += [{**_row(answer, one, case.robot), "verdict": found.verdict} for one in joints]
+    cost = {
+        "cpu_s": (time.process_time() - start) / len(answers),
+        "wall_s": (time.perf_counter() - begin) / len(answers),
+        "device": device,
+    }
+    for answer in answers:
+        (verdicts / answer["case"] / "cost.json").write_text(json.dumps(cost) + "\n")
+    return [{**row, **cost} for row in rows]
+
+
+def _case(folder: Path) -> Case:
+    from sim2real.diagnose.case import Case
+    from sim2real.model import read_model
     from sim2real.recording import read_recording
     from sim2real.robot import read_robot
 
-    start, folder = time.process_time(), challenge / "inputs" / answer["case"]
-    recordings = [read_recording(path) for path in sorted(folder.glob("[abd-q]*.csv"))]
-    references = [read_recording(path) for path in sorted(folder.glob("ref_*.csv"))]
     given = folder / "model.json"
-    model = read_model(given) if given.exists() else None
-    robot = read_robot(folder / "robot.toml")
-    ((case, joints),) = examined([Case(recordings, robot, model, references)])
-    found = diagnosis(case, joints, DECISION.negligible, 0)
-    target = verdicts / answer["case"]
-    target.mkdir(parents=True, exist_ok=True)
-    write_diagnosis(found, target / "diagnosis.json", "enriched.json")
-    write_model(found.model, target / "enriched.json")
-    if found.baseline is not None:
-        write_model(found.baseline, target / "baseline.json")
-    rows = [_row(answer, one, robot) for one in joints]
-    spent = time.process_time() - start
-    (target / "cost.json").write_text(json.dumps({"cpu_s": spent}) + "\n")
-    return [{**row, "cpu_s": spent, "verdict": found.verdict} for row in rows]
+    return Case(
+        [read_recording(path) for path in sorted(folder.glob("[abd-q]*.csv"))],
+        read_robot(folder / "robot.toml"),
+        read_model(given) if given.exists() else None,
+        [read_recording(path) for path in sorted(folder.glob("ref_*.csv"))],
+    )
 
 
 def _row(answer: Row, one: JointResult, robot: Robot) -> Row:

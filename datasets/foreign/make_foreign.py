@@ -26,6 +26,7 @@ from tqdm import tqdm
 
 TRAPS = ("wrong_parameters", "clock")
 TRAP_SHARE = 0.2
+TIER = "T1'"
 Row = dict[str, Any]
 
 
@@ -52,13 +53,30 @@ def make(job: tuple[Path, int, int, tuple[str, str, str], bool]) -> Row:
     case = draw_case(plant, kind, name, np.random.default_rng([seed, k]))
     label = f"case_{k + 1:04d}"
     write_case(case, label, out)
-    rest = {"plant": plant, "nuisances": nuisances(case), "seed": [seed, k]}
+    rest: Row = {"plant": plant, "nuisances": nuisances(case), "seed": [seed, k]}
+    rest["tier"] = TIER
+    rest["drawn"] = [plant, kind, name]
     rest["servos"] = [
         {"loop_Hz": s.loop_Hz, "eccentric": s.eccentric, "stall_Nm": s.stall_Nm,
          "no_load_speed_rad_s": s.no_load_speed_rad_s, "kp": s.kp, "noise_rad": s.noise_rad}
         for s in case.servos
     ]  # fmt: skip
     return {**answer(case, label), **rest, "oracle": consult(case) if oracle else {}}
+
+
+def told(answer: Row) -> tuple[str, Row]:
+    """What a knower can tell of a case that was made before."""
+    case = draw_case(*answer["drawn"], np.random.default_rng(answer["seed"]))
+    return answer["case"], consult(case)
+
+
+def consult_all(out: Path, processes: int) -> None:
+    """Write ``oracle.json`` beside the answers, which stay as they were published."""
+    answers = json.loads((out / "answers.json").read_text())
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+        found = dict(tqdm(pool.map(told, answers), total=len(answers), disable=None))
+    (out / "oracle.json").write_text(json.dumps(found, indent=1) + "\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -70,7 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for kind, count in (("null", 210), ("single", 270), ("double", 72), ("outside", 60)):
         parser.add_argument(f"--{kind}", type=int, default=count, metavar="N")
     parser.add_argument("--no-oracle", action="store_true", help="leave out what a knower can tell")
+    parser.add_argument("--consult", action="store_true", help="of a set that is there: only that")
     options = parser.parse_args(arguments)
+    if options.consult:
+        consult_all(options.out, options.processes)
+        return
     if options.out.exists() and any(options.out.iterdir()):
         parser.error(f"{options.out} is not empty")
     seed = secrets.randbits(63) if options.seed is None else options.seed
