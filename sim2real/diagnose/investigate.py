@@ -117,15 +117,16 @@ def _with_links(
     """
     clear = [[j for j in robot if findings[j].excess < DECISION.link_masked] for robot in robots]
     robots = [robot for robot in clear if robot]
+    plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
+    richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [
-            link_data(batch, joints, robot, fits)
-            for fits in ([f.tried.plain for f in findings], [f.best for f in findings])
-            for robot in robots
-        ]
+        [link_data(batch, joints, robot, plain) for robot in robots]
+        + [link_data(batch, joints, robot, best) for robot in richer]
     )
+    with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained = list(findings)
-    for robot, alone, beside in zip(robots, both, both[len(robots) :], strict=False):
+    for robot, alone in zip(robots, both, strict=False):
+        beside = with_effects.get(robot[0], alone)
         if not _on_all(alone, beside, [findings[j] for j in robot]):
             continue
         for k, j in enumerate(robot):

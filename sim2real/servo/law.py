@@ -136,7 +136,7 @@ def substep(
     load = pendulum_torque(q, p[4])
     weight = load
     error = u - q
-    others = active & wp.static(MOTOR_BIT - 1)
+    others = active & wp.static(~MOTOR_BIT)
     if others != 0:
         error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
         error = error_seen(error, q, speed, state[2], time, h, p, z, active)
