@@ -158,6 +158,9 @@ MOTOR_TERMS = (
 MOTOR_LACKS = {
     "resistance_rise": "it weakens the motor as its current grows",
     "loop_period_s": "it holds the drive between two looks of the controller",
+    "loop_phase_s": "it is when the controller looks first",
+    "stick_time_s": "it is how soon dry friction stops the shaft",
+    "creep_time_s": "it is how fast the shaft creeps against dry friction",
 }
 """What a parameter of the law ``motor`` does; the others are friction that grows with load."""
 

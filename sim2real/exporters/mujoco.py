@@ -52,6 +52,7 @@ LACKS = {
     "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
     "deadband": "an actuator's bias is linear in the angle",
+    "punch": "an actuator's bias is linear in the angle",
     "acceleration_limit": "its slewmax limits the speed of a set-point only",
     "encoder_quantization": "sensors are continuous; round the reading",
     "sensor_filter": "sensors have no dynamics; filter the reading",

@@ -26,7 +26,10 @@ _MOTOR = {
     "stribeck_motor_friction": ("of motor, slow", "", ""),
     "stribeck_load_friction": ("of load, slow", "", ""),
     "stribeck_speed_rad_s": ("slow below", "rad/s", "rad/s"),
+    "stick_time_s": ("stops within", "s", "s"),
+    "creep_time_s": ("creeps over", "s", "s"),
     "loop_period_s": ("loop period", "s", "s"),
+    "loop_phase_s": ("loop phase", "s", "s"),
 }
 """Name of each of the motor's parameters and its unit, with a known load and without."""
 

@@ -23,9 +23,9 @@ from sim2real.servo.enrich import fit_effects
 from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
 from sim2real.servo.loop_fit import sampled
-from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor
-from sim2real.servo.motor_prior import motor_prior
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR
+from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor, softer
+from sim2real.servo.motor_prior import Prior, motor_prior
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, split, traces
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
@@ -34,8 +34,12 @@ Array = NDArray[np.float64]
 
 _CLEAR = 6.0
 """What a choice must gain beyond chance."""
-_LOOP_CLEAR = 30.0
-"""The same of a sampled loop, whose period and phase are the best of a hundred."""
+_OF_A_LOOP = 12
+"""What a sampled loop counts for: the best of a thousand periods and phases."""
+_WHITE = 0.1
+"""Lag-1 autocorrelation of a residual in which nothing is left."""
+_TOO_MUCH, _NEARLY = 15.0, 1.5
+"""Times the noise: what may be left without a loop, and with it, for it to be told."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,8 @@ def _identify_joint(
         ends = motor_intervals(motor, own) | ends
         wait = 0.5 * motor.values.get("loop_period_s", 0.0)
         latency = float(best.row[2])
-        ends.setdefault("latency_s", (max(latency - wait, 0.0), latency + wait))
+        if wait > 0:
+            ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held)
@@ -185,25 +190,42 @@ def _motor(
 
     Where the linear servo explains them the gains stay, and the line comes as near as they allow.
     Losses are taken where they lower the loss by more than chance and their number account for:
-    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more.
+    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more. So are, while
+    something is left, friction that stops softly and a sampled loop.
     """
     prior = motor_prior(servo, fitted)
     if rms(plain.residuals) < EXPLAINED * noise:
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
+    chosen = _continuous(fitted, plain, prior, noise, rng)
+    left = rms(chosen.fit.residuals) / noise
+    explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
+    looped = None if explained or left > _TOO_MUCH else sampled(chosen)
+    if looped is None or rms(looped.fit.residuals) > _NEARLY * noise:
+        return chosen
+    return _better(chosen, looped, _OF_A_LOOP)
+
+
+def _continuous(
+    fitted: list[Trace], plain: Fit, prior: Prior, noise: float, rng: np.random.Generator
+) -> MotorFit:
+    """The motor whose controller looks all the time."""
     line = (*LINE, ROTOR) if _shows_inertia(fitted) else LINE
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
     full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
-    scale, inflation = full.fit.scale_rad, full.inflation
-    gain = first.loss_at(scale, inflation) - full.loss_at(scale, inflation)
-    chosen = full if gain > 2 * len(LOSSES) + _CLEAR else first
+    chosen = _better(first, full, len(LOSSES))
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
-    looped = sampled(chosen)
-    scale, inflation = looped.fit.scale_rad, looped.inflation
-    gain = chosen.loss_at(scale, inflation) - looped.loss_at(scale, inflation)
-    return looped if gain > _LOOP_CLEAR else chosen
+    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=softer(full))
+    return _better(chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0))
+
+
+def _better(fewer: MotorFit, more: MotorFit, added: int) -> MotorFit:
+    """The fit with so many more parameters, where they gain more than chance."""
+    scale, inflation = more.fit.scale_rad, more.inflation
+    gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
+    return more if gain > 2 * added + _CLEAR else fewer
 
 
 def best_of(

@@ -1,55 +1,180 @@
-"""When a sampled controller looks, where recordings show it: a scan over rates and phases.
+"""When a sampled controller looks, where recordings show it.
 
 A set-point waits for the controller's next look, so that steps come early and late by up to a
-period. No search by slopes finds that: the error is flat in the period but at the true one.
+period. No search by slopes finds that: the error is flat in the period but at the true one. So the
+delay of each large step is measured on its own; the times at which steps arrive then lie on a
+lattice, whose period a periodogram shows (as of pulsars: Buccheri and others, Astron. Astrophys.
+128 (1983) 245, one harmonic).
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.servo.motor_fit import MotorFit, refitted
-from sim2real.servo.parameters import BASE, LOOP
+from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
+from sim2real.servo.rollout import Simulator
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-RATES_HZ = (100, 120, 125, 150, 160, 200, 240, 250, 300, 1000 / 3, 400, 500, 1000)
-"""Rates of controllers."""
-_PHASES, _FINE = 8, 8
-_BEST, _STEPS = 3, 4
+RATES_HZ = 90.0, 1100.0
+"""Rates of controllers that are looked for; a faster one cannot be told from none."""
+_MOST_STEPS, _LARGE = 60, 0.1
+"""Steps of a recording whose delay is measured; the least, as a share of the largest."""
+_DELAY_S = 1e-3
+"""Delay by which it is measured what one does."""
+_DELAY_SD_S = 0.004
+"""Spread of the delays beside their mean."""
+_FEWEST = 12
+"""Steps from which a period can be told."""
+_CANDIDATES, _LATENCIES, _STEPS, _FINE, _BEST, _ROUNDS = 6, 16, 8, 64, 2, 3
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 
 
-def sampled(motor: MotorFit) -> MotorFit:
+def sampled(motor: MotorFit) -> MotorFit | None:
     """The fit with the sampled loop that explains the recordings best; its gain is not judged.
 
-    From a fit without a loop: what is seen half a period late has taken from the damping, and the
-    wait for the next look has added to the latency.
+    From a fit without a loop, to whose latency the wait for the next look has added. All recordings
+    start at one phase.
 
     Args:
         motor: A fit without a loop.
+
+    Returns:
+        None where too few steps tell.
     """
-    coarse = np.concatenate(
-        [_looped(motor, 1 / hz, np.arange(_PHASES) / _PHASES / hz) for hz in RATES_HZ]
-    )
-    best = coarse[np.argsort(motor.losses(coarse))[:_BEST]]
-    found = refitted(motor, best, _STEPS)[0]
-    period, phase = (motor.problem.prior.index(name) for name in LOOP)
-    length, at = found.x[period], found.x[phase]
-    fine = np.tile(found.x, (2 * _FINE + 1, 1))
-    fine[:, phase] = (at + length / _PHASES * np.linspace(-1, 1, 2 * _FINE + 1)) % length
-    loss = motor.losses(fine)
-    near = fine[np.argsort(loss)[:1]]
-    return refitted(motor, near)[0]
+    sent, delay, spread = arrivals(motor)
+    if sent.size < _FEWEST:
+        return None
+    rates = _rates(sent + delay, spread)
+    coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread) for hz in rates])
+    loss = motor.losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
+    near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
+    found = refitted(motor, near, _STEPS)[0]
+    for _ in range(_ROUNDS):
+        fine = np.concatenate([found.x[None], _nearby(found)])
+        found = refitted(found, fine[np.argsort(found.losses(fine))[:_BEST]])[0]
+    return found
 
 
-def _looped(motor: MotorFit, period_s: float, phases_s: Array) -> Array:
-    """Servos as searched with a loop of that period, one a phase, shape (phases, F)."""
+def arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
+    """When large steps of the command were sent, how late they acted, its spreads, in s, (K,)."""
+    times, delays, spreads = [], [], []
+    scale = motor.fit.scale_rad
+    for trace, error, slopes in zip(
+        motor.problem.traces, motor.fit.residuals, motor.fit.jacobians, strict=True
+    ):
+        jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
+        step = np.flatnonzero(jump > _LARGE * jump.max())
+        step = np.sort(step[np.argsort(-jump[step])[:_MOST_STEPS]])
+        step = step[(step > 0) & (step < trace.t.size - 1)]
+        if not step.size:
+            continue
+        late = _effect_of_delay(motor, trace, step)[trace.used]
+        units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
+        every = np.hstack([late, slopes / units])
+        believed = np.concatenate(
+            [np.full(step.size, (scale / _DELAY_SD_S) ** 2), 1e-9 + 0 * units]
+        )
+        precision = every.T @ every + np.diag(believed)
+        inverse = np.linalg.inv(precision)
+        delay = -(inverse @ (every.T @ error))[: step.size]
+        times.append(trace.t[step] - trace.t[0])
+        delays.append(motor.fit.row[_LATENCY] + delay)
+        spreads.append(scale * np.sqrt(np.diag(inverse)[: step.size]))
+    if not times:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    return np.concatenate(times), np.concatenate(delays), np.concatenate(spreads)
+
+
+def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> Array:
+    """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
+    moved = [trace]
+    for k in step:
+        later = min(_DELAY_S, 0.5 * float(trace.t[k + 1] - trace.t[k]))
+        command = np.insert(trace.command, k, trace.command[k - 1])
+        moved.append(
+            replace(
+                trace,
+                t=np.insert(trace.t, k + 1, trace.t[k] + later),
+                command=command,
+                position=np.insert(trace.position, k, np.nan),
+                used=np.insert(trace.used, k, False),
+            )
+        )
+    angle = Simulator(moved).angles(motor.fit.row[None], motor.problem.substep_s)
+    late = [
+        (np.delete(one[0], k + 1) - angle[0][0]) / (more.t[k + 1] - more.t[k])
+        for k, one, more in zip(step, angle[1:], moved[1:], strict=True)
+    ]
+    return np.stack(late, axis=1)
+
+
+def _rates(times: Array, spread: Array) -> Array:
+    """Rates in Hz at which the times lie best on a lattice, best first."""
+    fine = 0.2 / max(float(np.ptp(times)), 1e-3)
+    rates = np.arange(*RATES_HZ, fine)
+    power = np.empty(rates.size)
+    for part in np.array_split(np.arange(rates.size), max(1, rates.size * times.size // 10**6)):
+        hz = rates[part, None]
+        weight = np.exp(-2 * (np.pi * hz * spread) ** 2)
+        together = np.abs((weight * np.exp(2j * np.pi * hz * times)).sum(axis=1)) ** 2
+        power[part] = together / np.maximum((weight**2).sum(axis=1), 1e-9)
+    chosen: list[float] = []
+    for k in np.argsort(-power):
+        if all(abs(rates[k] - other) > 5 * fine for other in chosen):
+            chosen.append(float(rates[k]))
+        if len(chosen) == _CANDIDATES:
+            break
+    for slower in [one / n for one in chosen for n in (2, 3)]:  # whose harmonics they may be
+        if slower > RATES_HZ[0] and all(abs(slower - other) > 5 * fine for other in chosen):
+            chosen.append(slower)
+    return np.array(chosen)
+
+
+def _looped(motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array) -> Array:
+    """Servos as searched with a loop of that period, one a latency, shape (latencies, F).
+
+    The phase is that of the arrivals; the latency is shorter than any delay by up to a period.
+    """
     prior = motor.problem.prior
-    x = np.tile(motor.x, (phases_s.size, 1))
+    weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
+    turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
+    x = np.tile(motor.x, (_LATENCIES, 1))
+    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, _LATENCIES)
+    x[:, _LATENCY] = np.maximum(shortest, 0.0)
     x[:, prior.index(LOOP[0])] = period_s
-    x[:, prior.index(LOOP[1])] = phases_s
-    x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - 0.5 * period_s, 0.0)
-    x[:, _KD] = np.log(np.exp(x[:, _KD]) + 0.5 * period_s * np.exp(x[:, _KP]))
+    x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
+    kp, kd = _held_gains(motor, period_s)
+    x[:, _KP], x[:, _KD] = np.log(kp), np.log(kd)
+    return x
+
+
+def _held_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
+    """Gains kp, kd with a loop that act as those of the fit do without.
+
+    What is seen half a period late: kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v; the first
+    takes from the damping, the second, by the back-EMF's b, adds to the inertia.
+    """
+    row, half = motor.fit.row, 0.5 * period_s
+    kp, kd = (float(x) for x in row[[_KP, _KD]])
+    line = row[[COLUMNS.index(name) for name in LINE]]
+    back = line[0] / line[1] if line.all() else kd
+    inertia = motor.fit.inertia + float(row[COLUMNS.index(ROTOR)])
+    more = (1 + back * half / inertia) / (1 + (kd + kp * half) * half / inertia)
+    return more * kp, more * (kd + kp * half)
+
+
+def _nearby(found: MotorFit) -> Array:
+    """Servos as searched, set-points of which wait for an earlier or a later look."""
+    prior = found.problem.prior
+    length, phase = found.x[prior.index(LOOP[0])], prior.index(LOOP[1])
+    near = np.linspace(-0.5, 0.5, _FINE + 1) * length
+    x = np.tile(found.x, (near.size, 1))
+    x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - near, 0.0)  # the looks stay where they are
+    x[:, phase] = (found.x[phase] + found.x[_LATENCY] - x[:, _LATENCY]) % length
     return x

@@ -13,7 +13,7 @@ from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.fit import Fit, errors, plain_row
 from sim2real.servo.motor_prior import Prior
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, motor_of
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.start import WINDOW_S
 from sim2real.servo.trace import Trace
@@ -23,10 +23,12 @@ Array = NDArray[np.float64]
 _CANDIDATES, _STARTS = 64, 4
 _ROUNDS, _FIRST, _LATER = 4, 20, 10
 """Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
+_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
+"""Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
-_STEPS_PER_RADIAN = 16.0
-_LATENCY = BASE.index("latency_s")
+_STEPS_PER_RADIAN = 32.0
+_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
 
@@ -42,9 +44,16 @@ class _Problem:
     simulator: Simulator
 
     def rows(self, x: Array) -> Array:
-        """Rows of the servo's parameters for those searched, (B, F) to (B, P)."""
+        """Rows of the servo's parameters for those searched, (B, F) to (B, P).
+
+        The phase of a sampled loop is searched less the latency, so that a change of latency moves
+        both, and no set-point to another look.
+        """
         rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
         rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
+        period = rows[:, _PERIOD]
+        phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
+        rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
         return rows
 
     def residuals(self, x: Array) -> Array:
@@ -173,6 +182,7 @@ def fit_motor(
     rng: np.random.Generator,
     *,
     start: Array | None = None,
+    starts: Array | None = None,
     gains: bool = True,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; what is not free has no effect.
@@ -189,6 +199,7 @@ def fit_motor(
         free_names: Columns to fit beside the gains and the latency.
         rng: For the candidates.
         start: A further start as searched, shape (F,).
+        starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else they stay those of the plain servo.
     """
     free = tuple(
@@ -198,10 +209,10 @@ def fit_motor(
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
     problem = _Problem(traces, prior, free, substep, Simulator(traces))
-    x = _starts(problem, plain, rng, start)
+    x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
-    else:
+    elif starts is None:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
         near = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(near.residuals(x)), axis=1)
@@ -225,17 +236,22 @@ def fit_motor(
 
 
 def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
-    """The fit gone on with from servos ``x`` (B, F), by its scale; the best first.
-
-    What is periodic for them is not followed: a latency that waits for a sampled loop is held.
-    """
-    looped = bool(np.all(x[:, motor.problem.prior.index(LOOP[0])] > 0))
-    free = tuple(k for k in motor.problem.free if k != _LATENCY or not looped)
+    """The fit gone on with from servos ``x`` (B, F), which have a loop; the best first."""
+    period = motor.problem.prior.index(LOOP[0])
+    free = tuple(sorted({*motor.problem.free, period}))
     problem = replace(motor.problem, free=free)
-    scale, inflation = motor.fit.scale_rad, motor.inflation
-    x, loss = _descend(problem, x, scale, inflation, steps)
+    x, loss = _descend(problem, x, motor.fit.scale_rad, motor.inflation, steps)
     order = np.argsort(loss)
-    return [_result(problem, x[k], scale, inflation, loss[k : k + 1]) for k in order]
+    inflation = [_inflation(error, problem.traces) for error in problem.residuals(x)]
+    scale = motor.fit.scale_rad
+    return [_result(problem, x[k], scale, inflation[k], loss[k : k + 1]) for k in order]
+
+
+def softer(motor: MotorFit) -> Array:
+    """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
+    x = np.tile(motor.x, (len(_SOFT_S), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+    return x
 
 
 def _inflation(error: Array, traces: Sequence[Trace]) -> float:

@@ -24,6 +24,8 @@ _BACK_EMF_SD = 0.3
 """Spread of the damping about the back-EMF's; long tails, as a controller may damp as well."""
 _REPORTED_SD = 0.05
 """Spread of the drive that the servo itself reports."""
+_TICK_S = 2e-7
+"""A change of a loop's period that thousands of its looks add up to one that matters."""
 _FREE = np.inf
 
 
@@ -134,7 +136,7 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, 1e-3) for name in LOOP),
+            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, _TICK_S) for name in LOOP),
         ),
         float(np.median(slopes)) if slopes else None,
     )

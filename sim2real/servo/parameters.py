@@ -28,15 +28,16 @@ LOSSES = (
     "motor.stribeck_motor_friction",
     "motor.stribeck_load_friction",
     "motor.stribeck_speed_rad_s",
-    "motor.stick_time_s",
-    "motor.creep_time_s",
 )
 """What they may say of its losses and its gears."""
+
+SOFT = ("motor.stick_time_s", "motor.creep_time_s")
+"""How softly dry friction stops the shaft."""
 
 LOOP = ("motor.loop_period_s", "motor.loop_phase_s")
 """When a sampled controller looks."""
 
-MOTOR = (*LINE, LOSSES[0], ROTOR, *LOSSES[1:], *LOOP)
+MOTOR = (*LINE, LOSSES[0], ROTOR, *LOSSES[1:], *SOFT, *LOOP)
 """Columns of the motor's law, see ``motor.py``; all 0, the servo is the plain PD one."""
 
 FIRST_MOTOR_COLUMN = len(BASE)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from sim2real.inference.least_squares import OUTLIER_SD
-from sim2real.inference.noise import bandwidth, correlation_samples, long_run
+from sim2real.inference.noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.servo.fit import Fit
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     curvature = np.zeros((units.size, units.size))
     plain = np.zeros_like(curvature)
     spread = np.zeros_like(curvature)
-    squares, effective = 0.0, 0.0
+    squares, effective, spans = 0.0, 0.0, []
     for error, slopes in zip(fit.residuals, fit.jacobians, strict=True):
         slope = slopes * units
         z2 = (error / size) ** 2
@@ -65,7 +65,9 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         curvature += (slope / (1 + z2[:, None]) ** 1.5).T @ slope
         plain += slope.T @ slope
         time = correlation_samples(error)
-        spread += long_run(score, bandwidth(error.size, time))
+        span = bandwidth(error.size, time)
+        spread += long_run(score, span)
+        spans.append(span)
         squares += float(np.sum(error**2 / (1 + z2)))
         effective += error.size / time
     believed = np.zeros_like(curvature)
@@ -90,7 +92,9 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     covariance = _raised(inverse @ spread @ inverse, at_least)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     freedom = max(effective - units.size, 1.0)
-    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * fixed_b(
+        float(np.mean(spans)), samples
+    )
     correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)
     return Uncertainty(
         sd=sd * units,

@@ -39,7 +39,7 @@ def test_correlation_time_of_an_autoregression(rho):
 
 def test_long_run_variance_of_an_autoregression():
     x = ar1(np.random.default_rng(0), 0.8, 50000)[:, None]
-    lags = bandwidth(x.shape[0], 9.0) * 4
+    lags = 4 * bandwidth(400, 9.0)
     assert long_run(x, lags)[0, 0] / x.shape[0] == pytest.approx(1 / (1 - 0.8) ** 2, rel=0.15)
 
 

@@ -224,3 +224,75 @@ def test_a_model_file_says_its_law_and_old_ones_mean_pd(tmp_path):
 def test_a_motor_that_the_law_does_not_know_is_refused():
     with pytest.raises(InputError, match=r"motor.*'magic'.*stall_torque_Nm"):
         row(magic=1.0)
+
+
+def mujoco_joint(t, command, kp, kd, latency, inertia, friction):
+    """A hinge of MuJoCo with friction loss, its solver's parameters by default, shape (T,)."""
+    mujoco = pytest.importorskip("mujoco")
+    step = 2e-4
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>'
+        f'<joint name="j" axis="0 1 0" damping="{kd}" frictionloss="{friction}"/>'
+        f'<inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
+        f'</body></worldbody><actuator><position joint="j" kp="{kp}"/></actuator></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0] = command[0]
+    times = np.arange(0.0, t[-1] + step, step)
+    sent = command[np.maximum(np.searchsorted(t + latency, times, side="right") - 1, 0)]
+    angle = np.empty(times.size)
+    for k, set_point in enumerate(sent):
+        angle[k] = data.qpos[0]
+        data.ctrl[0] = set_point
+        mujoco.mj_step(model, data)
+    return np.interp(t, times, angle)
+
+
+def test_soft_friction_is_that_of_mujoco():
+    friction, line = 0.05, 1e3
+    angle = mujoco_joint(T, SQUARE, KP, KD, LATENCY, INERTIA, friction)
+    plain = {"stall_torque_Nm": line, "no_load_speed_rad_s": line / KD, "coulomb_Nm": friction}
+    rate, impedance = 2 / (0.95 * 0.02), 0.9  # solreffriction and solimpfriction by default
+    creep = (1 - impedance) / impedance / rate
+    soft = simulate(**plain, stick_time_s=1 / rate, creep_time_s=creep)
+    assert np.abs(simulate(**plain) - angle).max() > 5e-3
+    assert np.abs(soft - angle).max() < 1.5e-3
+    assert np.sqrt(np.mean((soft - angle) ** 2)) < 3e-4
+
+
+def test_gains_of_a_mujoco_joint_come_back():
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 20.0, 0.01)
+    levels = rng.uniform(-0.6, 0.6, 60)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 1.2, 59)), t - 0.3)] * (t > 0.3)
+    angle = mujoco_joint(t, command, KP, KD, LATENCY, INERTIA, 0.03)
+    angle += rng.normal(0.0, 5e-4, t.size)
+    loads = {"j1": Load(INERTIA)}
+    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+    model = identify([made], bench(Servo("small", 5.0, 5.0 / KD, 0.0)))
+    joint, figures = model.joints["j1"], model.fit["j1.position_rad"]
+    assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert joint.kd_Nms_per_rad == pytest.approx(KD, rel=0.02)
+    assert joint.latency_s == pytest.approx(LATENCY, abs=5e-4)
+    assert figures["heldout"] < 1.15 * 5e-4
+
+
+def test_a_loop_whose_looks_set_points_wait_for_is_found():
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
+    motor = line | {"loop_period_s": 0.005, "loop_phase_s": 0.0012}
+    rng = np.random.default_rng(5)
+    t = np.arange(2500) / 97.0 + rng.normal(0.0, 3e-4, 2500)  # the loop keeps other time
+    t -= t[0]
+    levels = rng.uniform(-0.6, 0.6, 80)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
+    angle = rollout(row(**motor)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    loads = {"j1": Load(INERTIA)}
+    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, loads)
+    model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
+    joint = model.joints["j1"]
+    assert joint.motor["loop_period_s"] == pytest.approx(0.005, rel=1e-3)
+    assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert joint.kd_Nms_per_rad == pytest.approx(KD, rel=0.03)
+    low, high = joint.interval["latency_s"]
+    assert low < LATENCY < high and high - low < 0.0051
+    assert model.fit["j1.position_rad"]["heldout"] < 1.2 * 5e-4
