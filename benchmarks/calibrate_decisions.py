@@ -31,7 +31,8 @@ FOLDS = 10
 SPREADS = (0.15, 0.3, 0.6, 1.2, 2.4)
 QUIET = 0.985
 """Share of joints with nothing missing of which nothing must be said."""
-CHANCE = ("latency_jitter", "packet_loss")
+LARGEST_NUISANCE = 8.0
+"""Noise levels up to which a wave in a foreign servo may be one of its nuisances."""
 
 Row = dict[str, Any]
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[tuple[str,
     }  # fmt: skip
     for row in rows:
         case, truth = row["case"], set(row["truth"])
-        known = truth | {name for name, x in row["nuisances"].items() if x > 1}
+        known = truth | {name for name, x in row["nuisances"].items() if 1 < x < LARGEST_NUISANCE}
         for group in row["groups"]:
             found["effect"].append((case, group["features"], bool(known & set(group["members"]))))
         matters = row["outside"] or bool(truth - {"encoder_quantization"})

@@ -3,7 +3,8 @@
     python -m benchmarks.decision_rows SET ROWS.jsonl VERDICTS --processes 28 --seconds 450
 
 SET is a set of ``datasets/concealed`` or ``datasets/foreign``, of development seeds. The verdicts
-are written along. What is in the file already is not examined again.
+are written along. What is in the file already is not examined again. Of a set without answers only
+the verdicts are written.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
     options = parser.parse_args()
     deadline = time.perf_counter() + options.seconds
-    answers = json.loads((options.set / "answers.json").read_text())
+    told = options.set / "answers.json"
+    names = sorted(folder.name for folder in (options.set / "inputs").iterdir())
+    answers = json.loads(told.read_text()) if told.exists() else [{"case": name} for name in names]
     known = {row["case"] for row in read(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
     left = alike(options.set, left, options.together)
@@ -141,6 +144,9 @@ def measured(
         write_model(found.model, target / "enriched.json")
         if found.baseline is not None:
             write_model(found.baseline, target / "baseline.json")
+        if "effects" not in answer:
+            rows.append({**answer, "verdict": found.verdict})
+            continue
         rows += [{**_row(answer, one, case.robot), "verdict": found.verdict} for one in joints]
     cost = {
         "cpu_s": (time.process_time() - start) / len(answers),
