@@ -154,7 +154,6 @@ def quantiles(rows: Sequence[Row]) -> dict[str, tuple[float, int, str]]:
     """Numbers that are quantiles of what was measured where nothing is missing."""
     nothing = [row for row in rows if row["kind"] in ("null", "trap")]
     excess = [row["excess_plain"] for row in nothing]
-    waves = [x for row in rows for x in row["nuisances"].values() if "cogging" not in row["truth"]]
     found = {}
     if len(excess) >= FEWEST:
         found["structured"] = (
@@ -164,11 +163,6 @@ def quantiles(rows: Sequence[Row]) -> dict[str, tuple[float, int, str]]:
         found["clean"] = (
             max(float(np.quantile(excess, 0.9)), 1.02), len(excess),
             "90 % of joints that miss nothing leave less",
-        )  # fmt: skip
-    if len(waves) >= FEWEST:
-        found["ripple"] = (
-            max(float(np.quantile(waves, 0.99)), 1.0), len(waves),
-            "99 % of fitted nuisances are smaller, none above the limit that they were fitted with",
         )  # fmt: skip
     fine = [row["step"] for row in rows if "encoder_quantization" not in row["truth"]]
     coarse = [row["step"] for row in rows if "encoder_quantization" in row["truth"]]
@@ -192,8 +186,13 @@ def write(rows: Sequence[Row], *, dry: bool) -> None:
         found = curve(some) if some else None
         if found is None:
             report["odds"][name] = {"samples": len(some), "kept": True}
+            content["odds_from"][name] = f"kept, set by hand: {len(some)} samples say too little"
             continue
         content["odds"][name], report["odds"][name] = found
+        how = found[1]
+        content["odds_from"][name] = (
+            f"logistic curve of {how['samples']} samples, {how['true']} true, of {cases} cases"
+        )
     weights = content["odds"]["there"]
     quiet = [
         1 / (1 + np.exp(-sum(weights.get(n, 0.0) * v for n, v in features.items())))
@@ -209,7 +208,7 @@ def write(rows: Sequence[Row], *, dry: bool) -> None:
         values[name] = {"value": float(f"{value:.3g}"), "from": f"{why}; {n} of {len(rows)} joints"}
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}
     content["made_by"], content["cases"] = "benchmarks/calibrate_decisions.py", cases
-    order = ("schema", "made_by", "cases", "values", "odds")
+    order = ("schema", "made_by", "cases", "values", "odds", "odds_from")
     if not dry:
         target.write_text(json.dumps({key: content[key] for key in order}, indent=1) + "\n")
         (ROOT / "reports" / "decisions.json").write_text(json.dumps(report, indent=1) + "\n")

@@ -81,7 +81,13 @@ def investigate(
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured]
     if again:
         some = [joints[j] for j in again]
-        free = Batch([one.traces for one in some], batch.device, batch.threads, bounded=False)
+        free = Batch(
+            [one.traces for one in some],
+            batch.device,
+            batch.threads,
+            bounded=False,
+            period=batch.period,
+        )
         groups = [[again.index(j) for j in robot if j in again] for robot in robots]
         groups = [group for group in groups if group]
         second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share))

@@ -12,6 +12,7 @@ from sim2real.diagnose.investigate import ROUNDING, Finding, by_evidence, namele
 from sim2real.diagnose.odds import of_effect, of_link, of_nameless
 from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.search import Set
+from sim2real.effects import named
 from sim2real.servo.holdout import Unseen
 
 Features = dict[str, float]
@@ -78,14 +79,18 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
             left=left,
         )
         weighed.append((group, features))
-    plain, rich = unseen.get(tried.base), unseen.get(best.members)
+    # What every servo has a little of, and no group says, is not missing.
+    said = {effect for group in finding.groups for effect in group.members}
+    small = {e for e in best.members - tried.base if named(e).everywhere and e not in said}
+    servo = tried.tried.get(tried.base | small, tried.plain)
+    plain, rich = unseen.get(servo.members), unseen.get(best.members)
     whole = of_nameless(
         excess_plain=finding.unmodelled.excess,
         excess=finding.excess,
         smooth=finding.unmodelled.smooth.evidence(float(best.fit.count[0])),
         windows=finding.unmodelled.windows_evidence,
         lead=lead,
-        own=best.evidence - tried.plain.evidence,
+        own=best.evidence - servo.evidence,
         left=left,
         change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
     )
