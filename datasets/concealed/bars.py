@@ -10,21 +10,38 @@ ONE_CASE = -1.0
 """Stands for a bar of at most one case."""
 
 BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
-    ("An effect named at 0.9 where nothing is missing", "false_alarm", "≤", (0.01, 0.02, ONE_CASE)),
-    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90)),
-    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85)),
-    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None)),
-    ("Right component", "component", "≥", (0.98, 0.95, 0.90)),
-    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE)),
-    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None)),
-    ("Says unlisted of physics outside the catalogue", "outside_abstains", "≥", (0.90, 0.85, None)),
-    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75)),
-    ("Recoverable held-out error removed, median", "recovered_median", "≥", (0.95, 0.90, None)),
-    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25)),
-    ("Over 1 % worse held out where nothing is missing", "harm", "≤", (0.01, 0.01, None)),
-    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None)),
+    (
+        "A name at 0.9 where nothing is missing",
+        "false_alarm",
+        "≤",
+        (0.01, 0.02, ONE_CASE, 0.01),
+    ),
+    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90, 0.96)),
+    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85, 0.93)),
+    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None, None)),
+    ("Right component", "component", "≥", (0.98, 0.95, 0.90, None)),
+    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE, 0.02)),
+    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None, 0.05)),
+    (
+        "Says unlisted of what the catalogue lacks",
+        "outside_abstains",
+        "≥",
+        (0.90, 0.85, None, 0.88),
+    ),
+    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75, None)),
+    (
+        "Recoverable error removed, median",
+        "recovered_median",
+        "≥",
+        (0.95, 0.90, None, None),
+    ),
+    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25, None)),
+    ("Over 1 % worse where nothing is missing", "harm", "≤", (0.01, 0.01, None, None)),
+    ("Consistent where nothing is missing", "nulls_quiet", "≥", (None, None, None, 0.95)),
+    ("Held-out error at the noise, in the catalogue", "at_noise", "≥", (None, None, None, 0.95)),
+    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None, 0.80)),
 )
-"""What is measured, and the bars of the three tiers; None is only reported."""
+"""What is measured, and the bars of the tiers; None is only reported."""
 ALSO = (
     ("Nulls with any verdict but consistent", "nulls_flagged"),
     ("Noticed, the undetectable too", "detection_all"),
@@ -46,7 +63,15 @@ TIERS = {
     "T1": "simulated",
     "T2": "put into real recordings",
     "T3": "really changed",
+    "T1'": "simulated by others",
 }
+WEAKEST_PLANT = 0.9
+"""What a plant must reach, relative to the mean of all."""
+BY_PLANT = (
+    "false_alarm", "nulls_quiet", "detection", "group_first", "confident_wrong", "ece",
+    "outside_abstains", "at_noise", "doubles_both",
+)  # fmt: skip
+"""Measures that are shown for each plant."""
 
 
 def done(found: list[Row]) -> Section:
@@ -76,6 +101,25 @@ def done(found: list[Row]) -> Section:
     captions.append("Intervals are 95 %; of shares by Clopper and Pearson.")
     tables = [Table(header, rows, " ".join(captions)), Table(["Also measured", *header[1:]], also)]
     return Section("Done when", lead, tables)
+
+
+def by_plant(one: Row) -> Section | None:
+    """The plants of a set side by side; None where it has one."""
+    plants = one.get("plants") or {}
+    if len(plants) < 2:
+        return None
+    labels = {name: label for label, name, *_ in BARS}
+    rows, weak = [], []
+    for name in BY_PLANT:
+        metrics = [plants[plant]["metrics"][name] for plant in plants]
+        rows.append((labels[name], *(_plain(metric, name) for metric in metrics)))
+        known = [m["value"] for m in metrics if m["value"] is not None]
+        higher = {bar[1]: bar[2] for bar in BARS}[name] == "≥"
+        if higher and known and min(known) < WEAKEST_PLANT * sum(known) / len(known):
+            weak.append(labels[name].lower())
+    said = f" Below {WEAKEST_PLANT:g} of the mean: {', '.join(weak)}." if weak else ""
+    title = f"By plant: {set_name(one, next(iter(one['tiers'])))}"
+    return Section(title, f"Each plant by itself.{said}", [Table(["", *plants], rows)])
 
 
 def set_name(one: Row, tier: str) -> str:

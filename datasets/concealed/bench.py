@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from firmware import TICK_S
@@ -56,6 +56,7 @@ class Servo:
     sensor: Sensor
     nuisances: dict[str, float]
     stall_Nm: float = 1e3  # known once the commands are
+    stated: dict[str, float] = field(default_factory=dict)  # a data sheet that is not quite right
 
     def fields(self, recording: str) -> dict[str, float]:
         """Plant parameters of this servo with the load of ``recording`` and nothing hidden."""

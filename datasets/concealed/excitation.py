@@ -77,12 +77,12 @@ PROGRAMMES: dict[str, dict[Segment, float]] = {  # segments and their shares of 
 }
 
 
-def signal(name: str, t: Array, rng: np.random.Generator) -> Array:
+def signal(name: str, t: Array, rng: np.random.Generator, duration_s: float = DURATION_S) -> Array:
     """Set-points in rad at the times ``t`` (T,) in s of recording ``name``."""
     programme = list(PROGRAMMES[name].items())
     rest = rng.uniform(0.6, 1.0)
     shares = np.array([share for _, share in programme]) * rng.uniform(0.85, 1.15, len(programme))
-    lengths = shares / shares.sum() * (DURATION_S - rest)
+    lengths = shares / shares.sum() * (duration_s - rest)
     command, start = np.zeros_like(t), rest
     for k in rng.permutation(len(programme)):
         segment, length = programme[k][0], float(lengths[k])

@@ -42,9 +42,10 @@ def write_case(case: Case, name: str, out: Path) -> None:
 
 def table(take: Take) -> str:
     """A recording as CSV."""
-    header = ["t_s"] + [f"{j}.{q}" for j in JOINTS for q in ("command_rad", "position_rad")]
+    joints = JOINTS[: take.command.shape[1]]
+    header = ["t_s"] + [f"{j}.{q}" for j in joints for q in ("command_rad", "position_rad")]
     columns = [take.t]
-    for j in range(len(JOINTS)):
+    for j in range(len(joints)):
         columns += [take.command[:, j], take.measured[:, j]]
     rows = np.stack(columns, axis=1).tolist()
     lines = [",".join("" if x != x else f"{x:z.6f}" for x in row) for row in rows]
@@ -55,12 +56,12 @@ def sidecar(case: Case, recording: str) -> dict[str, Any]:
     """The JSON beside a recording."""
     loads = {
         joint: vars(servo.loads[recording])
-        for joint, servo in zip(JOINTS, case.servos, strict=True)
+        for joint, servo in zip(JOINTS, case.servos, strict=False)
     }
     return {
         "schema": "sim2real.recording/1",
         "kind": "servo",
-        "joints": list(JOINTS),
+        "joints": list(JOINTS[: len(case.servos)]),
         "loads": loads,
         "medium": "air",
         "source": SOURCE,
@@ -69,18 +70,20 @@ def sidecar(case: Case, recording: str) -> dict[str, Any]:
 
 def robot_toml(case: Case) -> str:
     """The robot with the data sheets of its three servos."""
-    parts = ['name = "bench of three servos"\n']
-    for link in ("frame", "arm1", "arm2", "arm3"):
+    parts = ['name = "bench of servos"\n']
+    for link in ("frame", "arm1", "arm2", "arm3")[: len(case.servos) + 1]:
         size = "length_m = 0.10\nwidth_m = 0.05\nheight_m = 0.05"
         parts.append(f'[[links]]\nname = "{link}"\nmass_kg = 0.2\n{size}\n')
-    for j, joint in enumerate(JOINTS):
+    for j, joint in enumerate(JOINTS[: len(case.servos)]):
         limits = f"limits_rad = [{LIMITS_RAD[0]}, {LIMITS_RAD[1]}]"
         parts.append(f'[[joints]]\nname = "{joint}"\nservo = "servo{j + 1}"\n{limits}\n')
     for j, servo in enumerate(case.servos):
+        most = servo.stated.get("max_torque_Nm", servo.stall_Nm)
+        fastest = servo.stated.get("no_load_speed_rad_s", servo.no_load_speed_rad_s)
         parts.append(
             f"[servos.servo{j + 1}]\n"
-            f"max_torque_Nm = {servo.stall_Nm:.2f}\n"
-            f"no_load_speed_rad_s = {servo.no_load_speed_rad_s:.2f}\n"
+            f"max_torque_Nm = {most:.2f}\n"
+            f"no_load_speed_rad_s = {fastest:.2f}\n"
             f"position_step_rad = {servo.sensor.step_rad:.5f}\n"
         )
     return "\n".join(parts)
@@ -117,7 +120,7 @@ def answer(case: Case, name: str) -> dict[str, Any]:
                 "rotor_inertia_kgm2": servo.rotor_inertia,
                 "noise": vars(servo.sensor),
             }
-            for joint, servo in zip(JOINTS, case.servos, strict=True)
+            for joint, servo in zip(JOINTS, case.servos, strict=False)
         },
     }
 

@@ -36,6 +36,8 @@ CHANCE = ("latency_jitter", "packet_loss")
 RECOVERABLE = 1.05
 """Held-out error over its floor from which on a share of it can be told."""
 HARM = 0.01
+AT_NOISE = 1.1
+"""Held-out error over its floor up to which it is at the noise."""
 NULLS = ("null", "trap")
 NOTHING = ("consistent", "unchanged")
 GIVEN_UP = ("unexplained", "partly_explained")
@@ -54,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_json(options.out, results)
     if options.csv:
         write_whole(options.csv, table(results["cases"]))
-    for tier, found in results["tiers"].items():
+    for tier, found in [*results["tiers"].items(), *results["plants"].items()]:
         print(tier)
         for name, metric in found["metrics"].items():
             print(f"  {name:32s} {shown(metric)}")
@@ -67,7 +69,10 @@ def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[st
     answers = content if isinstance(content, list) else content["cases"]
     tier = "T1" if isinstance(content, list) else content.get("tier", "T1")
     rows = []
+    later = challenge / "oracle.json"  # worked out after the answers were published
+    oracles = json.loads(later.read_text()) if later.exists() else {}
     for truth in answers:
+        truth["oracle"] = truth.get("oracle") or oracles.get(truth["case"], {})
         folder = verdicts / truth["case"]
         if (folder / "diagnosis.json").exists() or not answered:
             row = judge(truth, folder, challenge / "heldout" / truth["case"])
@@ -86,6 +91,10 @@ def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[st
             name: summarize([row for row in rows if row["tier"] == name])
             for name in sorted({str(row["tier"]) for row in rows})
         },
+        "plants": {
+            name: summarize([row for row in rows if row["plant"] == name])
+            for name in sorted({str(row["plant"]) for row in rows if row["plant"]})
+        },
         "cases": rows,
     }
 
@@ -94,13 +103,17 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
     """What was said of one case beside what is true of it."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, oracle, kind = truth["effects"], truth.get("oracle") or {}, truth["kind"]
-    entries = [_entry(given, [] if kind == "outside" else hidden) for given in _named(said)]
+    # What every servo has a little of is there, too.
+    there = [*([] if kind == "outside" else hidden), *truth.get("nuisances", [])]
+    entries = [_entry(given, there) for given in _named(said)]
     first = entries[0] if entries else None
     likely = [entry for entry in entries if entry["probability"] >= LIKELY]
     llr = oracle.get("llr_total", sum(oracle["llr"].values()) if "llr" in oracle else None)
     row: Row = {
         "case": truth["case"],
         "kind": kind,
+        "plant": truth.get("plant"),
+        "practical": _practical(oracle),
         "truth": [f"{one['effect']}@{one['component']}" for one in hidden] or [truth.get("trap")],
         "strength": hidden[0].get("strength") if len(hidden) == 1 else None,
         "llr": llr,
@@ -130,6 +143,15 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
     if kind == "outside":
         row["abstains"] = said["verdict"] in GIVEN_UP and not likely
     return row | {"failures": _failures(row)}
+
+
+def _practical(oracle: Row) -> bool:
+    """Whether all that is hidden changes the held-out error by a share that somebody would act on.
+
+    True where that was not worked out.
+    """
+    each = oracle.get("practical_of_each")
+    return bool(all(each.values())) if each else bool(oracle.get("practical", True))
 
 
 def _named(said: Row) -> list[Row]:
@@ -262,8 +284,8 @@ def _floor(truth: Row, joint: str, recording: str) -> float | None:
 
 
 def detectable(row: Row, by: str = "llr") -> bool:
-    """Whether one who knows all would see it; True where that was not worked out."""
-    return row[by] is None or row[by] >= DETECTABLE
+    """Whether one who knows all would see it, and act on it; True where that was not worked out."""
+    return row["practical"] and (row[by] is None or row[by] >= DETECTABLE)
 
 
 def _failures(row: Row) -> list[str]:
@@ -271,7 +293,7 @@ def _failures(row: Row) -> list[str]:
     kind, seen, held = row["kind"], detectable(row), row["heldout"] or {}
     eta, sure = held.get("eta"), _sure(row)
     wrong = [
-        ("false alarm", kind in NULLS and bool(sure)),
+        ("false alarm", kind in NULLS and any(not e["right"] for e in sure)),
         ("flagged", kind in NULLS and row["flagged"] and not sure),
         ("confidently wrong", kind not in NULLS and any(not e["right"] for e in sure)),
         ("missed", kind not in NULLS and seen and not row["flagged"]),
@@ -307,7 +329,8 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
     hits, misses = sum(r["found"] for r in double), sum(r["of"] - r["found"] for r in double)
     f1 = hits / (hits + (misses + sum(r["wrong"] for r in double)) / 2) if double else None
     metrics = {
-        "false_alarm": share(bool(_sure(r)) for r in nulls),
+        "false_alarm": share(any(not e["right"] for e in _sure(r)) for r in nulls),
+        "nulls_quiet": share(r["verdict"] in NOTHING for r in nulls),
         "nulls_flagged": share(r["flagged"] for r in nulls),
         "detection": share(r["flagged"] for r in seen + [d for d in double if detectable(d)]),
         "detection_all": share(r["flagged"] for r in single + double),
@@ -327,6 +350,11 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
         "recovered_p10": quantile(etas, 0.1),
         "recovered_p10_but_chance": quantile(but_chance, 0.1),
         "heldout_drop_median": quantile([r["heldout"]["drop"] for r in held], 0.5),
+        "at_noise": share(
+            r["heldout"]["enriched"] <= AT_NOISE * r["heldout"]["floor"]
+            for r in [*seen, *(d for d in double if detectable(d))]
+            if r["heldout"] and r["heldout"]["floor"]
+        ),
         "harm": share(change > HARM for change in harmed),
         "harm_mean": plain(harmed),
         "doubles_both": share(r["both"] for r in shown_doubles),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bars import BARS, done, set_name, value
+from bars import BARS, by_plant, done, set_name, value
 from grade import NULLS, SURE, Row, detectable, share, summarize
 
 from sim2real.output import provenance
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     found, rivals = ([json.loads(p.read_text()) for p in some] for some in
                      (options.results, options.rivals))  # fmt: skip
-    sections = [done(found)]
+    sections = [done(found), *(section for one in found if (section := by_plant(one)))]
     for one in found:
         for tier in one["tiers"]:
             rows = [row for row in one["cases"] if row["tier"] == tier]

@@ -94,17 +94,19 @@ def prepared(case: Case) -> list[Joint]:
 def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
     """The case, each joint that reaches the line of its data sheet with a model that has it.
 
-    One that comes with a model or with references keeps what it knows.
+    One with references keeps what it knows, and a joint a given model that is no plain servo.
     """
-    found = {}
-    if case.model is None and not case.references:
-        limits = {"clear": DECISION.line_clear, "room": DECISION.line_room}
-        for joint in case.robot.joints:
-            given = traces(case.recordings, joint.name)
-            model = on_its_line(given, joint.servo, rng, **limits) if given else None
-            if model is not None:
-                found[joint.name] = model
-    return replace(case, model=Model(joints=found)) if found else case
+    found, known = {}, case.model or Model(joints={})
+    limits = {"clear": DECISION.line_clear, "room": DECISION.line_room}
+    for joint in case.robot.joints if not case.references else ():
+        before = known.joints.get(joint.name)
+        if before is not None and (before.law != "pd" or before.effects):
+            continue
+        given = traces(case.recordings, joint.name)
+        model = on_its_line(given, joint.servo, rng, **limits) if given else None
+        if model is not None:
+            found[joint.name] = model
+    return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
 
 
 def by_robot(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:

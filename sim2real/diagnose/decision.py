@@ -9,10 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from sim2real.diagnose.odds import Odds
 from sim2real.structured import Fields, read_json
 
 FILE = Path(__file__).with_name("decision.json")
 SCHEMA = "sim2real.decision/1"
+CURVES = ("effect", "there", "nameless", "link")
+"""What there are odds of: an effect, anything missing, what has no name, an uneven link."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +31,12 @@ class Decision:
     surely: float  # gain that is never left to chance, however uneven the noise
     law_error: float  # how far the law of an effect may be from what a servo does, relative to it
     most_certain: float  # no effect is more probable
-    certain: float  # probability of an effect from which something is missing, whatever is left
+    there: float  # probability from which something is missing, named or not
     shared: float  # how much of an effect of the supply or the link the other joints must show
     structured: float  # excess from which a residual is more than noise and slow wander
     clean: float  # excess below which nothing is left, and nothing without a name is looked for
     # share of the excess that named effects must explain, or the cause is not in the catalogue
     explained: float
-    nameless_cost: float  # evidence by which a smooth function must be ahead of the catalogue
-    nameless_softness: float  # evidence over which that comparison changes its mind
-    few: float  # effects that one joint may well miss together
-    beyond_few: float  # highest probability of effects beyond these, or where structure stays
-    of_many: float  # highest probability of the greatest of more than these
     ripple: float  # what every servo has a little of is a finding from so many noises on
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     link_gain: float  # gain from which an uneven link is a finding
@@ -79,5 +77,21 @@ def read_decision(path: Path = FILE) -> Decision:
     )
 
 
+def read_odds(path: Path = FILE) -> dict[str, Odds]:
+    """The curves of a file, by what they are the odds of.
+
+    Raises:
+        InputError: If a weight is no number.
+    """
+    table = Fields(path, "", read_json(path, SCHEMA)).table("odds")
+    curves = {name: table.table(name) for name in CURVES}
+    return {
+        name: Odds({feature: weights.number(feature) for feature in weights.content})
+        for name, weights in curves.items()
+    }
+
+
 DECISION = read_decision()
 """Those that ship."""
+ODDS = read_odds()
+"""The curves that ship."""

@@ -13,6 +13,7 @@ from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
+from sim2real.diagnose.judging import judged
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
@@ -95,16 +96,34 @@ def diagnose_all(
             experiment and what the figures show as well.
         progress: Called with the share that is done.
     """
-    found: dict[int, Diagnosis] = {}
+    rng = np.random.default_rng(seed)
+    found = []
+    for case, joints in examined(cases, seed=seed, device=device, progress=progress):
+        found.append(diagnosis(case, joints, negligible, seed))
+        if thorough:
+            found[-1] = with_checks(found[-1], case, joints, rng)
+    return found
+
+
+def examined(
+    cases: Sequence[Case],
+    *,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress = lambda share: None,
+) -> list[tuple[Case, list[JointResult]]]:
+    """What is known of each joint of each robot, before it is put into words; as ``diagnose_all``.
+
+    Returns:
+        For each robot the case with the servos that were taken for granted, and its joints.
+    """
+    found: dict[int, tuple[Case, list[JointResult]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng, device)
         some = [on_their_lines(case, rng) for case in some]
         results = _joint_results(some, rng, device, step)
-        for k, case, joints in zip(group, some, results, strict=True):
-            found[k] = diagnosis(case, joints, negligible, seed)
-            if thorough:
-                found[k] = with_checks(found[k], case, joints, rng)
+        found.update(zip(group, zip(some, results, strict=True), strict=True))
         step(1.0)
     return [found[k] for k in range(len(cases))]
 
@@ -142,15 +161,27 @@ def _joint_results(
         batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
     )
     findings = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
+    unseen = _unseen(joints, [_all_sets(finding) for finding in findings], findings, device)
+    findings = [
+        finding if joint.before else judged(finding, known)
+        for joint, finding, known in zip(joints, findings, unseen, strict=True)
+    ]
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]
+    more = [
+        [h.members] if h.members not in known else [] for h, known in zip(rich, unseen, strict=True)
+    ]
+    for known, added in zip(unseen, _unseen(joints, more, findings, device), strict=True):
+        known.update(added)
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
     ordinary = [
-        refitted(joint.traces, h.fit.servos.theta[0], [named(e) for e in sorted(h.members)])
+        refitted(
+            joint.traces,
+            h.fit.servos.theta[0],
+            [named(e) for e in sorted(h.members) if not named(e).everywhere],
+        )
         for joint, h in zip(joints, plain, strict=True)
     ]
-    progress(0.85)
-    unseen = _unseen(joints, findings, rich, device)
     results = [
         JointResult(joint, findings[j], rich[j], before[j], after[j], ordinary[j].row, unseen[j])
         for j, joint in enumerate(joints)
@@ -166,17 +197,22 @@ def _enriched(finding: Finding) -> Hypothesis:
     return tried.tried.get(wanted, finding.best if heads else tried.plain)
 
 
+def _all_sets(finding: Finding) -> list[Set]:
+    """The sets whose errors on held-out data say what each effect is worth."""
+    best, base, tried = finding.best.members, finding.tried.base, finding.tried.tried
+    fewer = [best - {effect} for effect in best - base]
+    return list(dict.fromkeys([base, best, *(s for s in fewer if s in tried)]))
+
+
 def _unseen(
-    joints: Sequence[Joint], findings: Sequence[Finding], rich: Sequence[Hypothesis], device: str
+    joints: Sequence[Joint],
+    sets: Sequence[Sequence[Set]],
+    findings: Sequence[Finding],
+    device: str,
 ) -> list[dict[Set, Unseen]]:
-    """For each joint the errors on held-out data: plain, enriched, and that without each effect."""
-    sets: list[list[Set]] = []
-    for finding, best in zip(findings, rich, strict=True):
-        fewer = [best.members - {effect} for effect in best.members - finding.tried.base]
-        known = [s for s in fewer if s in finding.tried.tried]
-        sets.append(list(dict.fromkeys([finding.tried.base, best.members, *known])))
+    """For each joint the errors of these sets of effects on held-out data."""
     jobs = [(j, s) for j, some in enumerate(sets) for s in some]
-    servos = [findings[j].tried.tried.get(s, rich[j]).fit.servos for j, s in jobs]
+    servos = [findings[j].tried.tried[s].fit.servos for j, s in jobs]
     # The plain servo is refitted for prediction; what is named stands as it was found.
     found: list[dict[Set, Unseen]] = [{} for _ in joints]
     for white in (True, False):

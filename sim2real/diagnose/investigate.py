@@ -9,6 +9,7 @@ import numpy as np
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
 from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
@@ -17,7 +18,6 @@ from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.linear import Residual
-from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
@@ -41,6 +41,7 @@ class Finding:
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
         step_rad: Step of an angle sensor that is coarser than stated, or None.
         link: What is uneven on the link, or None.
+        place: Of the joint among those of the link.
     """
 
     tried: Found
@@ -55,6 +56,7 @@ class Finding:
     excess: float
     step_rad: float | None
     link: Uneven | None = None
+    place: int = 0
 
 
 def investigate(
@@ -79,7 +81,13 @@ def investigate(
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured]
     if again:
         some = [joints[j] for j in again]
-        free = Batch([one.traces for one in some], batch.device, batch.threads, bounded=False)
+        free = Batch(
+            [one.traces for one in some],
+            batch.device,
+            batch.threads,
+            bounded=False,
+            period=batch.period,
+        )
         groups = [[again.index(j) for j in robot if j in again] for robot in robots]
         groups = [group for group in groups if group]
         second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share))
@@ -115,15 +123,16 @@ def _with_links(
     """
     clear = [[j for j in robot if findings[j].excess < DECISION.link_masked] for robot in robots]
     robots = [robot for robot in clear if robot]
+    plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
+    richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [
-            link_data(batch, joints, robot, fits)
-            for fits in ([f.tried.plain for f in findings], [f.best for f in findings])
-            for robot in robots
-        ]
+        [link_data(batch, joints, robot, plain) for robot in robots]
+        + [link_data(batch, joints, robot, best) for robot in richer]
     )
+    with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained = list(findings)
-    for robot, alone, beside in zip(robots, both, both[len(robots) :], strict=False):
+    for robot, alone in zip(robots, both, strict=False):
+        beside = with_effects.get(robot[0], alone)
         if not _on_all(alone, beside, [findings[j] for j in robot]):
             continue
         for k, j in enumerate(robot):
@@ -138,18 +147,14 @@ def _with_links(
 
 def _uneven(finding: Finding, link: Uneven, k: int, *, instead: bool) -> Finding:
     """The finding with an uneven link, beside or ``instead`` of the joint's own effects."""
-    sure = min(float(1 / (1 + np.exp(-link.gain / 2))), DECISION.most_certain)
     rest = () if instead else finding.groups
-    smooth = finding.unmodelled.smooth.evidence(float(finding.best.fit.count[0]))
-    explains = link.shares[k] > smooth
     return replace(
         finding,
         mismatch=True,
         best=finding.tried.plain if instead else finding.best,
-        left=finding.left and not explains,
-        unknown=0.0 if explains else finding.unknown,
-        groups=(*(r for r in rest if r.probability > 0), Group((link.effect,), sure, 1.0)),
+        groups=(*rest, Group((link.effect,), DECISION.most_certain, 1.0)),
         link=link,
+        place=k,
     )
 
 
@@ -158,7 +163,7 @@ def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
     if max(alone.gain, beside.gain) <= 0:
         return False
     showing = [share > DECISION.link_shows for share in beside.shares]
-    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.groups]
+    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
         return False
     return len(showing) < 2 or sum(showing) > 1
@@ -202,6 +207,7 @@ def _pass(
         plain,
         level=DECISION.false_alarms / max(len(robot) for robot in robots),
         rng=rng,
+        noise=[joint.noise for joint in joints],
         bases=[joint.base for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
@@ -212,7 +218,7 @@ def _pass(
     _, after = beyond_noise(batch, data, joined([h.fit for h in best]))
     progress(1.0)
     return [
-        _finding(one, problem, probable[j], left[j], after[j], joints[j].step_rad)
+        _finding(one, problem, probable[j], left[j], after[j], joints[j])
         for j, one in enumerate(found)
     ]
 
@@ -223,57 +229,32 @@ def _finding(
     after: Posterior,
     without: Unmodelled,
     excess_after: float,
-    step: float | None,
+    joint: Joint,
 ) -> Finding:
     best = tried.tried[after.sets[0]]
-    structured = excess_after > DECISION.structured
-    strange = strangeness(tried, best, without, excess_after)
     # What every servo has a little of is none of it.
     groups = tuple(
         group
         for group in after.groups(tried.base)
         if not named(group.members[0]).everywhere
-        or size_in_noise(best, group.members[0]) >= DECISION.ripple
+        or size_in_noise(best, group.members[0], joint.noise) >= DECISION.ripple
     )
-    groups = _doubted(tried, groups, crowded=len(groups) > DECISION.few, structured=structured)
-    mismatch = (
-        problem.remains(tried, tried.base)
-        or any(group.probability > DECISION.certain for group in groups)
-        or without.excess > DECISION.structured
-        or strange > DECISION.explained
-    )
-    left = structured or problem.remains(tried, best.members)
-    most = DECISION.most_certain
-    groups = tuple(replace(g, probability=min(g.probability, most) * (1 - strange)) for g in groups)
-    groups = tuple(sorted(groups, key=lambda g: -g.probability)) if mismatch else ()
-    if step is not None:
-        groups = (*groups, Group((ROUNDING,), most, 1.0))
+    if joint.step_rad is not None:
+        groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
+    structured = without.excess > DECISION.structured
     return Finding(
         tried,
         problem,
         after,
         best,
-        mismatch or step is not None,
-        mismatch and (left or strange > DECISION.explained),
+        structured or problem.remains(tried, tried.base),
+        excess_after > DECISION.structured,
         groups,
         without,
-        strange if mismatch else 0.0,
+        0.0,
         excess_after,
-        step,
+        joint.step_rad,
     )
-
-
-def strangeness(tried: Found, best: Hypothesis, without: Unmodelled, excess_after: float) -> float:
-    """Probability that what is missing is not in the catalogue."""
-    ahead = nameless_lead(tried, best, without) - DECISION.nameless_cost
-    strange = float(1 / (1 + np.exp(-np.clip(ahead / DECISION.nameless_softness, -50, 50))))
-    if without.excess > DECISION.structured:
-        if excess_after < DECISION.clean:
-            return 0.0
-        explained = (without.excess - excess_after) / (without.excess - 1)
-        if explained < DECISION.explained:
-            strange = max(strange, DECISION.nameless)
-    return strange
 
 
 def nameless_lead(tried: Found, best: Hypothesis, without: Unmodelled) -> float:
@@ -290,26 +271,3 @@ def by_evidence(tried: Found, groups: Sequence[Group]) -> list[Group]:
         return max((tried.tried[s].evidence for s in sets if s in tried.tried), default=-np.inf)
 
     return sorted(groups, key=alone, reverse=True)
-
-
-def _doubted(
-    tried: Found, groups: Sequence[Group], *, crowded: bool, structured: bool
-) -> tuple[Group, ...]:
-    """Doubt all effects but the greatest: where a law does not fit, others make up for it."""
-    sure = 0 if crowded else 1 if structured else int(DECISION.few)
-
-    def doubted(k: int, group: Group) -> Group:
-        most = DECISION.of_many if crowded and k == 0 else DECISION.beyond_few
-        if k < sure:
-            return group
-        return replace(group, probability=min(group.probability, most))
-
-    return tuple(doubted(k, g) for k, g in enumerate(by_evidence(tried, groups)))
-
-
-def size_in_noise(best: Hypothesis, effect: str) -> float:
-    """A torque's size as the angle that it turns the servo by, in noises."""
-    theta = best.fit.servos.theta[0]
-    noise = np.sqrt(best.fit.error2[0] / best.fit.count[0])
-    column = f"{effect}.{named(effect).parameters[0].name}"
-    return float(theta[COLUMNS.index(column)] / theta[0] / noise)

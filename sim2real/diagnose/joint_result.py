@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.judging import changes
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.search import Hypothesis, Set
 from sim2real.effects import named
@@ -96,16 +97,8 @@ class JointResult:
         }
 
     def changes(self, effect: str) -> float:
-        """Share by which an effect lowers the held-out error beside the others; or infinity.
-
-        Infinity where that cannot be told: of chance and of rounding, which nobody can foretell,
-        and where nothing is held out.
-        """
-        rich = self.unseen.get(self.rich.members)
-        without = self.unseen.get(self.rich.members - {effect}, self.unseen_plain)
-        if effect not in self.rich.members or rich is None or without is None:
-            return float("inf")
-        return 1 - rich.rmse / without.rmse
+        """Share by which an effect changes the held-out error, see ``judging.changes``."""
+        return changes(self.finding, self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
         """The servo with what is named, or the plain one as ``identify`` fits it."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.nuisances import with_nuisances
 from sim2real.effects import named
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
@@ -35,6 +36,8 @@ BLOCKS = 20
 _CANDIDATES = 256
 _REFINED = 3
 _BETTER = 1.0
+_SINGLES, _HOPELESS = 24, 1.0
+"""Starts of single effects that are followed, and the gain at first sight below which none is."""
 
 
 def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
@@ -86,6 +89,7 @@ def search(
     *,
     level: float,
     rng: np.random.Generator,
+    noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Found], ServoSearch]:
@@ -96,19 +100,24 @@ def search(
         plain: The fit of the plain servo, one a joint.
         level: Share of joints with nothing missing that may be searched beyond single effects.
         rng: For the bootstrap.
+        noise: Standard deviation of each joint's sensor, rad; where it is not known, nothing is
+            taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
         progress: Called with the share that is done.
 
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
-    ledgers = []
+    ledgers: list[Found] = []
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
         fit = _one(plain, j)
         ledgers.append(Found(j, base))
         ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
     problem = ServoSearch(batch, level, rng)
+    if noise is not None:
+        ledgers = with_nuisances(problem, ledgers, noise)
+    progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
     again = problem.rebased(ledgers)
@@ -130,6 +139,8 @@ class ServoSearch:
 
     def __init__(self, batch: Batch, level: float, rng: np.random.Generator) -> None:
         self.batch, self.level, self.rng = batch, level, rng
+        self.held: dict[int, Set] = {}
+        """Effects of each case that stay as they are."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
         self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
@@ -149,7 +160,7 @@ class ServoSearch:
             # A finding may have been moved to a place in another batch.
             joint = np.array([one.case for one, _ in some], dtype=np.int32)
             fits = replace(fits, servos=replace(fits.servos, joint=joint))
-            lists = [candidates(s, *self._strength(one)) for one, s in some]
+            lists = [candidates(s, *self.strength(one)) for one, s in some]
             screens = screen(self.batch, fits, lists, blocks=BLOCKS)
             for (one, s), seen, given in zip(some, screens, lists, strict=True):
                 self._seen[one.case, s] = seen, given
@@ -168,6 +179,8 @@ class ServoSearch:
                 theta[option.columns] = option.starts[seen.start[index]]
                 chosen.append((float(gain[index]), option.effect.name, theta))
         chosen.sort(key=lambda entry: -entry[0])
+        if most is None:
+            chosen = [entry for entry in chosen if entry[0] > _HOPELESS][:_SINGLES]
         return [(name, theta) for _, name, theta in chosen[:most]]
 
     def start(self, ledger: Found, members: Set, of: Set | None = None) -> Array:
@@ -178,7 +191,13 @@ class ServoSearch:
     def refit(self, jobs: Sequence[tuple[Found, Set, Array]]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
         servos = [
-            with_effects(one.plain.fit.servos, members, theta, *self._strength(one))
+            with_effects(
+                one.plain.fit.servos,
+                members,
+                theta,
+                *self.strength(one),
+                self.held.get(one.case, frozenset()),
+            )
             for one, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5)
@@ -200,10 +219,15 @@ class ServoSearch:
 
         What every servo has a little of does not count: it is named only where it is large.
         """
+        gain, limit = self.left(ledger, members)
+        return gain > limit
+
+    def left(self, ledger: Found, members: Set) -> tuple[float, float]:
+        """Largest gain that an effect would still make, and what chance would make."""
         seen, given = self.seen(ledger, members)
         counted = seen.of(np.array([not c.effect.everywhere for c in given]))
         limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
-        return float(counted.gain.max()) > limit
+        return float(counted.gain.max()), limit
 
     def rebased(self, ledgers: Sequence[Found]) -> list[Found]:
         """Those whose plain servo fits better with the gains that the best single effect found."""
@@ -220,13 +244,31 @@ class ServoSearch:
             del self._seen[one.case, cast(Set, one.base)]
         return better
 
-    def _strength(self, ledger: Found) -> tuple[float, float]:
+    def screened(self, places: Sequence[Hypothesis], lists: list[list[Candidate]]) -> list[Screen]:
+        """What these candidates would explain of what each hypothesis leaves."""
+        found: dict[int, Screen] = {}
+        widths = [h.fit.servos.columns.shape[1] for h in places]
+        for width in sorted(set(widths)):
+            some = [k for k, w in enumerate(widths) if w == width]
+            fits = joined([places[k].fit for k in some])
+            seen = screen(self.batch, fits, [lists[k] for k in some], blocks=BLOCKS)
+            found.update(zip(some, seen, strict=True))
+        return [found[k] for k in range(len(places))]
+
+    def strength(self, ledger: Found) -> tuple[float, float]:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
 
-def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: float) -> Servos:
+def with_effects(
+    plain: Servos,
+    effects: Set,
+    theta: Array,
+    kp: float,
+    inertia: float,
+    held: Set = frozenset(),
+) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
 
     Args:
@@ -235,12 +277,14 @@ def with_effects(plain: Servos, effects: Set, theta: Array, kp: float, inertia: 
         theta: Where to start, shape (P,).
         kp: Gain that the effects are scaled to, N m/rad.
         inertia: Inertia that they are scaled to, kg m2.
+        held: Those of the effects that stay as they are in ``theta``.
     """
     given = [candidate(named(name), kp, inertia) for name in sorted(effects) if named(name).fitted]
     row = np.zeros_like(theta)
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
     for option in given:
         row[option.columns] = theta[option.columns]
+    given = [option for option in given if option.effect.name not in held]
     own = _own(plain)
     free = (
         np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in given)])[None]

@@ -100,6 +100,7 @@ class Effect:
         fitted: Whether a fit can follow it; not so where it is drawn anew for each set-point, or
             read off the recorded numbers themselves.
         everywhere: Whether every servo has a little of it, which is then no finding.
+        never_named: Whether it is part of the plain servo alone, and never a finding.
         either_sign: Whether a recording may have less of it than another.
         load: What of a stated load it makes up for: a column of the plain servo.
         mimics: Effects of one joint that one of the supply or the link looks like there: beside it
@@ -119,6 +120,7 @@ class Effect:
     also: tuple[tuple[Site, Any], ...] = ()
     fitted: bool = True
     everywhere: bool = False
+    never_named: bool = False
     either_sign: bool = False
     load: Literal["", "gravity_Nm", "inertia_kgm2"] = ""
     mimics: tuple[str, ...] = ()

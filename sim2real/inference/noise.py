@@ -81,7 +81,8 @@ def counting(used: Mask, order: int) -> Mask:
 
 def lag_products(residual: Array, counts: Mask, order: int) -> Array:
     """Sums of products of a residual (T,) at two lags over samples that count: (p + 1, p + 1)."""
-    lagged = np.stack([np.roll(residual, k) for k in range(order + 1)], axis=1)[counts]
+    before = np.lib.stride_tricks.sliding_window_view(residual, order + 1)
+    lagged = before[counts[order:]][:, ::-1]
     return np.asarray(lagged.T @ lagged)
 
 

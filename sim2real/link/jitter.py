@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-from sim2real.link.loss import ROUNDS, WORTH, Uneven
+from sim2real.link.loss import ROUNDS, TRIFLING, WORTH, Uneven
 from sim2real.link.noise import (
     RATIOS,
     Noise,
@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 _HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 7)
 """Halfwidths from which the search for jitter starts."""
-_STEPS, _DRAWS, _OVERSTEP = 8, 4, 1.5
+_STEPS, _DRAWS, _OVERSTEP = 8, 2, 1.5
 """Steps of expectation maximisation are short; it climbs as long as the last is below 2."""
 
 
@@ -148,6 +148,7 @@ def latency_jitter(joints: Sequence[NoisyJoint]) -> Uneven:
     sd_s = float(_HALFWIDTHS_S[int(np.argmax(trials))] / np.sqrt(3))
     least = sum(joint.alone(joint.noise) for joint in joints)
     best, before = Uneven("latency_jitter"), 0.0
+    samples = sum(joint.counts[0] for joint in joints)
     for _ in range(ROUNDS):
         sd_s, error = _likeliest(every, sd_s)
         plain = [one.noise for one in every]
@@ -160,7 +161,7 @@ def latency_jitter(joints: Sequence[NoisyJoint]) -> Uneven:
             period = [s.response.period_s for joint in joints for s in joint.segments]
             widest = halfwidth(sd_s, float(np.median(period)))
             best = Uneven("latency_jitter", gain, widest, error * widest / sd_s)
-        if gain < WORTH or abs(gain - before) < max(WORTH, 0.01 * gain):
+        if gain < max(WORTH, TRIFLING * samples) or abs(gain - before) < max(WORTH, 0.01 * gain):
             break
         before = gain
         sd_s = float(np.exp(np.mean([np.log(one.sd_s) for one in found])))

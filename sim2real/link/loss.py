@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 
 WORTH, ROUNDS = 0.3, 5
 """Gain below which another round can find nothing, and growth of the gain that ends them."""
+TRIFLING = 0.015
+"""Gain a sample, about the share by which the error grows, below which nobody would act on it."""
 _START, _LIMITS = 0.02, (1e-4, 0.5)
 """Probability of a loss with which the search starts; its bounds."""
 _SWEEPS, _LEAST_GAIN, _MEDIAN = 60, 1e-3, 1.4826

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sim2real.link.jitter import latency_jitter
-from sim2real.link.loss import Uneven, packet_loss
+from sim2real.link.loss import TRIFLING, Uneven, packet_loss
 from sim2real.link.noise import with_noise
 from sim2real.processes import shared
 from sim2real.servo.linear import Residual
@@ -31,7 +31,8 @@ def link(robot: LinkData) -> Uneven:
     """The likelier of the two effects on one robot's link."""
     joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
     found = max((effect(joints) for effect in (latency_jitter, packet_loss)), key=lambda x: x.gain)
-    if found.gain < robot.noticed:
+    samples = sum(joint.counts[0] for joint in joints)
+    if found.gain < robot.noticed or (robot.noticed and found.gain < TRIFLING * samples):
         return Uneven(found.effect, shares=tuple(0.0 for _ in joints))
     alone = latency_jitter if found.effect == "latency_jitter" else packet_loss
     return replace(found, shares=tuple(alone([joint]).gain for joint in joints))

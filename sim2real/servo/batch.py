@@ -77,6 +77,8 @@ class Batch:
         bounded: Whether the noise is that of a sensor, whose slow wander is bounded; else it may
             be anything, as what no model explains must be.
         white: Whether the noise is taken for white, whatever a fit or a screen asks for.
+        period: Time between samples, which says how far the noise reaches back; their median
+            where None.
     """
 
     def __init__(
@@ -87,10 +89,12 @@ class Batch:
         *,
         bounded: bool = True,
         white: bool = False,
+        period: float | None = None,
     ) -> None:
         every = [trace for traces in joints for trace in traces]
         longest = max(trace.t.size for trace in every)
-        period = float(np.median(np.concatenate([np.diff(trace.t) for trace in every[:64]])))
+        if period is None:
+            period = float(np.median(np.concatenate([np.diff(x.t) for x in every[:64]])))
         self.device, self.threads, self.period = device, threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
         self.lags, self.white = lags(period), white

@@ -22,7 +22,7 @@ from sim2real.servo.parameters import HELD_CELL
 def _simulating(effects: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that simulates a servo from rest on its signal's first set-point."""
     substep = substep_of(effects)
-    mask = MOTOR_BIT - 1 if effects else 0
+    mask = ~MOTOR_BIT if effects else 0
 
     @wp.kernel(enable_backward=False, module="unique")
     def simulate_servos(

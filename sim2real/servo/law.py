@@ -115,7 +115,7 @@ def substep_of(effects: bool) -> wp.Function:
     Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (Springer, 2008), ch. 10. ``tick``
     says that a sampled controller looks at the start of the sub-step.
     """
-    mask = MOTOR_BIT - 1 if effects else 0
+    mask = ~MOTOR_BIT if effects else 0
 
     @wp.func
     def substep(

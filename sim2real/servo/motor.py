@@ -36,7 +36,7 @@ from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, MOTOR
 
 Row = wp.array(dtype=wp.float64)
 
-MOTOR_BIT = 1 << MOST_EFFECTS
+MOTOR_BIT = -(1 << MOST_EFFECTS)
 """Bit of the mask of active effects that is set where the law is not the linear one."""
 
 

@@ -214,7 +214,7 @@ def active_effects(rows: Array) -> NDArray[np.int32]:
 
 def kernel_for(active: NDArray[np.int32]) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that simulates servos with these masks (N,), the fast one where it may."""
-    return simulate_any if np.any(active & (MOTOR_BIT - 1)) else simulate_motors
+    return simulate_any if np.any(active & (~MOTOR_BIT)) else simulate_motors
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs

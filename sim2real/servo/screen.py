@@ -17,8 +17,10 @@ from sim2real.servo.problem import Fits, variants
 
 Array = NDArray[np.float64]
 
-FITTED: tuple[Effect, ...] = tuple(effect for effect in CATALOGUE if effect.fitted)
-"""Effects whose parameters a fit finds."""
+FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.never_named)
+"""Effects whose parameters a fit finds, and that may be named."""
+NUISANCES: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and e.everywhere)
+"""What every servo has a little of."""
 
 
 @dataclass(frozen=True)

@@ -373,7 +373,7 @@ def test_bars_side_by_side(code):
     section = bars.done(found)
     assert section.lead == "1 of 2 bars are met, 1 missed."
     rows = {row[0]: row[1:] for row in section.blocks[0].rows}
-    assert rows["An effect named at 0.9 where nothing is missing"][1].startswith("met, 12.5 %\n")
+    assert rows["A name at 0.9 where nothing is missing"][1].startswith("met, 12.5 %\n")
     assert rows["Held-out error removed, median"][1].startswith("MISSED, 40.0 %\n")
     assert rows["Detectable physics noticed"][0] == "–\nbar ≥ 98 %; not measured"
 

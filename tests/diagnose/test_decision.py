@@ -1,6 +1,6 @@
 """Every number that decides: complete, with what it was read from; and the reading recovers it."""
 
-import importlib.util
+import importlib
 import json
 from dataclasses import fields
 from pathlib import Path
@@ -8,19 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim2real.diagnose.decision import FILE, Decision, read_decision
+from sim2real.diagnose.decision import CURVES, FILE, Decision, read_decision, read_odds
 from sim2real.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def script():
-    path = ROOT / "benchmarks" / "calibrate_decisions.py"
-    spec = importlib.util.spec_from_file_location("calibrate_decisions", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def script(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.calibrate_decisions")
 
 
 def test_every_number_says_what_it_was_read_from():
@@ -40,50 +37,43 @@ def test_a_number_that_is_missing_is_told(tmp_path):
 
 def row(**more):
     usual = {
-        "case": 0, "kind": "null", "joint": "j1", "truth": [], "outside": False,
-        "excess_plain": 1.0, "excess": 1.0, "lead": -20.0, "own": 0.0, "step": 1.0, "groups": [],
-        "link": [{"effect": "packet_loss", "gain": 0.0, "share": 0.0}] * 2,
+        "case": "a", "set": "own", "kind": "null", "joint": "j1", "truth": [], "outside": False,
+        "nuisances": {}, "excess_plain": 1.0, "excess": 1.0, "step": 1.0, "groups": [],
+        "whole": {"one": 1.0, "own": 0.0}, "link": None,
     }  # fmt: skip
     return usual | more
 
 
-def test_a_quantile_is_that_of_what_misses_nothing(script):
-    rng = np.random.default_rng(0)
-    rows = [row(case=k, excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
-    rows += [row(case=k, kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _, curve = script.readings(rows)["structured"]
-    assert count == 400
-    assert value == pytest.approx(1.1, abs=0.003)
-    assert np.all(np.diff(curve["value"]) >= 0)
-
-
-def test_a_threshold_divides_two_kinds(script):
-    rng = np.random.default_rng(0)
-    value, count, *_ = script.divide(rng.normal(0, 1, 500), rng.normal(4, 1, 300), "")
-    assert count == 300
-    assert value == pytest.approx(2.0, abs=0.4)
-
-
 def test_a_logistic_curve_comes_back(script):
     rng = np.random.default_rng(0)
-    lead = rng.uniform(-60, 80, 3000)
-    outside = rng.random(3000) < 1 / (1 + np.exp(-(lead - 10) / 5))
-    cost, softness = script._logistic(lead, outside)
-    assert cost[0] == pytest.approx(10, abs=2)
-    assert softness[0] == pytest.approx(5, rel=0.2)
+    x = np.stack([np.ones(4000), rng.normal(0, 2, 4000)], axis=1)
+    y = (rng.random(4000) < 1 / (1 + np.exp(-(-1 + 0.8 * x[:, 1])))).astype(float)
+    assert script.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
 
 
-def test_frequencies_count_what_was_there(script):
-    group = {"members": ["backlash"], "p": 0.99, "size": None}
-    rows = [
-        row(
-            case=k, kind="single", truth=["backlash" if k % 4 else "deadband"], groups=[dict(group)]
-        )
-        for k in range(200)
-    ]
-    value, count, *_ = script.readings(rows)["most_certain"]
-    assert count == 200
-    assert value == pytest.approx(0.75, abs=0.01)
+def test_a_curve_is_judged_on_cases_left_out(script):
+    """What says nothing gets no weight worth having, and half of all is stated as half."""
+    rng = np.random.default_rng(0)
+    given = [(str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2)) for k in range(400)]
+    weights, report = script.curve(given)
+    assert abs(weights["noise"]) < 0.2
+    assert report["calibration_error"] < 0.08
+
+
+def test_a_quantile_is_that_of_what_misses_nothing(script):
+    rng = np.random.default_rng(0)
+    rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
+    rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
+    value, count, _ = script.quantiles(rows)["structured"]
+    assert count == 400
+    assert value == pytest.approx(1.1, abs=0.003)
+
+
+def test_an_effect_that_a_nuisance_is_counts_as_there(script):
+    group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"one": 1.0}}
+    there = row(groups=[group], nuisances={"cogging": 3.0})
+    told = script.samples([there, row(groups=[group])], 0.05)["effect"]
+    assert [right for _, _, right in told] == [True, False]
 
 
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
@@ -92,9 +82,11 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     target = tmp_path / "sim2real" / "diagnose" / "decision.json"
     target.write_text(FILE.read_text())
     monkeypatch.setattr(script, "ROOT", tmp_path)
-    script.write([row()])
+    script.write([row()], dry=False)
     assert read_decision(target) == read_decision()
-    script.write([row(case=k, excess_plain=1.2) for k in range(60)])
+    assert read_odds(target) == read_odds()
+    script.write([row(case=str(k), excess_plain=1.2) for k in range(60)], dry=False)
     assert read_decision(target).structured == pytest.approx(1.2)
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
-    assert report["readings"]["structured"]["count"] == 60
+    assert report["values"]["structured"]["count"] == 60
+    assert set(report["odds"]) == set(CURVES)

@@ -550,7 +550,7 @@ for k in range(4):
 try:
     import sim2real.effects
 except sim2real.errors.InputError as error:
-    assert "at most 30" in str(error), error
+    assert "at most 31" in str(error), error
 else:
     raise AssertionError
 """
