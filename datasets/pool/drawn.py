@@ -62,11 +62,11 @@ class Case:
 
 
 def robot_of(rng: np.random.Generator, name: str) -> Drawn:
-    """A robot of two to four joints, 0.4 to 0.6 m long, and the pool that it swims in."""
+    """A robot of two or three joints, 0.48 to 0.62 m long, and the pool that it swims in."""
     while True:
-        J = int(rng.choice([2, 3, 3, 4]))
-        length = rng.uniform(0.42, 0.6)
-        head = rng.uniform(0.34, 0.46)
+        J = int(rng.choice([2, 3, 3]))
+        length = rng.uniform(0.48, 0.62)
+        head = rng.uniform(0.34, 0.42)
         rest = rng.dirichlet(np.full(J, 40.0)) * (1 - head)
         share = np.concatenate([[head], rest])
         widest, highest = rng.uniform(0.2, 0.27) * length, rng.uniform(0.2, 0.26) * length
@@ -92,7 +92,7 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
         joints = tuple(Joint(f"j{k + 1}", servo, (-0.8, 0.8)) for k in range(J))
         robot = Robot(name, links, joints)
         hull = hull_of(robot)
-        if np.all(hull.length > 0.03) and hull.half_width.min() > 0.002:
+        if np.all(hull.length > 0.085) and hull.half_width.min() > 0.002:
             break
     volume = np.pi * (hull.half_width * hull.half_height).mean(axis=1) * hull.length
     volume *= rng.uniform(0.9, 0.97)
@@ -102,7 +102,7 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
     )
     robot = Robot(name, weighed, joints)
     kp = rng.uniform(1.6, 2.6) * rng.uniform(0.9, 1.1, J)
-    kd = rng.uniform(0.03, 0.042) * kp
+    kd = rng.uniform(0.03, 0.037) * kp
     latency = rng.uniform(0.045, 0.08) + rng.uniform(-0.006, 0.006, J)
     true = {"kp": kp, "kd": kd, "latency": latency}
     off = {
@@ -180,7 +180,7 @@ def _soft_skin(rng: np.random.Generator, s: float) -> dict[str, float]:
 
 NOMINAL: dict[str, Callable[[np.random.Generator, float], dict[str, float]]] = {
     "skin_elasticity": _one("stiffness_Nm_per_rad", 0.4),
-    "skin_damping": _one("damping_Nms_per_rad", 0.03),
+    "skin_damping": _one("damping_Nms_per_rad", 0.015),
     "skin_viscoelasticity": _soft_skin,
     "skin_coupling": _one("stiffness_Nm_per_rad", 0.25),
     "linear_drag": _one("coefficient", 0.4),
@@ -191,7 +191,7 @@ NOMINAL: dict[str, Callable[[np.random.Generator, float], dict[str, float]]] = {
     "pool_current": _round(("u_m_s", "v_m_s"), 0.025),
     "tether": _tether,
     "wall_effect": _one("ratio", 0.15),
-    "com_offset": _round(("x_m", "y_m"), 0.012, 0.5),
+    "com_offset": _round(("x_m", "y_m"), 0.004, 0.5),
     "trim_asymmetry": _signed("offset_rad", 0.035),
     "camera_latency": _one("latency_s", 0.05),
     "camera_rotation": _signed("angle_rad", 0.05),

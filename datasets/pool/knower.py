@@ -43,7 +43,8 @@ def known_to(
         t: Times in s, shape (T,).
         pose: As the camera shows it but for noise, shape (T, 3).
         joint: Joint angles, shape (T, J).
-        plain, plain_joint: Those of a swim in which nothing is concealed.
+        plain: Poses of a swim in which nothing is concealed.
+        plain_joint: Its joint angles.
         sent: Set-points, shape (T, J).
         case: What is concealed.
         drawn: The robot.

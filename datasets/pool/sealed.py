@@ -40,6 +40,8 @@ COUNTS = {"null": 34, "single": 56, "double": 24, "outside": 24}
 ROBOTS = 8
 REFERENCES = 2
 SOURCE = "Simulated, not measured: datasets/pool/sealed.py. MIT licence."
+WILD_M_S = 1.2
+"""Speed from which a box counts as stopped: a robot that shook itself to pieces."""
 NUDGE_M = 1e-3
 """How far another box begins, so that its wake is another: what nobody can foretell."""
 
@@ -90,7 +92,8 @@ def make_robot(
         joint.append(angle)
         world.step(row)
     poses, joints = np.array(pose), np.array(joint)
-    lost = world.stopped()
+    way = np.linalg.norm(np.diff(poses[..., :2], axis=0), axis=2) / CONTROL_S
+    lost = world.stopped() | ~(way.max(axis=0, initial=0.0) < WILD_M_S)
     poses[:, plain, 0] -= NUDGE_M
     t = CONTROL_S * np.arange(len(sent))
     label = f"robot_{k + 1:02d}"

@@ -1,8 +1,7 @@
 """What water and cables do to a robot beside the fluid's own forces: drags, water carried, a wall.
 
 Forces on the middles of links, in NumPy, for all robots at once. What has mass is a momentum p of
-each link and gives back - dp/dt from one step to the next: explicit, stable while it is lighter
-than the link with the water that goes along.
+each link and gives back - dp/dt, within ``SOON_S``: at once it would shake the lightest links.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from sim.robot.shape import Hull, displaced
 Array = NDArray[np.float64]
 
 POOL_HALF_M = 1.8
+SOON_S = 0.004
 GUST_S = 1.2
 """A second swimmer's vortices pass within so many seconds (one sd)."""
 
@@ -85,10 +85,14 @@ class Waters:
         leaked = self._leak * np.maximum(t - self._leaks_from, 0.0)
         carried[:, 0] += leaked[:, None] * at.speed[:, 0]
         spun = self._spin * at.rate
-        if self._carried is not None and self._spun is not None:
-            force -= (carried - self._carried) / self._h
-            couple -= (spun - self._spun) / self._h
-        self._carried, self._spun = carried, spun
+        couple -= self._more * at.along * at.across  # Munk's moment: velocity times momentum
+        if self._carried is None or self._spun is None:
+            self._carried, self._spun = carried, spun
+        given, turned = (carried - self._carried) / SOON_S, (spun - self._spun) / SOON_S
+        force -= given
+        couple -= turned
+        self._carried = self._carried + self._h * given
+        self._spun = self._spun + self._h * turned
 
     def _near_wall(self, force: Array, at: Moving, place: Array) -> None:
         gap = POOL_HALF_M - np.abs(place).max(axis=1)
