@@ -1,0 +1,309 @@
+"""Swims of one robot as a problem of ``sim2real.inference.selection``, in the twin.
+
+Near a fit a swim is linear in all coordinates, so one batch of rollouts (``look``) tells what every
+effect would bring, and refits follow its derivatives, a rollout or two a step. What the twin gets
+wrong is a part of the noise: what is left has the size that ``Blocks`` say, and every effect that a
+hypothesis does not have may still seem to be there by as much as the twin's error imitates it. So
+evidence is that of a normal model with all columns in every hypothesis: those of an effect that is
+there have its prior, the others the imitation's (MacKay, Information Theory, Inference, and
+Learning Algorithms (2003), ch. 28).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.blocks import Blocks
+from sim.inference.coordinates import Coordinates, in_fit, swum
+from sim.inference.search import Effect
+from sim.inference.swims import Simulator, Swim
+from sim2real.inference.selection import Hypothesis, Ledger, Members
+
+Array = NDArray[np.float64]
+
+FIRST = 9
+"""Single effects that are refitted, of those that promise most."""
+_STEPS = 3
+_SHARES = (1.0, 0.4)
+"""Of a step, tried together."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known before a swim.
+
+    Attributes:
+        mean: Of servos and law, shape (B,).
+        covariance: Likewise, shape (B, B).
+        imitation: Standard deviation that each column seems to have without being there, (F,).
+    """
+
+    mean: Array
+    covariance: Array
+    imitation: Array
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A swim's errors near a point: ``rows + slope @ (x - at)``.
+
+    Attributes:
+        at: Shape (F,).
+        slope: Shape (n, F).
+        normal: ``slope.T @ slope``.
+    """
+
+    at: Array
+    slope: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis, fitted.
+
+    Attributes:
+        x: The point, shape (F,): 0 where an effect is not in it.
+        rows: Weighted errors there, shape (n,).
+        seems: What other effects seem to be, of the twin's error, shape (F,).
+        loss: Minus the logarithm of likelihood and prior.
+        near: The slope that it was found with.
+        looked: Whether that is the slope at its own point.
+    """
+
+    x: Array
+    rows: Array
+    seems: Array
+    loss: float
+    near: Slope
+    looked: bool = False
+
+
+@dataclass
+class TwinSwims:
+    """Swims, and all that a search asks of them.
+
+    Attributes:
+        coordinates: Of the robot.
+        swims: Its recordings.
+        simulator: The twin.
+        belief: What is known before.
+        shares: The twin's error by signal and band.
+        cost: What an effect costs in evidence.
+    """
+
+    coordinates: Coordinates
+    swims: Sequence[Swim]
+    simulator: Simulator
+    belief: Belief
+    shares: Array
+    cost: float = 0.0
+    blocks: list[Blocks] = field(init=False)
+    weights: list[Array] = field(init=False)
+    kept: NDArray[np.bool_] | None = None
+    rollouts: int = 0
+
+    def __post_init__(self) -> None:
+        """Take the recordings apart."""
+        self.blocks = [Blocks.of(swim) for swim in self.swims]
+        self.weights = [one.weights(self.shares) for one in self.blocks]
+
+    # --- simulations -------------------------------------------------------------------------
+
+    def rows(self, points: Array) -> Array:
+        """Weighted errors at points (E, F), shape (E, n); all, whether fitted or not."""
+        self.rollouts += len(points) * len(self.swims)
+        parts = []
+        for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
+            error = blocks.errors(swum(self.coordinates, swim, points, self.simulator))
+            parts.append((error * weight).reshape(len(points), -1))
+        return np.concatenate(parts, axis=1)
+
+    def slope(self, x: Array) -> tuple[Array, Slope]:
+        """Weighted errors at a point, and their derivatives by all columns."""
+        points, base = self.coordinates.about(x)
+        rows = self.rows(self.coordinates.clipped(points))
+        step = self.coordinates.steps(x)
+        slope = ((rows[1:] - rows[base.astype(int)]) / step[:, None]).T
+        return rows[0], Slope(x, slope, slope.T @ slope)
+
+    def fitted(self, rows: Array) -> Array:
+        """Of rows (..., n) those that a fit sees; the others are 0."""
+        return rows if self.kept is None else rows * self.kept
+
+    # --- the normal model --------------------------------------------------------------------
+
+    def precision(self, members: Members) -> Array:
+        """Of all columns before the swim, shape (F, F)."""
+        c = self.coordinates
+        sd = self.belief.imitation.copy()
+        on = in_fit(c.columns, members)
+        for k in np.flatnonzero(on):
+            column = c.columns[k]
+            if column.effect is not None:
+                sd[k] = np.hypot(sd[k], column.prior_sd)
+        out = np.diag(1 / np.square(sd))
+        base = np.array(c.base)
+        out[np.ix_(base, base)] = np.linalg.inv(self.belief.covariance)
+        return out
+
+    def centre(self) -> Array:
+        """The mean before the swim, shape (F,)."""
+        x = self.coordinates.nominal
+        x[self.coordinates.base] = self.belief.mean
+        return x
+
+    def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
+        """Loss at a point, what its own columns stand for held and the others free; the best step.
+
+        Returns:
+            Minus the logarithm of likelihood and prior, and the way from here to where all columns
+            would be best, shape (F,).
+        """
+        prior = self.precision(members)
+        seen, slope, normal = self._part(rows, near)
+        off = x - self.centre()
+        gradient = slope.T @ seen + prior @ off
+        whole = normal + prior
+        step = -np.linalg.solve(whole, gradient)
+        other = ~in_fit(self.coordinates.columns, members)
+        loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
+        if other.any():
+            g = gradient[other]
+            loss -= 0.5 * float(g @ np.linalg.solve(whole[np.ix_(other, other)], g))
+        return loss, step
+
+    def evidence(self, members: Members, loss: float, near: Slope) -> float:
+        """Logarithm of the marginal likelihood, up to a constant of the swims."""
+        prior = self.precision(members)
+        _, _, normal = self._part(None, near)
+        size = np.linalg.slogdet(normal + prior)[1] - np.linalg.slogdet(prior)[1]
+        return -loss - 0.5 * float(size) - self.cost * len(members)
+
+    def covariance(self, members: Members, near: Slope) -> Array:
+        """Of all columns after the swim, shape (F, F)."""
+        _, _, normal = self._part(None, near)
+        return np.asarray(np.linalg.inv(normal + self.precision(members)))
+
+    def _part(self, rows: Array | None, near: Slope) -> tuple[Array, Array, Array]:
+        none = np.zeros(0)
+        if self.kept is None:
+            return (none if rows is None else rows), near.slope, near.normal
+        slope = near.slope[self.kept]
+        return (none if rows is None else rows[self.kept]), slope, slope.T @ slope
+
+    # --- fits --------------------------------------------------------------------------------
+
+    def plain(self, rounds: int = 2) -> Hypothesis[Fit]:
+        """The hypothesis that nothing is missing."""
+        x = self.centre()
+        found: Fit | None = None
+        for _ in range(rounds):
+            rows, near = self.slope(x)
+            loss, step = self.judged(frozenset(), x, rows, near)
+            found = Fit(x, rows, self._seems(frozenset(), step), loss, near, looked=True)
+            (found,) = self._walk([(frozenset(), found)], 2)
+            x = found.x
+        rows, near = self.slope(x)
+        loss, step = self.judged(frozenset(), x, rows, near)
+        found = Fit(x, rows, self._seems(frozenset(), step), loss, near, looked=True)
+        return Hypothesis(frozenset(), found, self.evidence(frozenset(), loss, near))
+
+    def polished(self, members: Members, fit: Fit) -> Hypothesis[Fit]:
+        """The fit with slopes of its own."""
+        rows, near = self.slope(fit.x)
+        loss, step = self.judged(members, fit.x, rows, near)
+        begun = Fit(fit.x, rows, self._seems(members, step), loss, near, looked=True)
+        (found,) = self._walk([(members, begun)], 2)
+        return Hypothesis(members, found, self.evidence(members, found.loss, near))
+
+    def _seems(self, members: Members, step: Array) -> Array:
+        return np.where(in_fit(self.coordinates.columns, members), 0.0, step)
+
+    def _walk(self, begun: Sequence[tuple[Members, Fit]], steps: int) -> list[Fit]:
+        """Go on from fits along their slopes, all in one batch a step."""
+        now = [fit for _, fit in begun]
+        going = list(range(len(begun)))
+        for _ in range(steps):
+            if not going:
+                break
+            trials = []
+            for k in going:
+                members, fit = begun[k][0], now[k]
+                _, step = self.judged(members, fit.x, fit.rows, fit.near)
+                own = np.where(in_fit(self.coordinates.columns, members), step, 0.0)
+                trials += [self.coordinates.clipped(fit.x + share * own) for share in _SHARES]
+            rows = self.rows(np.array(trials))
+            still = []
+            for place, k in enumerate(going):
+                members, before = begun[k][0], now[k]
+                for n in range(len(_SHARES)):
+                    i = place * len(_SHARES) + n
+                    loss, step = self.judged(members, trials[i], rows[i], before.near)
+                    if loss < now[k].loss:
+                        seems = self._seems(members, step)
+                        now[k] = Fit(trials[i], rows[i], seems, loss, before.near)
+                if now[k].loss < before.loss - 0.1:
+                    still.append(k)
+            going = still
+        return now
+
+    # --- what the search asks ----------------------------------------------------------------
+
+    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
+        """Take the slopes of these sets' fits, and go on along them."""
+        for ledger, members in places:
+            known = ledger.tried[members]
+            if not known.fit.looked:
+                found = self.polished(members, known.fit)
+                ledger.tried[members] = replace(found, fit=replace(found.fit, looked=True))
+
+    def additions(
+        self, ledger: Ledger[Fit], members: Members, most: int | None
+    ) -> Sequence[tuple[Hashable, Fit]]:
+        """Effects that promise most beside a set, by its slopes."""
+        fit = ledger.tried[members].fit
+        found = []
+        for effect in self.coordinates.effects:
+            if effect not in members:
+                more = members | {effect}
+                loss, step = self.judged(more, fit.x, fit.rows, fit.near)
+                best = self._linear(more, fit, step)
+                found.append((self.evidence(more, best, fit.near), effect))
+        found.sort(key=lambda one: -one[0])
+        return [(effect, fit) for _, effect in found[: most or FIRST]]
+
+    def _linear(self, members: Members, fit: Fit, step: Array) -> float:
+        """Loss at the end of a step, by the slopes, the step cut to what is allowed."""
+        there = self.coordinates.clipped(fit.x + step) - fit.x
+        on = in_fit(self.coordinates.columns, members)
+        there = np.where(on, there, 0.0)
+        rows = fit.rows + fit.near.slope @ there
+        return self.judged(members, fit.x + there, rows, fit.near)[0]
+
+    def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
+        """The best fit that has one effect more, without it."""
+        best = ledger.best
+        keep = in_fit(self.coordinates.columns, members)
+        x = np.where(keep, best.fit.x, self.coordinates.nominal)
+        return replace(best.fit, x=x, rows=self.rows(x[None])[0])
+
+    def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
+        """Fit sets, each from a fit of a part of it, in one batch a step."""
+        begun = []
+        for _, members, fit in jobs:
+            loss, step = self.judged(members, fit.x, fit.rows, fit.near)
+            begun.append((members, Fit(fit.x, fit.rows, self._seems(members, step), loss, fit.near)))
+        ended = self._walk(begun, _STEPS)
+        return [
+            Hypothesis(members, fit, self.evidence(members, fit.loss, fit.near))
+            for (members, _), fit in zip(begun, ended, strict=True)
+        ]
+
+    def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
+        """Whether what was found is worth going on from."""
+        return bool(ledger.best.members)
