@@ -88,9 +88,7 @@ class Blocks:
         for a, b in edges:
             noise[a:b, :3] = uniform_filter1d(each[a:b], 9, axis=0, mode="nearest")
         noise[:, 3:] = np.broadcast_to(swim.noise, signals.shape[1])[3:] ** 2 + _STEP_RAD**2
-        return cls(
-            tuple(edges), block, np.searchsorted(BANDS_HZ, hertz), noise, power, seen
-        )
+        return cls(tuple(edges), block, np.searchsorted(BANDS_HZ, hertz), noise, power, seen)
 
     def weights(self, shares: Array) -> Array:
         """One over standard deviations (T, K) with the twin's error by signal and band, (4, 3).

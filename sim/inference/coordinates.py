@@ -8,7 +8,7 @@ heading that was seen: a body goes along with even water.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim.inference.parameters import candidates
 from sim.inference.search import Effect
-from sim.inference.swims import Simulator, Swim, with_values
+from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
 from sim2real.body import values
 from sim2real.camera import observed
@@ -182,14 +182,15 @@ class Coordinates:
         return points, np.asarray(base, dtype=np.float64)
 
 
-def swum(
-    coordinates: Coordinates, swim: Swim, points: Array, simulator: Simulator
-) -> Array:
+Swum = Callable[[Sequence[Model], Swim], Array]
+"""From models (E) and a swim to tracks (E, T, 3 + J)."""
+
+
+def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) -> Array:
     """Signals of a swim at points (E, F), shape (E, T, 3 + J).
 
     Points that differ in the camera and the current alone share a rollout.
     """
-    models = [coordinates.model_at(x) for x in points]
     outer = [
         k for k, c in enumerate(coordinates.columns)
         if c.effect is not None and (c.effect[1] == "camera" or c.name in _CURRENT)
@@ -197,17 +198,30 @@ def swum(
     inner = points.copy()
     inner[:, outer] = 0.0
     unique, which = np.unique(inner, axis=0, return_inverse=True)
-    track = simulator([coordinates.model_at(x) for x in unique], swim.command, swim.start)
-    out = np.full((len(points), swim.t.size, track.shape[2]), np.nan)
+    track = simulate([coordinates.model_at(x) for x in unique], swim)[which.reshape(-1)]
+    return _seen(track, [coordinates.parameters(x) for x in points], swim)
+
+
+def seen_as(models: Sequence[Model], swim: Swim, simulate: Swum) -> Array:
+    """Signals of a swim by models, current and camera as in ``swum``, shape (E, T, 3 + J)."""
+    given = [values(model) for model in models]
+    still = [
+        with_values(model, {name: 0.0 for name in _CURRENT if name in one})
+        for model, one in zip(models, given, strict=True)
+    ]
+    return _seen(simulate(still, swim), given, swim)
+
+
+def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
+    """What camera and joints show of tracks (E, T, 3 + J) swum in still water."""
+    out = np.full((len(track), swim.t.size, track.shape[2]), np.nan)
     heading = swim.heading
     c, s = np.cos(heading), np.sin(heading)
-    for e, model in enumerate(models):
-        own = track[which.reshape(-1)[e]]
-        if not np.isfinite(own).all():
+    for e, given in enumerate(parameters):
+        if not np.isfinite(track[e]).all():
             continue
-        given = values(model)
-        out[e, :, :3] = body_velocity(swim.t, observed(swim.t, own[:, :3], given))
-        out[e, :, 3:] = own[:, 3:]
+        out[e, :, :3] = body_velocity(swim.t, observed(swim.t, track[e, :, :3], given))
+        out[e, :, 3:] = track[e, :, 3:]
         u, v = (given.get(name, 0.0) for name in _CURRENT)
         out[e, :, 0] += c * u + s * v
         out[e, :, 1] += c * v - s * u

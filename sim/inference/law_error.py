@@ -60,7 +60,11 @@ class LawError:
     def _of(known: Mapping[str, float], kind: str, nominal: float) -> float:
         """A gain's is relative."""
         value = known[kind]
-        return value * abs(nominal) if kind in ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad") else value
+        return (
+            value * abs(nominal)
+            if kind in ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
+            else value
+        )
 
 
 def read_law_error(path: Path = FILE) -> LawError:

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.inference.blocks import Blocks
-from sim.inference.coordinates import Coordinates, in_fit, swum
-from sim.inference.search import Effect
-from sim.inference.swims import Simulator, Swim
+from sim.inference.coordinates import Coordinates, Swum, in_fit, swum
+from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
 
 Array = NDArray[np.float64]
@@ -28,6 +27,10 @@ Array = NDArray[np.float64]
 FIRST = 9
 """Single effects that are refitted, of those that promise most."""
 _STEPS = 3
+_SETTLED = 0.7
+"""Change of the loss below which a fit stays where it is."""
+_JUMPS = (-6.0, -2.0, 2.0, 6.0)
+"""Sizes from which a search for an effect may begin, in steps of its derivative."""
 _SHARES = (1.0, 0.4)
 """Of a step, tried together."""
 
@@ -90,7 +93,7 @@ class TwinSwims:
     Attributes:
         coordinates: Of the robot.
         swims: Its recordings.
-        simulator: The twin.
+        simulate: The twin.
         belief: What is known before.
         shares: The twin's error by signal and band.
         cost: What an effect costs in evidence.
@@ -98,7 +101,7 @@ class TwinSwims:
 
     coordinates: Coordinates
     swims: Sequence[Swim]
-    simulator: Simulator
+    simulate: Swum
     belief: Belief
     shares: Array
     cost: float = 0.0
@@ -119,7 +122,7 @@ class TwinSwims:
         self.rollouts += len(points) * len(self.swims)
         parts = []
         for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
-            error = blocks.errors(swum(self.coordinates, swim, points, self.simulator))
+            error = blocks.errors(swum(self.coordinates, swim, points, self.simulate))
             parts.append((error * weight).reshape(len(points), -1))
         return np.concatenate(parts, axis=1)
 
@@ -196,6 +199,11 @@ class TwinSwims:
         slope = near.slope[self.kept]
         return (none if rows is None else rows[self.kept]), slope, slope.T @ slope
 
+    def part(self, fit: Fit) -> tuple[Array, Array]:
+        """Rows and slopes of a fit that it was fitted to."""
+        rows, slope, _ = self._part(fit.rows, fit.near)
+        return rows, slope
+
     # --- fits --------------------------------------------------------------------------------
 
     def plain(self, rounds: int = 2) -> Hypothesis[Fit]:
@@ -220,6 +228,28 @@ class TwinSwims:
         begun = Fit(fit.x, rows, self._seems(members, step), loss, near, looked=True)
         (found,) = self._walk([(members, begun)], 2)
         return Hypothesis(members, found, self.evidence(members, found.loss, near))
+
+    def settled(self, found: Hypothesis[Fit], rounds: int = 2) -> Hypothesis[Fit]:
+        """A hypothesis whose fit has slopes of its own, and stays where it is with them."""
+        for _ in range(rounds):
+            before = found.fit.loss
+            found = self.polished(found.members, found.fit)
+            if abs(before - found.fit.loss) < _SETTLED:
+                break
+        return found
+
+    def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, NDArray[np.bool_]]:
+        """A fit of the first part of each swim, from one of all of it; which rows it left out."""
+        first = [
+            np.repeat(one.block < round((1 - share) * len(one.edges)), w.shape[1])
+            for one, w in zip(self.blocks, self.weights, strict=True)
+        ]
+        self.kept = np.concatenate(first)
+        try:
+            (found,) = self._walk([(members, replace(fit, loss=np.inf))], _STEPS)
+        finally:
+            kept, self.kept = self.kept, None
+        return found, ~kept
 
     def _seems(self, members: Members, step: Array) -> Array:
         return np.where(in_fit(self.coordinates.columns, members), 0.0, step)
@@ -297,12 +327,41 @@ class TwinSwims:
         begun = []
         for _, members, fit in jobs:
             loss, step = self.judged(members, fit.x, fit.rows, fit.near)
-            begun.append((members, Fit(fit.x, fit.rows, self._seems(members, step), loss, fit.near)))
+            here = Fit(fit.x, fit.rows, self._seems(members, step), loss, fit.near)
+            begun.append((members, here))
+        begun = self._jumped(begun)
         ended = self._walk(begun, _STEPS)
         return [
             Hypothesis(members, fit, self.evidence(members, fit.loss, fit.near))
             for (members, _), fit in zip(begun, ended, strict=True)
         ]
+
+    def _jumped(self, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
+        """Starts from sizes that an effect of one number may have, where they promise more."""
+        trials, of = [], []
+        for k, (members, fit) in enumerate(begun):
+            for effect in members:
+                own = self.coordinates.of_effect(effect)
+                if len(own) == 1 and fit.x[own[0]] == 0.0:
+                    column = self.coordinates.columns[own[0]]
+                    for size in _JUMPS:
+                        x = fit.x.copy()
+                        x[own[0]] = np.clip(size * column.step, column.low, column.high)
+                        trials.append(x)
+                        of.append(k)
+        if not trials:
+            return list(begun)
+        rows = self.rows(np.array(trials))
+        out = list(begun)
+        best = [self._linear(m, f, self.judged(m, f.x, f.rows, f.near)[1]) for m, f in begun]
+        for x, row, k in zip(trials, rows, of, strict=True):
+            members, fit = begun[k]
+            loss, step = self.judged(members, x, row, fit.near)
+            there = Fit(x, row, self._seems(members, step), loss, fit.near)
+            promised = self._linear(members, there, step)
+            if promised < best[k] and loss < out[k][1].loss:
+                best[k], out[k] = promised, (members, there)
+        return out
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
         """Whether what was found is worth going on from."""
