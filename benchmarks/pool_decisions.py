@@ -27,6 +27,7 @@ from sim.inference.coordinates import Coordinates
 from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import BANDS, FILE, ROWS, SCHEMA, read_law_error
 from sim.inference.searched import learned
+from sim.inference.swim_decision import decide
 from sim.inference.swims import Swim, swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import read_model
@@ -157,6 +158,102 @@ def learn(development: Path, processes: int) -> None:
     print(json.dumps({k: content[k] for k in ("shares", "imitated", "unknown", "usual")}, indent=1))
 
 
+SPANS: dict[str, tuple[float, float]] = {
+    "cost": (2.0, 14.0), "temperature": (1.0, 8.0), "alike": (0.5, 6.0),
+    "alike_imitated": (1.0, 12.0), "unlisted": (3.0, 40.0), "unlisted_softness": (1.0, 8.0),
+    "misfit": (0.3, 2.5), "misfit_softness": (0.05, 0.5), "held_gain": (-3.0, 3.0),
+    "held_worse": (0.0, 0.03), "most_certain": (0.95, 0.99),
+}  # fmt: skip
+"""Where thresholds are looked for."""
+_LOOKS, _NARROW = 1500, 0.25
+
+
+def judged(cases: list[tuple[dict[str, Any], dict[str, Any]]], numbers: dict[str, float]) -> dict[str, float]:
+    """The grader's measures of decisions with these numbers, of (answer, raw) pairs."""
+    counts: dict[str, list[float]] = {k: [] for k in (
+        "false_alarm", "flagged_null", "detection", "group_first", "both", "abstains", "wrong")}
+    stated: list[tuple[float, bool]] = []
+    for truth, found in cases:
+        said = decide(found, numbers)
+        hidden = [] if truth["kind"] == "outside" else [
+            (e["effect"], e["component"]) for e in truth["effects"]]
+        right = [_right(one.group, hidden) for one in said.named]
+        stated += [(one.probability, ok) for one, ok in zip(said.named, right, strict=True)
+                   if one.probability >= 0.05]
+        sure = [ok for one, ok in zip(said.named, right, strict=True) if one.probability >= 0.9]
+        counts["wrong"] += [float(not ok) for ok in sure]
+        likely = [one for one in said.named if one.probability >= 0.5]
+        flagged = said.verdict != "consistent"
+        seen = truth["oracle"]["llr_total"] >= 10
+        if truth["kind"] == "null":
+            counts["false_alarm"].append(float(bool(sure)))
+            counts["flagged_null"].append(float(flagged))
+        if truth["kind"] == "outside":
+            good = said.verdict in ("unexplained", "partly_explained") and not likely
+            counts["abstains"].append(float(good))
+        if truth["kind"] in ("single", "double") and seen:
+            counts["detection"].append(float(flagged))
+        if truth["kind"] == "single" and seen:
+            counts["group_first"].append(float(bool(right) and right[0]))
+        if truth["kind"] == "double" and seen:
+            met = sum(any(_right(one.group, [h]) for one in likely) for h in hidden)
+            counts["both"].append(float(met == 2 and len(likely) == 2))
+    out = {name: float(np.mean(v)) if v else 0.0 for name, v in counts.items()}
+    p, ok = np.array([x for x, _ in stated]), np.array([float(y) for _, y in stated])
+    place = np.minimum((10 * p).astype(int), 9)
+    out["ece"] = float(sum(
+        abs(p[place == k].sum() - ok[place == k].sum()) for k in range(10)) / max(len(p), 1))
+    return out
+
+
+def _right(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
+    alone = len({name for name, _ in group}) == 1
+    return any(
+        (name == effect and (not alone or of == where)) for name, of in group for effect, where in hidden
+    )
+
+
+def worth(found: dict[str, float]) -> float:
+    """What measures are worth: those of the issue, false names dearest."""
+    over = lambda name, bar: max(0.0, found[name] - bar)  # noqa: E731
+    return (
+        found["detection"] + found["group_first"] + 0.8 * found["both"] + found["abstains"]
+        - 6 * over("false_alarm", 0.0) - 4 * over("wrong", 0.015) - 3 * over("ece", 0.05)
+        - 0.5 * found["flagged_null"]
+    )  # fmt: skip
+
+
+def choose(development: Path, verdicts: Path) -> None:
+    """Thresholds whose answers to the development set are best, by a random search that narrows."""
+    answers = json.loads((development / "answers.json").read_text())["cases"]
+    cases = [
+        (one, json.loads((verdicts / one["case"] / "raw.json").read_text()))
+        for one in answers if (verdicts / one["case"] / "raw.json").exists()
+    ]  # fmt: skip
+    rng = np.random.default_rng(0)
+    content = json.loads(FILE.read_text())
+    best = dict(content["decisions"])
+    top = worth(judged(cases, best))
+    print(len(cases), "cases; before", judged(cases, best))
+    for look in range(_LOOKS):
+        near = _NARROW if look > _LOOKS // 3 else 1.0
+        trial = {}
+        for name, (low, high) in SPANS.items():
+            drawn = rng.uniform(low, high)
+            if near < 1 and rng.random() < 0.6:
+                drawn = best[name]
+            elif near < 1:
+                drawn = float(np.clip(best[name] + near * (drawn - (low + high) / 2), low, high))
+            trial[name] = float(drawn)
+        got = worth(judged(cases, trial))
+        if got > top:
+            top, best = got, trial
+    content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
+    content["decided"] = f"{len(cases)} cases of the development set, {_LOOKS} looks at random"
+    write_json(FILE, content)
+    print("after", judged(cases, best), best)
+
+
 def main() -> None:
     """Learn or choose."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -164,8 +261,14 @@ def main() -> None:
     one = commands.add_parser("learn")
     one.add_argument("development", type=Path)
     one.add_argument("--processes", type=int, default=2)
+    two = commands.add_parser("choose")
+    two.add_argument("development", type=Path)
+    two.add_argument("verdicts", type=Path)
     options = parser.parse_args()
-    learn(options.development, options.processes)
+    if options.command == "learn":
+        learn(options.development, options.processes)
+    else:
+        choose(options.development, options.verdicts)
 
 
 if __name__ == "__main__":

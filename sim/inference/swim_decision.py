@@ -17,6 +17,8 @@ from sim2real.diagnose.result import Verdict
 Name = tuple[str, str]
 Names = frozenset[Name]
 
+STATED, LIKELY = 0.05, 0.5
+"""Probabilities from which an effect is told at all, and from which a model has it."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
 """Effects by which a law that is wrong somewhere else helps itself."""
 
@@ -45,7 +47,7 @@ class Decided:
     Attributes:
         verdict: In a word.
         named: Likeliest first.
-        offered: The set whose model predicts, maybe more than is named for sure.
+        offered: The set whose model predicts; nothing where no name is likely.
         rivals: Other effects and their probabilities, likeliest first.
         unlisted: Probability that something is there that the catalogue lacks.
         shape: The shape without a name that does best.
@@ -89,6 +91,9 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
         gain = worth[offered] - worth.get(rest, min(worth.values())) + cost
         certain = min(there * (1 - unlisted), numbers["most_certain"])
         named.append(Named(name, group, certain, gain))
+    if max((one.probability for one in named), default=0.0) < LIKELY:
+        offered = frozenset()
+    named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [
@@ -97,17 +102,17 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     ]
     rivals.sort(key=lambda one: -one[1])
     return Decided(
-        _verdict(named, best, offered, unlisted), tuple(named), offered, tuple(rivals), unlisted,
+        _verdict(named, best, unlisted), tuple(named), offered, tuple(rivals), unlisted,
         shape,
     )  # fmt: skip
 
 
-def _verdict(named: list[Named], best: Names, offered: Names, unlisted: float) -> Verdict:
-    likely = [one for one in named if one.probability >= 0.5]
+def _verdict(named: list[Named], best: Names, unlisted: float) -> Verdict:
+    likely = [one for one in named if one.probability >= LIKELY]
     if unlisted >= 0.5:
         return "partly_explained" if likely else "unexplained"
     if not likely:
-        return "unexplained" if best and not offered and len(best) else "consistent"
+        return "consistent"
     return "ambiguous" if any(len(one.group) > 1 for one in likely) else "explained"
 
 

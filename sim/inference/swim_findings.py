@@ -193,6 +193,10 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     said = decide(raw(found), known.decisions)
     problem, c = found.problem, found.problem.coordinates
     chosen = next(h for h in found.found if frozenset(names_of(h.members)) == said.offered)
+    fitted = next(
+        h for h in found.found
+        if frozenset(names_of(h.members)) >= {one.name for one in said.named}
+    )  # fmt: skip
     both = (found.plain, chosen)
     errors = [_errors(problem, one.fit) for one in both]
     speeds = {frozenset(names_of(m)): speed for m, (_, speed) in found.held.items()}
@@ -200,7 +204,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     named = []
     for one in said.named:
         effect = next(e for e in c.effects if (e.name, e.component) == one.name)
-        parameters = _estimates(found, chosen, effect)
+        parameters = _estimates(found, fitted, effect)
         told = ", ".join(f"{name} {x.mean:.3g}" for name, x in parameters.items())
         known_as = body_effect(effect.name)
         where = f" ({effect.component})" if known_as.by_material else ""
