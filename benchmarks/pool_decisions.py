@@ -168,18 +168,36 @@ SPANS: dict[str, tuple[float, float]] = {
 _LOOKS, _NARROW = 1500, 0.25
 
 
-def judged(cases: list[tuple[dict[str, Any], dict[str, Any]]], numbers: dict[str, float]) -> dict[str, float]:
+def judged(
+    cases: list[tuple[dict[str, Any], dict[str, Any]]], numbers: dict[str, float]
+) -> dict[str, float]:
     """The grader's measures of decisions with these numbers, of (answer, raw) pairs."""
-    counts: dict[str, list[float]] = {k: [] for k in (
-        "false_alarm", "flagged_null", "detection", "group_first", "both", "abstains", "wrong")}
+    counts: dict[str, list[float]] = {
+        k: []
+        for k in (
+            "false_alarm",
+            "flagged_null",
+            "detection",
+            "group_first",
+            "both",
+            "abstains",
+            "wrong",
+        )
+    }
     stated: list[tuple[float, bool]] = []
     for truth, found in cases:
         said = decide(found, numbers)
-        hidden = [] if truth["kind"] == "outside" else [
-            (e["effect"], e["component"]) for e in truth["effects"]]
+        hidden = (
+            []
+            if truth["kind"] == "outside"
+            else [(e["effect"], e["component"]) for e in truth["effects"]]
+        )
         right = [_right(one.group, hidden) for one in said.named]
-        stated += [(one.probability, ok) for one, ok in zip(said.named, right, strict=True)
-                   if one.probability >= 0.05]
+        stated += [
+            (one.probability, ok)
+            for one, ok in zip(said.named, right, strict=True)
+            if one.probability >= 0.05
+        ]
         sure = [ok for one, ok in zip(said.named, right, strict=True) if one.probability >= 0.9]
         counts["wrong"] += [float(not ok) for ok in sure]
         likely = [one for one in said.named if one.probability >= 0.5]
@@ -201,15 +219,18 @@ def judged(cases: list[tuple[dict[str, Any], dict[str, Any]]], numbers: dict[str
     out = {name: float(np.mean(v)) if v else 0.0 for name, v in counts.items()}
     p, ok = np.array([x for x, _ in stated]), np.array([float(y) for _, y in stated])
     place = np.minimum((10 * p).astype(int), 9)
-    out["ece"] = float(sum(
-        abs(p[place == k].sum() - ok[place == k].sum()) for k in range(10)) / max(len(p), 1))
+    out["ece"] = float(
+        sum(abs(p[place == k].sum() - ok[place == k].sum()) for k in range(10)) / max(len(p), 1)
+    )
     return out
 
 
 def _right(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
     alone = len({name for name, _ in group}) == 1
     return any(
-        (name == effect and (not alone or of == where)) for name, of in group for effect, where in hidden
+        (name == effect and (not alone or of == where))
+        for name, of in group
+        for effect, where in hidden
     )
 
 

@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 
 GAIN, LATE_S = 0.03, 0.0025
 """What a bench is off by: of kp and kd, and in seconds (one sd)."""
-TURBULENT = (0.006, 0.006, 0.05)
-"""What another wake changes of surge, sway (m/s) and yaw rate (rad/s), as two boxes in which
-nothing is concealed differ; it lasts some 0.4 s."""
-TURBULENT_RAD = 0.001
+TURBULENT = (0.008, 0.004, 0.04)
+"""What another wake changes of surge, sway (m/s) and yaw rate (rad/s), for some 0.4 s. With these,
+two boxes in which nothing is concealed seldom differ by more than what counts as detectable."""
+TURBULENT_RAD = 0.004
 """The same of a joint's angle."""
 LASTS = (12.0, 20.0)
 """Samples that the camera's noise lasts in speeds of a window, and turbulence."""

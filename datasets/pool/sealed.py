@@ -31,7 +31,7 @@ from truth import Truth
 from world import World
 
 from sim.robot.swimmer import CONTROL_S
-from sim2real.model import JointModel, Model, write_model
+from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Recording, write_recording
 
 Array = NDArray[np.float64]
@@ -194,9 +194,28 @@ def robot_toml(drawn: Drawn) -> str:
     return "\n".join(parts)
 
 
+def consulted(out: Path, seed: int, robots: int, counts: dict[str, int]) -> None:
+    """Work out anew what one who knows can tell, from the swims that were kept without noise."""
+    for path in sorted((out / "private").glob("robot_*.json")):
+        about, kept = json.loads(path.read_text()), np.load(path.with_suffix(".npz"))
+        drawn, cases, _, _ = made(seed, robots, int(path.stem[-2:]) - 1, counts)
+        model = read_model(out / "inputs" / path.stem / "model.json")
+        shown, joint, sent = (kept[name].astype(np.float64) for name in ("shown", "joint", "sent"))
+        t = CONTROL_S * np.arange(len(sent))
+        for i, (case, truth) in enumerate(zip(cases, about["cases"], strict=True)):
+            if not truth.get("stopped"):
+                at = 3 * i
+                truth["oracle"] = known_to(
+                    t, shown[at], joint[:, at], shown[at + 2], joint[:, at + 2], sent[:, at],
+                    case, drawn, model,
+                )  # fmt: skip
+        path.write_text(json.dumps(about, indent=1) + "\n")
+
+
 def finish(out: Path, seed: int) -> None:
     """Write the answers of all robots that were made, and what is published of the set."""
-    robots = [json.loads(path.read_text()) for path in sorted((out / "private").glob("*.json"))]
+    kept = sorted((out / "private").glob("robot_*.json"))
+    robots = [json.loads(path.read_text()) for path in kept]
     cases = [one for robot in robots for one in robot["cases"] if not one.get("stopped")]
     content = {"tier": "T4", "seed": seed, "robots": robots, "cases": cases}
     (out / "answers.json").write_text(json.dumps(content, indent=1) + "\n")
@@ -238,10 +257,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not kept.exists():
         kept.write_text(str(secrets.randbits(63) if options.seed is None else options.seed))
     seed = int(kept.read_text())
+    counts = {kind: getattr(options, kind) for kind in COUNTS}
     if options.finish:
+        consulted(options.out, seed, options.robots, counts)
         finish(options.out, seed)
         return
-    counts = {kind: getattr(options, kind) for kind in COUNTS}
     devices = options.device.split(",")
     left = [
         k for k in range(options.robots) if not (kept.parent / f"robot_{k + 1:02d}.json").exists()

@@ -1,7 +1,7 @@
 """How wrong the twin is, as it was measured: its error is a part of the noise.
 
-``law_error.json`` says, with where each number is from, what a twin that was calibrated on a robot's
-swims still gets wrong of another swim of the same robot in which nothing is missing: the share of
+``law_error.json`` says, with where it is from, what a twin that was calibrated on a robot's swims
+still gets wrong of another swim of the same robot in which nothing is missing: the share of
 each signal, by band of frequency, and how much of each effect it imitates. ``benchmarks/
 pool_decisions.py`` learns them from the nulls of a development set.
 """
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 FILE = Path(__file__).with_name("law_error.json")
 SCHEMA = "sim2real.law_error/1"
+RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
+"""Kinds of columns whose sizes are shares of their values."""
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 
 
@@ -60,11 +62,7 @@ class LawError:
     def _of(known: Mapping[str, float], kind: str, nominal: float) -> float:
         """A gain's is relative."""
         value = known[kind]
-        return (
-            value * abs(nominal)
-            if kind in ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
-            else value
-        )
+        return value * abs(nominal) if kind in RELATIVE else value
 
 
 def read_law_error(path: Path = FILE) -> LawError:

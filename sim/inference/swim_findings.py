@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 
 from sim.inference.coordinates import swum
 from sim.inference.law_error import LawError
+from sim.inference.next_swim import next_swim
 from sim.inference.search import Effect, Tried
 from sim.inference.searched import HELD_OUT, Searched, names_of, raw
-from sim.inference.swim_decision import decide
+from sim.inference.swim_decision import LIKELY, Decided, decide
 from sim.inference.swims import SIGNALS
 from sim.inference.twin_search import Fit, TwinSwims
 from sim2real.body import body_effect
 from sim2real.diagnose.result import (
     Diagnosis,
     Estimate,
+    Experiment,
     Mismatch,
     NamedEffect,
     Rival,
@@ -34,7 +36,7 @@ Array = NDArray[np.float64]
 
 _Z90 = 1.645
 _DRAWN = 400
-_LIKELY, _REPEATED = 0.5, 0.005
+_REPEATED = 0.005
 SHAPES = {
     "wave": "a flow to and fro in the pool's frame, as of waves",
     "gust": "a head that is shaken for a while, as by another swimmer's wake",
@@ -239,7 +241,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             "robot always has, and a law that is wrong for its shape, cannot be told from what is "
             "missing."
         )
-    if said.unlisted >= _LIKELY:
+    if said.unlisted >= LIKELY:
         gate.append(
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
@@ -252,7 +254,25 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     made = findings(
         robot, said.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
     )
-    return replace(made, gate=tuple(gate), unknown={"body": said.unlisted})
+    return replace(
+        made,
+        gate=tuple(gate),
+        unknown={"body": said.unlisted},
+        next_experiment=_experiment(found, fitted, said),
+    )
+
+
+def _experiment(found: Searched, fitted: Hypothesis[Fit], said: Decided) -> Experiment | None:
+    """What to record next, where the first group that is likely has several members."""
+    for one in said.named:
+        if one.probability >= LIKELY and len(one.group) > 1:
+            rest = frozenset(names_of(fitted.members)) - {one.name}
+            instead = rest | {one.group[1]}
+            for other in found.found:
+                if frozenset(names_of(other.members)) == instead:
+                    names = (one.name[0], one.group[1][0])
+                    return next_swim(found.problem, fitted.fit, other.fit, names)
+    return None
 
 
 def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
