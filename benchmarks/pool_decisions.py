@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -37,22 +38,26 @@ from sim2real.robot import read_robot
 
 Array = NDArray[np.float64]
 
-_ROUNDS, _STEPS = 3, 15
-_LEAST = 0.15
-"""Of a guess, that an imitation is at least: few swims know nothing of it."""
+GUESS = Path(__file__).with_name("pool_guess.json")
+"""Where learning begins, by hand: what few swims know nothing of stays near it."""
+_STEPS = 20
+_LEAST, _MOST = 0.15, 2.5
+"""Of a guess, between which an imitation stays: columns that all but cancel would run away."""
+_WORTH, _WILD = 10.0, 0.1
+"""Swims that the guess counts for; share of the largest that is left out."""
 
 
 def linear(folder: Path, swims: list[Path]) -> dict[str, Any]:
     """Every swim of one robot near the fit to its references, and the law's own fit."""
-    known = read_law_error()
+    known = read_law_error(GUESS)
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
     simulate = by_followed_twin(robot, threads=1)
     references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
     coordinates = Coordinates.of(robot, model)
 
     def near(swim: Swim, belief: Belief) -> dict[str, Any]:
-        problem = TwinSwims(coordinates, [swim], simulate, belief, known.shares)
-        x = problem.centre()
+        problem = TwinSwims(coordinates, [swim], simulate, belief)
+        x = problem.centre(frozenset())
         rows, slope = problem.slope(x)
         weight = problem.weights[0].ravel()
         blocks: Blocks = problem.blocks[0]
@@ -81,9 +86,12 @@ def linear(folder: Path, swims: list[Path]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+Numbers = dict[str, float]
+
+
 def sizes(
-    robots: list[dict[str, Any]], shares: Array, imitated: dict[str, float]
-) -> tuple[Array, dict[str, float]]:
+    robots: list[dict[str, Any]], shares: Array, imitated: Numbers, guess: Numbers
+) -> tuple[Array, Numbers]:
     """One round of EM: shares and imitations from what is left of all swims."""
     square: dict[str, list[float]] = {}
     left, power = np.zeros((4, 3)), np.zeros((4, 3))
@@ -115,7 +123,12 @@ def sizes(
                         np.sum(rest[here, k] ** 2 + extra[here, k] - one["noise"][here, k])
                     )
                     power[rows[k], b] += float(np.sum(one["power"][here, k]))
-    fresh = {kind: float(np.sqrt(np.mean(v))) for kind, v in square.items()}
+    fresh = {}
+    for kind, values in square.items():
+        kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
+        own = float(kept.sum()) + _WORTH * guess[kind] ** 2
+        size = float(np.sqrt(own / (len(kept) + _WORTH)))
+        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], _MOST * guess[kind]))
     return np.sqrt(np.maximum(left / power, 1e-6)), fresh
 
 
@@ -129,19 +142,22 @@ def learn(development: Path, processes: int) -> None:
             held = development / "heldout" / case["case"] / "b.csv"
             nulls.setdefault(case["robot"], []).extend([place, held])
     folders = sorted((development / "inputs").glob("robot_*"))
-    with ProcessPoolExecutor(processes) as pool:
-        robots = list(pool.map(linear, folders, [nulls.get(f.name, []) for f in folders]))
+    cache = development / "private" / "linear.pickle"
+    if not cache.exists():
+        with ProcessPoolExecutor(processes) as pool:
+            found = list(pool.map(linear, folders, [nulls.get(f.name, []) for f in folders]))
+        cache.write_bytes(pickle.dumps(found))
+    robots = pickle.loads(cache.read_bytes())
     content = json.loads(FILE.read_text())
-    guess = read_law_error()
-    shares, imitated = guess.shares, dict(guess.imitated)
+    guess = read_law_error(GUESS)
+    shares, guessed = guess.shares, dict(guess.imitated)
+    imitated = dict(guessed)
     for _ in range(_STEPS):
-        shares, fresh = sizes(robots, shares, imitated)
-        imitated = {
-            k: max(fresh.get(k, v), _LEAST * guess.imitated[k]) for k, v in imitated.items()
-        }
+        shares, fresh = sizes(robots, shares, imitated, guessed)
+        imitated |= fresh
     laws = [robot["law"] for robot in robots]
     usual = {k: float(np.mean([law[k] for law in laws])) for k in laws[0]}
-    unknown = dict(content["unknown"])
+    unknown = dict(guess.unknown)
     for k in usual:
         spread = float(np.std([law[k] for law in laws], ddof=1))
         unknown[k] = float(np.hypot(1.3 * spread, imitated[k]))

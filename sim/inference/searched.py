@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 MOST = 2
 HELD_OUT = 0.3
 """Share of each swim that decides whether what is named predicts better."""
+_ITS_OWN = (0.5, 6.0)
+"""How much better or worse (in squares) than usual the twin may be for a robot."""
 _RIVALS = 5
 _CLOSE = 15.0
 """Evidence within which a rival is fitted as carefully as the best."""
@@ -102,15 +104,16 @@ def learned(
     coordinates = Coordinates.of(robot, model)
     mean, covariance = known.prior(coordinates)
     imitation = known.imitation(coordinates)
-    usual = Belief(mean, covariance, imitation)
+    usual = Belief(mean, covariance, imitation, known.shares)
     if not references:
         return usual
-    problem = TwinSwims(coordinates, references, simulate, usual, known.shares)
+    problem = TwinSwims(coordinates, references, simulate, usual)
     found = problem.plain()
     base = coordinates.base
     spread = problem.covariance(frozenset(), found.fit.near)[np.ix_(base, base)]
     own = np.diag(np.square(imitation[base]))
-    return Belief(found.fit.x[base], spread + own, imitation)
+    wrong = np.sqrt(np.clip(_misfit(problem, found.fit), *_ITS_OWN))
+    return Belief(found.fit.x[base], spread + own, imitation, known.shares * wrong)
 
 
 def searched(
@@ -124,7 +127,7 @@ def searched(
 ) -> Searched:
     """Try sets of effects on swims of one robot."""
     coordinates = Coordinates.of(robot, model)
-    problem = TwinSwims(coordinates, swims, simulate, belief, known.shares)
+    problem = TwinSwims(coordinates, swims, simulate, belief)
     plain = problem.plain()
     progress(0.1)
     ledger: Ledger[Fit] = Ledger(0)

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 
 FIRST = 9
 """Single effects that are refitted, of those that promise most."""
+LOST = "dropped_frames.probability"
+_EACH, _SURELY = 3.0, 60.0
+"""Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
@@ -43,11 +46,13 @@ class Belief:
         mean: Of servos and law, shape (B,).
         covariance: Likewise, shape (B, B).
         imitation: Standard deviation that each column seems to have without being there, (F,).
+        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
     """
 
     mean: Array
     covariance: Array
     imitation: Array
+    shares: Array
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,6 @@ class TwinSwims:
         swims: Its recordings.
         simulate: The twin.
         belief: What is known before.
-        shares: The twin's error by signal and band.
         cost: What an effect costs in evidence.
     """
 
@@ -103,7 +107,6 @@ class TwinSwims:
     swims: Sequence[Swim]
     simulate: Swum
     belief: Belief
-    shares: Array
     cost: float = 0.0
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
@@ -113,7 +116,7 @@ class TwinSwims:
     def __post_init__(self) -> None:
         """Take the recordings apart."""
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        self.weights = [one.weights(self.shares) for one in self.blocks]
+        self.weights = [one.weights(self.belief.shares) for one in self.blocks]
 
     # --- simulations -------------------------------------------------------------------------
 
@@ -149,16 +152,37 @@ class TwinSwims:
             column = c.columns[k]
             if column.effect is not None:
                 sd[k] = np.hypot(sd[k], column.prior_sd)
+        lost = c.place.get(LOST)
+        if lost is not None and on[lost]:
+            n = sum(swim.t.size for swim in self.swims)
+            sd[lost] = np.sqrt((self.repeated * (1 - self.repeated) + 1 / n) / n)
         out = np.diag(1 / np.square(sd))
         base = np.array(c.base)
         out[np.ix_(base, base)] = np.linalg.inv(self.belief.covariance)
         return out
 
-    def centre(self) -> Array:
-        """The mean before the swim, shape (F,)."""
-        x = self.coordinates.nominal
-        x[self.coordinates.base] = self.belief.mean
+    def centre(self, members: Members) -> Array:
+        """The mean before the swim, shape (F,); lost frames are counted, not fitted."""
+        c = self.coordinates
+        x = c.nominal
+        x[c.base] = self.belief.mean
+        if LOST in c.place and in_fit(c.columns, members)[c.place[LOST]]:
+            x[c.place[LOST]] = self.repeated
         return x
+
+    @property
+    def repeated(self) -> float:
+        """Share of poses that repeat the one before to the last digit: frames that were lost."""
+        return max(swim.repeated for swim in self.swims)
+
+    def counted(self, members: Members) -> float:
+        """Evidence of the count of repeated poses: noise never repeats, a lost frame always."""
+        if LOST not in self.coordinates.place:
+            return 0.0
+        n = sum(swim.t.size for swim in self.swims)
+        often = min(self.repeated * n * _EACH, _SURELY)
+        there = any(one.name == LOST.partition(".")[0] for one in members)
+        return (often if there else 0.0) if often > _EACH else (-_SURELY if there else 0.0)
 
     def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
         """Loss at a point, what its own columns stand for held and the others free; the best step.
@@ -169,7 +193,7 @@ class TwinSwims:
         """
         prior = self.precision(members)
         seen, slope, normal = self._part(rows, near)
-        off = x - self.centre()
+        off = x - self.centre(members)
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
         step = -np.linalg.solve(whole, gradient)
@@ -185,7 +209,8 @@ class TwinSwims:
         prior = self.precision(members)
         _, _, normal = self._part(None, near)
         size = np.linalg.slogdet(normal + prior)[1] - np.linalg.slogdet(prior)[1]
-        return -loss - 0.5 * float(size) - self.cost * len(members)
+        sure = self.counted(members) - self.cost * len(members)
+        return sure - loss - 0.5 * float(size)
 
     def covariance(self, members: Members, near: Slope) -> Array:
         """Of all columns after the swim, shape (F, F)."""
@@ -208,7 +233,7 @@ class TwinSwims:
 
     def plain(self, rounds: int = 2) -> Hypothesis[Fit]:
         """The hypothesis that nothing is missing."""
-        x = self.centre()
+        x = self.centre(frozenset())
         found: Fit | None = None
         for _ in range(rounds):
             rows, near = self.slope(x)

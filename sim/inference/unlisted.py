@@ -38,7 +38,7 @@ def gains(problem: TwinSwims, members: Members, fit: Fit) -> dict[str, float]:
     rows, slope = problem.part(fit)
     prior = problem.precision(members)
     inner = np.linalg.inv(slope.T @ slope + prior)
-    off = fit.x - problem.centre()
+    off = fit.x - problem.centre(members)
     best = rows - slope @ (inner @ (slope.T @ rows + prior @ off))
     out = {}
     for name, columns in _families(problem, fit):
