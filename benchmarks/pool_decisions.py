@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -26,10 +27,10 @@ from numpy.typing import NDArray
 from sim.inference.blocks import Blocks
 from sim.inference.coordinates import Coordinates
 from sim.inference.followed import by_followed_twin
-from sim.inference.law_error import BANDS, FILE, ROWS, SCHEMA, read_law_error
+from sim.inference.law_error import BANDS, FILE, RELATIVE, ROWS, SCHEMA, read_law_error
 from sim.inference.searched import learned
 from sim.inference.swim_decision import decide
-from sim.inference.swims import Swim, swim_of
+from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import read_model
 from sim2real.output import write_json
@@ -47,115 +48,124 @@ _WORTH, _WILD = 10.0, 0.1
 """Swims that the guess counts for; share of the largest that is left out."""
 
 
-def linear(folder: Path, swims: list[Path]) -> dict[str, Any]:
-    """Every swim of one robot near the fit to its references, and the law's own fit."""
+def law(folder: Path, without: str = "") -> Belief:
+    """What a robot's references say of its law, one of them left out if asked."""
     known = read_law_error(GUESS)
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
-    simulate = by_followed_twin(robot, threads=1)
-    references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
-    coordinates = Coordinates.of(robot, model)
+    paths = [p for p in sorted(folder.glob("ref_*.csv")) if p.name != without]
+    references = [swim_of(read_recording(p), robot) for p in paths]
+    belief = learned(references, model, robot, by_followed_twin(robot, threads=1), known)
+    return replace(belief, shares=known.shares)
 
-    def near(swim: Swim, belief: Belief) -> dict[str, Any]:
-        problem = TwinSwims(coordinates, [swim], simulate, belief)
-        x = problem.centre(frozenset())
-        rows, slope = problem.slope(x)
-        weight = problem.weights[0].ravel()
-        blocks: Blocks = problem.blocks[0]
-        return {
-            "rows": (rows / weight).astype(np.float32),
-            "slope": (slope.slope / weight[:, None]).astype(np.float32),
-            "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
-        }  # fmt: skip
 
-    belief = learned(references, model, robot, simulate, known)
-    loose = replace(belief, imitation=belief.imitation)
-    found = [near(swim_of(read_recording(p), robot), loose) for p in swims]
-    for k, one in enumerate(references):
-        other = learned(
-            [r for i, r in enumerate(references) if i != k], model, robot, simulate, known
-        )
-        found.append(near(one, other))
+def linear(folder: Path, path: Path, belief: Belief) -> dict[str, Any]:
+    """A swim in which nothing is missing, near its fit."""
+    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    c = Coordinates.of(robot, model)
+    swim = swim_of(read_recording(path), robot)
+    problem = TwinSwims(c, [swim], by_followed_twin(robot, threads=1), belief)
+    fit = problem.plain().fit
+    weight = problem.weights[0].ravel()
+    blocks: Blocks = problem.blocks[0]
     return {
-        "robot": folder.name,
-        "law": {coordinates.columns[k].kind: float(v)
-                for k, v in zip(coordinates.base, belief.mean, strict=True)
-                if coordinates.columns[k].kind.startswith("twin")},
-        "kinds": [c.kind for c in coordinates.columns],
-        "nominal": [c.nominal for c in coordinates.columns],
-        "swims": found,
+        "rows": (fit.rows / weight).astype(np.float32),
+        "slope": (fit.near.slope / weight[:, None]).astype(np.float32),
+        "off": fit.x - problem.centre(frozenset()),
+        "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
+        "kinds": [one.kind for one in c.columns], "nominal": [one.nominal for one in c.columns],
+        "size": np.sqrt(np.mean(swim.signals**2, axis=0)),
     }  # fmt: skip
+
+
+def swims_near(
+    development: Path, processes: int
+) -> tuple[list[dict[str, Any]], list[dict[str, float]]]:
+    """All swims in which nothing is missing, each near its fit, and the robots' laws."""
+    answers = json.loads((development / "answers.json").read_text())
+    folders = sorted((development / "inputs").glob("robot_*"))
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+        whole = {f: pool.submit(law, f) for f in folders}
+        parts = {(f, n): pool.submit(law, f, f"ref_{n}.csv") for f in folders for n in (1, 2)}
+        jobs = [
+            pool.submit(linear, f, f / f"ref_{n}.csv", part.result())
+            for (f, n), part in parts.items()
+        ]
+        for case in answers["cases"]:
+            if case["kind"] == "null":
+                f = development / "inputs" / case["robot"]
+                belief = whole[f].result()
+                jobs.append(pool.submit(linear, f, f / case["case"] / "a.csv", belief))
+                held = development / "heldout" / case["case"] / "b.csv"
+                if held.exists():
+                    jobs.append(pool.submit(linear, f, held, belief))
+        swims = [job.result() for job in jobs]
+        laws = []
+        for f, found in whole.items():
+            c = Coordinates.of(read_robot(f / "robot.toml"), read_model(f / "model.json"))
+            means = zip((c.columns[k].kind for k in c.base), found.result().mean, strict=True)
+            laws.append({k: float(v) for k, v in means if k.startswith("twin")})
+    return swims, laws
 
 
 Numbers = dict[str, float]
 
 
 def sizes(
-    robots: list[dict[str, Any]], shares: Array, imitated: Numbers, guess: Numbers
+    swims: list[dict[str, Any]], shares: Array, imitated: Numbers, guess: Numbers
 ) -> tuple[Array, Numbers]:
     """One round of EM: shares and imitations from what is left of all swims."""
     square: dict[str, list[float]] = {}
-    left, power = np.zeros((4, 3)), np.zeros((4, 3))
-    for robot in robots:
+    left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
+    for one in swims:
         relative = np.array([
-            abs(n) if k in ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad") else 1.0
-            for k, n in zip(robot["kinds"], robot["nominal"], strict=True)
+            abs(n) if k in RELATIVE else 1.0
+            for k, n in zip(one["kinds"], one["nominal"], strict=True)
         ])  # fmt: skip
-        sd = relative * np.array([imitated[k] for k in robot["kinds"]])
-        for one in robot["swims"]:
-            K = one["noise"].shape[1]
-            rows = np.minimum(np.arange(K), 3)
-            size = shares[rows][:, one["band"]].T
-            weight = 1 / np.sqrt(one["noise"] + size**2 * one["power"] + 1e-12)
-            slope = one["slope"] * weight.reshape(-1, 1)
-            error = one["rows"] * weight.ravel()
-            inverse = np.linalg.inv(slope.T @ slope + np.diag(1 / sd**2))
-            mean = -inverse @ (slope.T @ error)
-            for kind, m, v, r in zip(robot["kinds"], mean, np.diag(inverse), relative, strict=True):
-                square.setdefault(kind, []).append(float(m**2 + v) / r**2)
-            rest = (one["rows"] + one["slope"] @ mean).reshape(weight.shape)
-            extra = np.einsum("nf,fg,ng->n", one["slope"], inverse, one["slope"]).reshape(
-                weight.shape
-            )
-            for k in range(K):
-                for b in range(3):
-                    here = one["band"] == b
-                    left[rows[k], b] += float(
-                        np.sum(rest[here, k] ** 2 + extra[here, k] - one["noise"][here, k])
-                    )
-                    power[rows[k], b] += float(np.sum(one["power"][here, k]))
+        prior = np.diag(1 / np.square(relative * [imitated[k] for k in one["kinds"]]))
+        K = one["noise"].shape[1]
+        rows = np.minimum(np.arange(K), 3)
+        size = shares[rows][:, one["band"]].T
+        weight = 1 / np.sqrt(one["noise"] + size**2 * one["power"] + 1e-12)
+        slope = one["slope"] * weight.reshape(-1, 1)
+        error = one["rows"] * weight.ravel()
+        inverse = np.linalg.inv(slope.T @ slope + prior)
+        step = -inverse @ (slope.T @ error + prior @ one["off"])
+        mean = one["off"] + step
+        for kind, m, v, r in zip(one["kinds"], mean, np.diag(inverse), relative, strict=True):
+            square.setdefault(kind, []).append(float(m**2 + v) / r**2)
+        rest = (one["rows"] + one["slope"] @ step).reshape(weight.shape) ** 2
+        more = np.einsum("nf,fg,ng->n", one["slope"], inverse, one["slope"])
+        rest = rest + more.reshape(weight.shape) - one["noise"]
+        for k in range(K):
+            for b in range(len(BANDS)):
+                here = one["band"] == b
+                share = np.sum(rest[here, k]) / np.sum(one["power"][here, k])
+                left[rows[k]][b].append(float(share))
     fresh = {}
     for kind, values in square.items():
         kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
         own = float(kept.sum()) + _WORTH * guess[kind] ** 2
         size = float(np.sqrt(own / (len(kept) + _WORTH)))
         fresh[kind] = float(np.clip(size, _LEAST * guess[kind], _MOST * guess[kind]))
-    return np.sqrt(np.maximum(left / power, 1e-6)), fresh
+    found = np.array([[np.mean(cell) for cell in row] for row in left])
+    return np.sqrt(np.maximum(found, 1e-6)), fresh
 
 
 def learn(development: Path, processes: int) -> None:
     """The twin's error from swims in which nothing is missing."""
-    answers = json.loads((development / "answers.json").read_text())
-    nulls: dict[str, list[Path]] = {}
-    for case in answers["cases"]:
-        if case["kind"] == "null":
-            place = development / "inputs" / case["robot"] / case["case"] / "a.csv"
-            held = development / "heldout" / case["case"] / "b.csv"
-            nulls.setdefault(case["robot"], []).extend([place, held])
-    folders = sorted((development / "inputs").glob("robot_*"))
     cache = development / "private" / "linear.pickle"
     if not cache.exists():
-        with ProcessPoolExecutor(processes) as pool:
-            found = list(pool.map(linear, folders, [nulls.get(f.name, []) for f in folders]))
-        cache.write_bytes(pickle.dumps(found))
-    robots = pickle.loads(cache.read_bytes())
+        cache.parent.mkdir(exist_ok=True)
+        cache.write_bytes(pickle.dumps(swims_near(development, processes)))
+    swims, laws = pickle.loads(cache.read_bytes())
     content = json.loads(FILE.read_text())
     guess = read_law_error(GUESS)
     shares, guessed = guess.shares, dict(guess.imitated)
     imitated = dict(guessed)
     for _ in range(_STEPS):
-        shares, fresh = sizes(robots, shares, imitated, guessed)
+        shares, fresh = sizes(swims, shares, imitated, guessed)
         imitated |= fresh
-    laws = [robot["law"] for robot in robots]
     usual = {k: float(np.mean([law[k] for law in laws])) for k in laws[0]}
     unknown = dict(guess.unknown)
     for k in usual:
@@ -165,10 +175,13 @@ def learn(development: Path, processes: int) -> None:
         unknown[k] = float(np.hypot(unknown[k], imitated[k]))
     content |= {
         "schema": SCHEMA,
-        "shares": {r: dict(zip(BANDS, map(float, row), strict=True)) for r, row in zip(ROWS, shares, strict=True)},
+        "shares": {
+            row: dict(zip(BANDS, map(float, found), strict=True))
+            for row, found in zip(ROWS, shares, strict=True)
+        },
         "imitated": imitated, "unknown": unknown, "usual": usual,
-        "from": f"{sum(len(r['swims']) for r in robots)} swims of {len(robots)} robots in which "
-        "nothing is missing, of the development set (seed 20) of datasets/pool/sealed.py",
+        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing, of a "
+        "development set of datasets/pool/sealed.py (seed 20)",
     }  # fmt: skip
     write_json(FILE, content)
     print(json.dumps({k: content[k] for k in ("shares", "imitated", "unknown", "usual")}, indent=1))

@@ -26,7 +26,7 @@ from sim2real.velocity import body_velocity
 
 Array = NDArray[np.float64]
 
-LAW = ("across", "along", "added_mass", "thrust", "linear", "head", "tail", "wake")
+LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that swims may move."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 QUICK_S, SLOW_S = 0.12, 0.9
@@ -100,7 +100,7 @@ class Coordinates:
             value = float(getattr(law, name))
             size = max(abs(value), 0.1)
             columns.append(
-                Column(f"twin.{name}", None, value, 0.0, 6 * size + 2, 0.1 * size, np.inf)
+                Column(f"twin.{name}", None, value, 0.0, 3 * size + 3, 0.1 * size, np.inf)
             )
         listed = tuple(Effect(*one) for one in candidates(robot))
         for one in listed:

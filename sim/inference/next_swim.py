@@ -1,4 +1,4 @@
-"""What to record next where swims leave a choice: the swim in which two rivals are furthest apart."""
+"""What to record next where swims leave a choice: that in which two rivals are furthest apart."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def learned(
     base = coordinates.base
     spread = problem.covariance(frozenset(), found.fit.near)[np.ix_(base, base)]
     own = np.diag(np.square(imitation[base]))
-    wrong = np.sqrt(np.clip(_misfit(problem, found.fit), *_ITS_OWN))
+    wrong = np.sqrt(np.clip(_misfit(problem, found), *_ITS_OWN))
     return Belief(found.fit.x[base], spread + own, imitation, known.shares * wrong)
 
 
@@ -161,7 +161,7 @@ def searched(
     nameless = {"plain": gains(problem, plain.members, plain.fit)}
     nameless["best"] = gains(problem, best.members, best.fit)
     progress(1.0)
-    return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best.fit))
+    return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
 
 
 def _looked(one: Hypothesis[Fit]) -> Hypothesis[Fit]:
@@ -176,10 +176,10 @@ def _parts(members: Members) -> list[Members]:
 def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
     """Loss, and error of the speed over ground in m/s, of what a fit to the beginning predicts."""
     fit, left = problem.held(one.members, one.fit, HELD_OUT)
-    rows = fit.rows + np.where(left, fit.near.slope @ fit.seems, 0.0) * 0.0
+    rows = fit.rows
     loss = 0.5 * float(np.sum(rows[left] ** 2))
     square, count, at = 0.0, 0, 0
-    for blocks, weight in zip(problem.blocks, problem.weights, strict=True):
+    for weight in problem.weights:
         n = weight.size
         error = (rows[at : at + n] * left[at : at + n]).reshape(weight.shape) / weight
         square += float(np.sum(error[:, :2] ** 2))
@@ -188,9 +188,9 @@ def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
     return loss, float(np.sqrt(square / max(count, 1)))
 
 
-def _misfit(problem: TwinSwims, fit: Fit) -> Array:
+def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
     """Mean square of what is left, that which seems to be of the twin's error taken off, (4, 3)."""
-    rows = fit.rows + fit.near.slope @ fit.seems
+    rows = one.fit.rows + one.fit.near.slope @ problem.seems(one.members, one.fit)
     sums, counts, at = np.zeros((4, 3)), np.zeros((4, 3)), 0
     for blocks, weight in zip(problem.blocks, problem.weights, strict=True):
         left = rows[at : at + weight.size].reshape(weight.shape) ** 2

@@ -77,7 +77,6 @@ class Fit:
     Attributes:
         x: The point, shape (F,): 0 where an effect is not in it.
         rows: Weighted errors there, shape (n,).
-        seems: What other effects seem to be, of the twin's error, shape (F,).
         loss: Minus the logarithm of likelihood and prior.
         near: The slope that it was found with.
         looked: Whether that is the slope at its own point.
@@ -85,7 +84,6 @@ class Fit:
 
     x: Array
     rows: Array
-    seems: Array
     loss: float
     near: Slope
     looked: bool = False
@@ -185,32 +183,44 @@ class TwinSwims:
         return (often if there else 0.0) if often > _EACH else (-_SURELY if there else 0.0)
 
     def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
-        """Loss at a point, what its own columns stand for held and the others free; the best step.
+        """Loss at a point, and the step to where it is least by the slopes, shape (F,).
 
-        Returns:
-            Minus the logarithm of likelihood and prior, and the way from here to where all columns
-            would be best, shape (F,).
+        What the fit does not move stays at 0: a fit should predict by what it has.
         """
-        prior = self.precision(members)
+        own = in_fit(self.coordinates.columns, members)
+        prior = self.precision(members)[np.ix_(own, own)]
         seen, slope, normal = self._part(rows, near)
-        off = x - self.centre(members)
+        off = (x - self.centre(members))[own]
+        gradient = slope[:, own].T @ seen + prior @ off
+        step = np.zeros(x.size)
+        step[own] = -np.linalg.solve(normal[np.ix_(own, own)] + prior, gradient)
+        return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
+
+    def evidence(self, members: Members, fit: Fit) -> float:
+        """Logarithm of the marginal likelihood, up to a constant of the swims.
+
+        About the fit the swims are linear in all columns; those of other effects are there by as
+        much as the twin's error imitates them.
+        """
+        loss, size, _ = self._whole(members, fit)
+        sure = self.counted(members) - self.cost * len(members)
+        return sure - loss - 0.5 * size
+
+    def seems(self, members: Members, fit: Fit) -> Array:
+        """The step of all columns to where they would be best, those of no effect among them."""
+        return self._whole(members, fit)[2]
+
+    def _whole(self, members: Members, fit: Fit) -> tuple[float, float, Array]:
+        prior = self.precision(members)
+        seen, slope, normal = self._part(fit.rows, fit.near)
+        off = fit.x - self.centre(members)
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
         step = -np.linalg.solve(whole, gradient)
-        other = ~in_fit(self.coordinates.columns, members)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
-        if other.any():
-            g = gradient[other]
-            loss -= 0.5 * float(g @ np.linalg.solve(whole[np.ix_(other, other)], g))
-        return loss, step
-
-    def evidence(self, members: Members, loss: float, near: Slope) -> float:
-        """Logarithm of the marginal likelihood, up to a constant of the swims."""
-        prior = self.precision(members)
-        _, _, normal = self._part(None, near)
-        size = np.linalg.slogdet(normal + prior)[1] - np.linalg.slogdet(prior)[1]
-        sure = self.counted(members) - self.cost * len(members)
-        return sure - loss - 0.5 * float(size)
+        loss += 0.5 * float(gradient @ step)
+        size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
+        return loss, float(size), step
 
     def covariance(self, members: Members, near: Slope) -> Array:
         """Of all columns after the swim, shape (F, F)."""
@@ -231,28 +241,28 @@ class TwinSwims:
 
     # --- fits --------------------------------------------------------------------------------
 
-    def plain(self, rounds: int = 2) -> Hypothesis[Fit]:
+    def plain(self, rounds: int = 3) -> Hypothesis[Fit]:
         """The hypothesis that nothing is missing."""
-        x = self.centre(frozenset())
-        found: Fit | None = None
+        none: Members = frozenset()
+        x = self.centre(none)
         for _ in range(rounds):
             rows, near = self.slope(x)
-            loss, step = self.judged(frozenset(), x, rows, near)
-            found = Fit(x, rows, self._seems(frozenset(), step), loss, near, looked=True)
-            (found,) = self._walk([(frozenset(), found)], 2)
+            begun = Fit(x, rows, self.judged(none, x, rows, near)[0], near)
+            (found,) = self._walk([(none, begun)], 2)
             x = found.x
+        return self._there(none, x)
+
+    def _there(self, members: Members, x: Array) -> Hypothesis[Fit]:
+        """A fit at a point, with slopes of its own."""
         rows, near = self.slope(x)
-        loss, step = self.judged(frozenset(), x, rows, near)
-        found = Fit(x, rows, self._seems(frozenset(), step), loss, near, looked=True)
-        return Hypothesis(frozenset(), found, self.evidence(frozenset(), loss, near))
+        fit = Fit(x, rows, self.judged(members, x, rows, near)[0], near, looked=True)
+        return Hypothesis(members, fit, self.evidence(members, fit))
 
     def polished(self, members: Members, fit: Fit) -> Hypothesis[Fit]:
-        """The fit with slopes of its own."""
-        rows, near = self.slope(fit.x)
-        loss, step = self.judged(members, fit.x, rows, near)
-        begun = Fit(fit.x, rows, self._seems(members, step), loss, near, looked=True)
+        """The fit with slopes of its own, and on along them."""
+        begun = self._there(members, fit.x).fit
         (found,) = self._walk([(members, begun)], 2)
-        return Hypothesis(members, found, self.evidence(members, found.loss, near))
+        return Hypothesis(members, found, self.evidence(members, found))
 
     def settled(self, found: Hypothesis[Fit], rounds: int = 2) -> Hypothesis[Fit]:
         """A hypothesis whose fit has slopes of its own, and stays where it is with them."""
@@ -276,9 +286,6 @@ class TwinSwims:
             kept, self.kept = self.kept, None
         return found, ~kept
 
-    def _seems(self, members: Members, step: Array) -> Array:
-        return np.where(in_fit(self.coordinates.columns, members), 0.0, step)
-
     def _walk(self, begun: Sequence[tuple[Members, Fit]], steps: int) -> list[Fit]:
         """Go on from fits along their slopes, all in one batch a step."""
         now = [fit for _, fit in begun]
@@ -290,18 +297,16 @@ class TwinSwims:
             for k in going:
                 members, fit = begun[k][0], now[k]
                 _, step = self.judged(members, fit.x, fit.rows, fit.near)
-                own = np.where(in_fit(self.coordinates.columns, members), step, 0.0)
-                trials += [self.coordinates.clipped(fit.x + share * own) for share in _SHARES]
+                trials += [self.coordinates.clipped(fit.x + share * step) for share in _SHARES]
             rows = self.rows(np.array(trials))
             still = []
             for place, k in enumerate(going):
                 members, before = begun[k][0], now[k]
                 for n in range(len(_SHARES)):
                     i = place * len(_SHARES) + n
-                    loss, step = self.judged(members, trials[i], rows[i], before.near)
+                    loss, _ = self.judged(members, trials[i], rows[i], before.near)
                     if loss < now[k].loss:
-                        seems = self._seems(members, step)
-                        now[k] = Fit(trials[i], rows[i], seems, loss, before.near)
+                        now[k] = Fit(trials[i], rows[i], loss, before.near)
                 if now[k].loss < before.loss - 0.1:
                     still.append(k)
             going = still
@@ -326,19 +331,16 @@ class TwinSwims:
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
-                loss, step = self.judged(more, fit.x, fit.rows, fit.near)
-                best = self._linear(more, fit, step)
-                found.append((self.evidence(more, best, fit.near), effect))
+                found.append((self.evidence(more, self._linear(more, fit)), effect))
         found.sort(key=lambda one: -one[0])
         return [(effect, fit) for _, effect in found[: most or FIRST]]
 
-    def _linear(self, members: Members, fit: Fit, step: Array) -> float:
-        """Loss at the end of a step, by the slopes, the step cut to what is allowed."""
-        there = self.coordinates.clipped(fit.x + step) - fit.x
-        on = in_fit(self.coordinates.columns, members)
-        there = np.where(on, there, 0.0)
-        rows = fit.rows + fit.near.slope @ there
-        return self.judged(members, fit.x + there, rows, fit.near)[0]
+    def _linear(self, members: Members, fit: Fit) -> Fit:
+        """Where a step along the slopes would end, cut to what is allowed."""
+        _, step = self.judged(members, fit.x, fit.rows, fit.near)
+        there = self.coordinates.clipped(fit.x + step)
+        rows = fit.rows + fit.near.slope @ (there - fit.x)
+        return Fit(there, rows, self.judged(members, there, rows, fit.near)[0], fit.near)
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
         """The best fit that has one effect more, without it."""
@@ -351,13 +353,12 @@ class TwinSwims:
         """Fit sets, each from a fit of a part of it, in one batch a step."""
         begun = []
         for _, members, fit in jobs:
-            loss, step = self.judged(members, fit.x, fit.rows, fit.near)
-            here = Fit(fit.x, fit.rows, self._seems(members, step), loss, fit.near)
-            begun.append((members, here))
+            loss, _ = self.judged(members, fit.x, fit.rows, fit.near)
+            begun.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
         begun = self._jumped(begun)
         ended = self._walk(begun, _STEPS)
         return [
-            Hypothesis(members, fit, self.evidence(members, fit.loss, fit.near))
+            Hypothesis(members, fit, self.evidence(members, fit))
             for (members, _), fit in zip(begun, ended, strict=True)
         ]
 
@@ -378,12 +379,12 @@ class TwinSwims:
             return list(begun)
         rows = self.rows(np.array(trials))
         out = list(begun)
-        best = [self._linear(m, f, self.judged(m, f.x, f.rows, f.near)[1]) for m, f in begun]
+        best = [self._linear(m, f).loss for m, f in begun]
         for x, row, k in zip(trials, rows, of, strict=True):
             members, fit = begun[k]
-            loss, step = self.judged(members, x, row, fit.near)
-            there = Fit(x, row, self._seems(members, step), loss, fit.near)
-            promised = self._linear(members, there, step)
+            loss, _ = self.judged(members, x, row, fit.near)
+            there = Fit(x, row, loss, fit.near)
+            promised = self._linear(members, there).loss
             if promised < best[k] and loss < out[k][1].loss:
                 best[k], out[k] = promised, (members, there)
         return out
