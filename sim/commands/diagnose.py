@@ -18,6 +18,7 @@ from sim.inference.fluid_diagnosis import (
 )
 from sim.inference.followed import by_followed_twin
 from sim.inference.search import Effect
+from sim.inference.swim_decision import LIKELY
 from sim.inference.swims import Swim, by_fluid, swim_of, values_of, with_values
 from sim.view.diagnosis_page import swims_section
 from sim2real.commands import diagnose as servos
@@ -91,7 +92,7 @@ def _in_fluid(
 ) -> Diagnosis:
     """The search again in the fluid, from what the twin named."""
     water, prior = read_water(options.water, robot, options.cell_m)
-    named = [(one.effect, one.component) for one in twin.effects]
+    named = [(one.effect, one.component) for one in twin.effects if one.probability >= LIKELY]
     own = {p.name for p in water}  # what the water has is searched from its own mean
     claimed = [
         one

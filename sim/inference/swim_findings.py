@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 _Z90 = 1.645
 _DRAWN = 400
 _REPEATED = 0.005
+_ROLLS = 3.0
+"""Sway at the beat, in squares of what the twin usually leaves of it, that no plane explains."""
 SHAPES = {
     "wave": "a flow to and fro in the pool's frame, as of waves",
     "gust": "a head that is shaken for a while, as by another swimmer's wake",
@@ -244,6 +246,12 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     if said.unlisted >= LIKELY:
         gate.append(
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
+        )
+    sway, turn = found.misfit[1, 1], found.misfit[2, 1]
+    if sway > _ROLLS and sway > 2 * turn:
+        gate.append(
+            "What is left is sway at the beat, and not of the heading: so a body that rolls or "
+            "heaves looks to a camera above, and a model in the plane cannot follow it."
         )
     repeated = max(swim.repeated for swim in problem.swims)
     if repeated > _REPEATED:
