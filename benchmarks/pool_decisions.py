@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 GUESS = Path(__file__).with_name("pool_guess.json")
 """Where learning begins, by hand: what few swims know nothing of stays near it."""
 _STEPS = 20
-_LEAST, _MOST = 0.15, 2.5
+_LEAST, _MOST = 0.15, 3.5
 """Of a guess, between which an imitation stays: columns that all but cancel would run away."""
 _WORTH, _WILD = 10.0, 0.1
 """Swims that the guess counts for; share of the largest that is left out."""

@@ -106,7 +106,7 @@ def learned(
     imitation = known.imitation(coordinates)
     usual = Belief(mean, covariance, imitation, known.shares)
     if not references:
-        return usual
+        return replace(usual, shares=known.decisions["unreferred"] * known.shares)
     problem = TwinSwims(coordinates, references, simulate, usual)
     found = problem.plain()
     base = coordinates.base

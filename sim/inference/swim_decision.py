@@ -78,8 +78,13 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     level = np.array([worth[s] for s in keys]) / heat
     share = np.exp(level - level.max())
     share = share / share.sum()
-    shape, more = max(raw["nameless"]["best"].items(), key=lambda one: one[1])
-    off = float(np.max(np.log(np.maximum(np.array(raw["misfit"])[:3], 1e-9))))
+    beyond = {
+        shape: gain - numbers[f"usual {shape.split()[0]}"]
+        for shape, gain in raw["nameless"]["best"].items()
+    }
+    shape, more = max(beyond.items(), key=lambda one: one[1])
+    usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
+    off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
     unlisted = 1 - (1 - _soft(more, numbers["unlisted"], numbers["unlisted_softness"])) * (
         1 - _soft(off, numbers["misfit"], numbers["misfit_softness"])
     )
