@@ -189,12 +189,14 @@ def learn(development: Path, processes: int) -> None:
 
 SPANS: dict[str, tuple[float, float]] = {
     "cost": (2.0, 14.0), "temperature": (1.0, 8.0), "alike": (0.5, 6.0),
-    "alike_imitated": (1.0, 12.0), "unlisted": (3.0, 40.0), "unlisted_softness": (1.0, 8.0),
-    "misfit": (0.3, 2.5), "misfit_softness": (0.05, 0.5), "held_gain": (-3.0, 3.0),
+    "alike_imitated": (1.0, 12.0), "unlisted": (-5.0, 40.0), "unlisted_softness": (1.0, 8.0),
+    "misfit": (-0.3, 2.0), "misfit_softness": (0.05, 0.5), "held_gain": (-3.0, 3.0),
     "held_worse": (0.0, 0.03), "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
 _LOOKS, _NARROW = 1500, 0.25
+_USUAL = 0.85
+"""Of cases of the catalogue, that leave no more than what counts as usual."""
 
 
 def judged(
@@ -273,6 +275,24 @@ def worth(found: dict[str, float]) -> float:
     )  # fmt: skip
 
 
+def usually(cases: list[tuple[dict[str, Any], dict[str, Any]]]) -> Numbers:
+    """What is left, and shapes without a name bring, where the catalogue has all there is."""
+    inside = [found for truth, found in cases if truth["kind"] != "outside"]
+    shapes: dict[str, list[float]] = {}
+    for found in inside:
+        own: dict[str, float] = {}
+        for shape, gain in found["nameless"]["best"].items():
+            family = f"usual {shape.split()[0]}"
+            own[family] = max(own.get(family, -np.inf), gain)
+        for family, gain in own.items():
+            shapes.setdefault(family, []).append(gain)
+    misfit = np.quantile([found["misfit"] for found in inside], _USUAL, axis=0)
+    return {
+        **{family: float(np.quantile(gains, _USUAL)) for family, gains in shapes.items()},
+        **{f"usual misfit {k} {b}": float(misfit[k, b]) for k in range(4) for b in range(3)},
+    }
+
+
 def choose(development: Path, verdicts: Path) -> None:
     """Thresholds whose answers to the development set are best, by a random search that narrows."""
     answers = json.loads((development / "answers.json").read_text())["cases"]
@@ -282,12 +302,12 @@ def choose(development: Path, verdicts: Path) -> None:
     ]  # fmt: skip
     rng = np.random.default_rng(0)
     content = json.loads(FILE.read_text())
-    best = dict(content["decisions"])
+    best = dict(content["decisions"]) | usually(cases)
     top = worth(judged(cases, best))
     print(len(cases), "cases; before", judged(cases, best))
     for look in range(_LOOKS):
         near = _NARROW if look > _LOOKS // 3 else 1.0
-        trial = {}
+        trial = dict(best)
         for name, (low, high) in SPANS.items():
             drawn = rng.uniform(low, high)
             if near < 1 and rng.random() < 0.6:

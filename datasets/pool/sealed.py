@@ -246,7 +246,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", type=int, default=ROBOTS)
     parser.add_argument("--cell-m", type=float, default=LEAST_M)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of a swim")
-    parser.add_argument("--seconds-left", type=float, default=float("inf"))
+    parser.add_argument("--seconds-left", type=float, help="then give up")
     parser.add_argument("--finish", action="store_true", help="write answers of what was made")
     for kind, count in COUNTS.items():
         parser.add_argument(f"--{kind}", type=int, default=count, metavar="N")

@@ -31,6 +31,8 @@ LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times whose mixture a skin that gives way is."""
+_FOLLOWS = 1e4
+"""Gain from which a servo only follows what was filmed (``sim.twin.prescribed``)."""
 _TETHER_STEP = 0.05
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
@@ -88,7 +90,7 @@ class Coordinates:
         columns = []
         for joint in robot.joints:
             servo = model.joints[joint.name]
-            for name in SERVO:
+            for name in SERVO if servo.kp_Nm_per_rad < _FOLLOWS else ():
                 value = float(getattr(servo, name))
                 size = max(abs(value), 1e-3)
                 columns.append(
@@ -134,6 +136,11 @@ class Coordinates:
         """Points (..., F) within the bounds."""
         low = np.array([column.low for column in self.columns])
         return np.clip(x, low, [column.high for column in self.columns])
+
+    def room(self, x: Array) -> Array:
+        """How far each column may go down and up from a point (F,), shape (2, F)."""
+        low, high = (np.array([getattr(c, end) for c in self.columns]) for end in ("low", "high"))
+        return np.stack([low - x, high - x])
 
     def parameters(self, x: Array) -> dict[str, float]:
         """Parameters by name at a point (F,); those of effects that are off are left out."""

@@ -181,8 +181,8 @@ def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
     square, count, at = 0.0, 0, 0
     for weight in problem.weights:
         n = weight.size
-        error = (rows[at : at + n] * left[at : at + n]).reshape(weight.shape) / weight
-        square += float(np.sum(error[:, :2] ** 2))
+        error = (rows[at : at + n] * left[at : at + n]).reshape(weight.shape)
+        square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
         count += int(left[at : at + n].reshape(weight.shape)[:, 0].sum())
         at += n
     return loss, float(np.sqrt(square / max(count, 1)))

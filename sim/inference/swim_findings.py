@@ -248,7 +248,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
     sway, turn = found.misfit[1, 1], found.misfit[2, 1]
-    if sway > _ROLLS and sway > 2 * turn:
+    if sway > _ROLLS and sway > 1.5 * turn:
         gate.append(
             "What is left is sway at the beat, and not of the heading: so a body that rolls or "
             "heaves looks to a camera above, and a model in the plane cannot follow it."

@@ -29,12 +29,13 @@ FIRST = 9
 LOST = "dropped_frames.probability"
 _EACH, _SURELY = 3.0, 60.0
 """Evidence of one repeated pose, and the most that they may bring."""
+_HOLDS = 4
 _STEPS = 3
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
 _JUMPS = (-6.0, -2.0, 2.0, 6.0)
 """Sizes from which a search for an effect may begin, in steps of its derivative."""
-_SHARES = (1.0, 0.4)
+_SHARES = (1.0, 0.4, 0.1)
 """Of a step, tried together."""
 
 
@@ -89,6 +90,22 @@ class Fit:
     looked: bool = False
 
 
+def _bounded(curvature: Array, gradient: Array, room: Array) -> Array:
+    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
+    step = -np.linalg.solve(curvature, gradient)
+    held = np.zeros(step.size, dtype=bool)
+    for _ in range(_HOLDS):
+        beyond = (step < room[0]) | (step > room[1])
+        if not (beyond & ~held).any():
+            break
+        held |= beyond
+        step = np.clip(step, room[0], room[1])
+        free = ~held
+        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+    return np.clip(step, room[0], room[1])
+
+
 @dataclass
 class TwinSwims:
     """Swims, and all that a search asks of them.
@@ -115,6 +132,9 @@ class TwinSwims:
         """Take the recordings apart."""
         self.blocks = [Blocks.of(swim) for swim in self.swims]
         self.weights = [one.weights(self.belief.shares) for one in self.blocks]
+        if not any(c.kind.startswith("servo") for c in self.coordinates.columns):
+            for weight in self.weights:  # joints that follow a film say nothing
+                weight[:, 3:] = 0.0
 
     # --- simulations -------------------------------------------------------------------------
 
@@ -193,7 +213,8 @@ class TwinSwims:
         off = (x - self.centre(members))[own]
         gradient = slope[:, own].T @ seen + prior @ off
         step = np.zeros(x.size)
-        step[own] = -np.linalg.solve(normal[np.ix_(own, own)] + prior, gradient)
+        room = self.coordinates.room(x)[:, own]
+        step[own] = _bounded(normal[np.ix_(own, own)] + prior, gradient, room)
         return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
 
     def evidence(self, members: Members, fit: Fit) -> float:
