@@ -25,6 +25,7 @@ from tqdm import tqdm
 
 import sim2real as s2r
 from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.swims import Swim
 from sim2real.output import write_json
 
 Array = NDArray[np.float64]
@@ -76,10 +77,15 @@ def beats(film: Film, said: Mapping[str, Array]) -> dict[str, Any]:
 
 def tool(place: Pool, films: Sequence[Film], robot: s2r.Robot) -> dict[str, Any]:
     """What ``sim2real diagnose`` says of all clips at once; it scores on the last third of each."""
-    found = diagnose_swims([one.swim for one in films], place.model, robot, place.simulator)
+
+    def simulate(models: Sequence[s2r.Model], swim: Swim) -> Array:
+        return place.simulator(models, swim.command, swim.start)
+
+    found = diagnose_swims([one.swim for one in films], place.model, robot, simulate)
     return {
         "verdict": found.verdict,
         "named": {one.effect: one.probability for one in found.effects},
+        "told": list(found.gate),
         "considered": {one.effect: one.probability for one in found.rivals},
     }
 

@@ -16,6 +16,7 @@ from sim.commands.simulate import every_period
 from sim.inference import calibrate as bodies
 from sim.inference.calibrate import Calibrated
 from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.followed import by_followed_twin
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.problem import HELD_OUT_SHARE
 from sim.inference.swims import Swim, by_fluid, by_twin, swim_of
@@ -70,7 +71,7 @@ def diagnose(
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
     seen, then = ([swim_of(one, known) for one in some] for some in (swims, before))
-    return diagnose_swims(seen, start, known, by_twin(known), references=then)
+    return diagnose_swims(seen, start, known, by_followed_twin(known), references=then)
 
 
 @dataclass(frozen=True)

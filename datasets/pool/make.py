@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from camera import NOISE, filmed, reported
+from camera import NOISE, reported, seen
 from numpy.typing import NDArray
 from tqdm import tqdm
 from truth import Truth
@@ -63,16 +63,6 @@ def command(t: float, joints: int, phase: float) -> Array:
     return np.asarray(np.clip(wave + bias, -0.78, 0.78))
 
 
-def seen(world: Truth, t: Array, pose: Array, rng: np.random.Generator) -> Array:
-    """What the camera says, shape (T, 3)."""
-    late = world.effects.get("camera_latency", {}).get("latency_s", 0.0)
-    shown = np.stack([np.interp(t - late, t, column) for column in pose.T], axis=1)
-    angle = world.effects.get("camera_rotation", {}).get("angle_rad", 0.0)
-    c, s = np.cos(angle), np.sin(angle)
-    shown[:, :2] = shown[:, :2] @ np.array([[c, s], [-s, c]])
-    return filmed(shown, rng)
-
-
 def main() -> None:
     """Swim, film, write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -97,10 +87,11 @@ def main() -> None:
     if world.stopped().any():
         raise SystemExit(f"boxes stopped: {np.flatnonzero(world.stopped()).tolist()}")
     for e, one in enumerate(WORLDS):
-        shown = seen(one, times, np.array(pose)[:, e], rng)
+        angles = np.array(joint)[:, e]
+        shown = seen(times, np.array(pose)[:, e], angles, one.effects, rng, NOISE)
         recording = Recording(
             name=one.name, kind="pool", joints=names,
-            t=times, command=np.array(sent)[:, e], position=reported(np.array(joint)[:, e], rng),
+            t=times, command=np.array(sent)[:, e], position=reported(angles, rng),
             medium="water",
             source="Simulated, not measured: datasets/pool/make.py. MIT licence.",
             columns={f"body.{n}": shown[:, i] for i, n in enumerate(("x_m", "y_m", "yaw_rad"))},

@@ -16,6 +16,8 @@ SMOOTH_RAD_S = 0.1
 """Rate at which friction is three quarters of itself."""
 GEAR_KGM2, TOOTH_NM_PER_RAD, TOOTH_NMS_PER_RAD = 4e-4, 150.0, 0.1
 """Where there is play: inertia of motor and gears at the shaft, the teeth's spring and damper."""
+HORN_KGM2 = 2e-3
+"""Inertia that is left to a servo whose link has come loose."""
 PERIOD_S = 0.02
 _KEPT = 12
 
@@ -42,6 +44,7 @@ class Servos:
         self._kp, self._kd, self._latency = (
             np.array([getattr(truth, key) for truth in truths]) for key in ("kp", "kd", "latency")
         )
+        self.gains = self._kp, self._kd
         self._friction = values(truths, "coulomb_friction", "torque_Nm")[:, None]
         self._gap = values(truths, "backlash", "gap_rad")[:, None]
         self._wander = values(truths, "latency_drift", "sd_s")[:, None]
@@ -105,3 +108,43 @@ class Servos:
         return np.where(
             dent > 0, np.maximum(pressed, 0), np.where(dent < 0, np.minimum(pressed, 0), 0)
         )
+
+
+class LooseFin:
+    """A last link that comes loose from its servo, which goes on turning, and showing, its horn."""
+
+    def __init__(self, truths: Sequence[Truth], h: float) -> None:
+        """Take when it comes loose and what still holds it; ``h`` is the time between calls."""
+        self._h = h
+        self._from = values(truths, "loose_fin", "from_s")
+        self._hold = values(truths, "loose_fin", "stiffness_Nm_per_rad")
+        self._loose = self._hold > 0
+        self.reset(np.zeros(len(truths)))
+
+    def reset(self, turn: Array) -> None:
+        """Rest at these angles, shape (E,)."""
+        self._horn, self._rate = turn.copy(), np.zeros(turn.shape)
+
+    def torque(self, t: float, turn: Array, rate: Array, torque: Array, servo: Array) -> Array:
+        """Torque on the last joint, shape (E,): that of the servo until the fin is loose.
+
+        Args:
+            t: Time in s.
+            turn: Angles of the joint, shape (E,).
+            rate: Its rates.
+            torque: What would act on it, likewise.
+            servo: The servo's kp, kd and the angle it wants, shape (3, E).
+        """
+        if not self._loose.any():
+            return torque
+        off = self._loose & (t >= self._from)
+        kp, kd, wish = servo
+        push = kp * (wish - self._horn) - kd * self._rate
+        self._rate = np.where(off, self._rate + self._h / HORN_KGM2 * push, rate)
+        self._horn = np.where(off, self._horn + self._h * self._rate, turn)
+        held = self._hold * (self._horn - turn) - 0.05 * self._hold * rate
+        return np.where(off, held, torque)
+
+    def shown(self, t: float, turn: Array) -> Array:
+        """What the servo's sensor shows, shape (E,)."""
+        return np.where(self._loose & (t >= self._from), self._horn, turn)

@@ -11,15 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from servos import Servos
-from surfaces import Surfaces
+from servos import LooseFin, Servos
+from surfaces import Links, Surfaces
 from truth import Truth, values
+from waters import POOL_HALF_M, Waters
 
 from sim.fluid.fluid import Fluid
+from sim.fluid.tank import WINDOW_M
 from sim.fluid.wall import Wall
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import JointModel, Model
@@ -31,8 +35,28 @@ ROBOT = Path(__file__).parent / "robot.toml"
 VISCOSITY_M2_S = 4e-5
 SMAGORINSKY, MAGIC = 0.14, 1e-2
 """Of the sub-grid viscosity, and of the two relaxation times; the library has 0.17 and 3/16."""
-WALL = Wall(slip=True, line="laminar")
-"""Its friction follows Blasius's line; the library's robots have the turbulent one."""
+LINE = "laminar"
+"""Of friction: Blasius's; the library's robots have the turbulent one."""
+DEPTH_M = 0.4
+
+
+@dataclass(frozen=True)
+class Water:
+    """What a pool is filled with; the defaults are those of the recordings that ship.
+
+    Attributes:
+        viscosity_m2_s: Away from the wall.
+        smagorinsky: Of the sub-grid viscosity.
+        magic: Of the two relaxation times.
+        line: Friction line of a smooth surface.
+        box_m: Length, width and depth of a robot's box.
+    """
+
+    viscosity_m2_s: float = VISCOSITY_M2_S
+    smagorinsky: float = SMAGORINSKY
+    magic: float = MAGIC
+    line: str = LINE
+    box_m: tuple[float, float, float] = WINDOW_M
 
 
 class World:
@@ -52,6 +76,7 @@ class World:
         cell_m: float,
         rng: np.random.Generator,
         robot: Robot | None = None,
+        water: Water | None = None,
     ) -> None:
         """Fill the boxes, with the robots straight and at rest.
 
@@ -61,29 +86,40 @@ class World:
             cell_m: Side of a cell.
             rng: Of what drifts at random.
             robot: Links and joints; those of ``robot.toml`` where None.
+            water: What the boxes are filled with.
         """
         self.robot, self.truths = robot or read_robot(ROBOT), list(truths)
+        water = water or Water()
         slack = JointModel(1e-12, 0.0, 0.0, 0.001)
-        model = Model(joints={joint.name: slack for joint in self.robot.joints})
-        with _other_collision():
+        joints = {joint.name: slack for joint in self.robot.joints}
+        models = [Model(joints=joints, body=_weighed(truth)) for truth in self.truths]
+        with _other_collision(water.magic):
             self.swimmer = Swimmer(
-                self.robot, model, n_envs=len(self.truths), cell_m=cell_m, device=device,
-                viscosity_m2_s=VISCOSITY_M2_S, smagorinsky=SMAGORINSKY, wall=WALL,
+                self.robot, models, n_envs=len(self.truths), cell_m=cell_m, device=device,
+                viscosity_m2_s=water.viscosity_m2_s, smagorinsky=water.smagorinsky,
+                wall=Wall(slip=True, line=water.line), box_m=water.box_m,
                 substeps=max(32, 2 * int(np.ceil(CONTROL_S * 1.4 / 0.15 / cell_m / 2))), threads=2,
             )  # fmt: skip
         self.h = CONTROL_S / self.swimmer.substeps
         self.servos = Servos(self.truths, len(self.robot.joints), self.h, rng)
-        com = self.swimmer.bodies.chain.com.numpy()[0, 0]
-        self.surfaces = Surfaces(self.truths, self.robot, self.swimmer.hull, float(com))
+        self.fin = LooseFin(self.truths, self.h)
+        chain, hull = self.swimmer.bodies.chain, self.swimmer.hull
+        links = Links(hull, chain.com.numpy()[:, 0], chain.side.numpy()[:, 0])
+        self.surfaces = Surfaces(self.truths, self.robot, hull, links)
+        self.waters = Waters(self.truths, hull, links, self.h)
         self._trim = self._column("trim_asymmetry", "offset_rad")
         self._stiff = self._column("skin_elasticity", "stiffness_Nm_per_rad")
         self._soft = self._column("skin_viscoelasticity", "stiffness_Nm_per_rad")
         self._relax = np.maximum(self._column("skin_viscoelasticity", "relaxation_s"), 1e-3)
+        self._damp = self._column("skin_damping", "damping_Nms_per_rad")
+        self._tied = self._column("skin_coupling", "stiffness_Nm_per_rad")
         self._tether = self._column("tether", "stiffness_N_per_m")
         self._anchor = np.stack([values(truths, "tether", n) for n in ("x_m", "y_m")], axis=1)
         self._current = np.stack(
             [values(truths, "pool_current", n) for n in ("u_m_s", "v_m_s")], axis=1
         )
+        self._seiche = np.stack([values(truths, "seiche", n) for n in ("speed_m_s", "mode")])
+        self._tilt = values(truths, "seiche", "direction_rad")
         self.reset()
 
     def _column(self, effect: str, name: str) -> Array:
@@ -104,7 +140,10 @@ class World:
         v[:, :2] = -self._current
         self.swimmer.bodies.place(q, v)
         self._strain = np.zeros((len(self.truths), len(self.robot.joints)))
+        self._drift = np.zeros((len(self.truths), 2))
         self.servos.reset(q[:, 3:])
+        self.fin.reset(q[:, -1])
+        self.waters.reset()
         self._periods = 0
 
     @property
@@ -115,7 +154,8 @@ class World:
     def where(self) -> tuple[Array, Array]:
         """Poses in the pool (E, 3), and angles at the servos' shafts (E, J)."""
         q = self.swimmer.bodies.motion.q.numpy().copy()
-        q[:, :2] += self._current * self.t
+        q[:, :2] += self._drift
+        q[:, -1] = self.fin.shown(self.t, q[:, -1])
         return q[:, :3], q[:, 3:] - self._trim
 
     def rate(self) -> Array:
@@ -133,6 +173,7 @@ class World:
         for sub in range(self.swimmer.substeps):
             bodies.push(self._forces(t + sub * self.h))
             bodies.step()
+            self._drift += self.h * self._flow(t + sub * self.h)
         self.swimmer._sponge()
         self._periods += 1
 
@@ -145,19 +186,54 @@ class World:
         torque -= self._stiff * turn
         self._strain += self.h / self._relax * (turn - self._strain)
         torque -= self._soft * (turn - self._strain)
+        torque -= self._damp * v[:, 3:]
+        apart = np.diff(turn, axis=1)
+        torque[:, :-1] += self._tied * apart
+        torque[:, 1:] -= self._tied * apart
+        torque[:, -1] = self.fin.torque(
+            t, turn[:, -1], v[:, -1], torque[:, -1], self._drive(t, turn[:, -1], v[:, -1])
+        )
         out = np.zeros(q.shape)
         out[:, 3:] = torque
-        out[:, :2] += self._tether * (self._anchor - self._current * t - q[:, :2])
+        place = q[:, :2] + self._drift
+        out[:, :2] += self._tether * (self._anchor - place)
         self.surfaces.add(out, q, v)
+        self.waters.add(out, q, v, place, t)
         return out
+
+    def _drive(self, t: float, turn: Array, rate: Array) -> Array:
+        """Gains and wish of the last servos: shape (3, E)."""
+        wish = self.servos.wanted(t)[:, -1] + self._trim[:, 0]
+        return np.stack([self.servos.gains[0][:, -1], self.servos.gains[1][:, -1], wish])
+
+    def _flow(self, t: float) -> Array:
+        """Velocity of the pool's water where the robots are, shape (E, 2).
+
+        A body as heavy as the water that it displaces goes along with it. A seiche of mode n has
+        the frequency of long waves in a pool of this length and depth, omega^2 = g k tanh(k h).
+        """
+        flow = self._current.copy()
+        speed, mode = self._seiche
+        if speed.any():
+            k = np.pi * mode / (2 * POOL_HALF_M)
+            omega = np.sqrt(9.81 * k * np.tanh(k * DEPTH_M))
+            size = speed * np.sin(omega * t)
+            flow += size[:, None] * np.stack([np.cos(self._tilt), np.sin(self._tilt)], axis=1)
+        return flow
+
+
+def _weighed(truth: Truth) -> dict[str, Any]:
+    """Where the masses are, which the rigid chain is told."""
+    off = truth.effects.get("com_offset")
+    return {"effects": [{"effect": "com_offset", "parameters": off}] if off else []}
 
 
 @contextmanager
-def _other_collision() -> Iterator[None]:
+def _other_collision(magic: float) -> Iterator[None]:
     """Within this block a fluid relaxes otherwise; ``Swimmer`` has no option for it."""
     defaults = Fluid.__init__.__kwdefaults__ or {}
     known = defaults["magic"]
-    defaults["magic"] = MAGIC
+    defaults["magic"] = magic
     try:
         yield
     finally:

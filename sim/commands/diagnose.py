@@ -16,8 +16,10 @@ from sim.inference.fluid_diagnosis import (
     read_water,
     swim_batches,
 )
+from sim.inference.followed import by_followed_twin
 from sim.inference.search import Effect
-from sim.inference.swims import Swim, by_fluid, by_twin, swim_of, values_of, with_values
+from sim.inference.swim_decision import LIKELY
+from sim.inference.swims import Swim, by_fluid, swim_of, values_of, with_values
 from sim.view.diagnosis_page import swims_section
 from sim2real.commands import diagnose as servos
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
@@ -54,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             given,
             model,
             robot,
-            by_twin(robot),
+            by_followed_twin(robot),
             references=[swim_of(one, robot) for one in references],
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
@@ -90,7 +92,7 @@ def _in_fluid(
 ) -> Diagnosis:
     """The search again in the fluid, from what the twin named."""
     water, prior = read_water(options.water, robot, options.cell_m)
-    named = [(one.effect, one.component) for one in twin.effects]
+    named = [(one.effect, one.component) for one in twin.effects if one.probability >= LIKELY]
     own = {p.name for p in water}  # what the water has is searched from its own mean
     claimed = [
         one

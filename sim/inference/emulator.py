@@ -125,7 +125,7 @@ class _Regression:
         if well.mean() < 0.5:
             found = f"{np.sum(~well)} of {well.size} rollouts stopped"
             raise InputError(batch.swim.name, "simulator", found, "most of them whole")
-        steps = _steps(batch.track[well])
+        steps = steps_of(batch.track[well])
         places = [places_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[well]]
         self.names, self._keys = batch.names, tuple(places[0])
         x = np.array([list(place.values()) for place in places])
@@ -149,7 +149,7 @@ class _Regression:
         places = [places_of(dict(zip(self.names, row, strict=True))) for row in rows]
         x = np.array([list(place.values()) for place in places])
         steps = (self._terms(x) @ self._weights).reshape(len(models), *self._shape)
-        return _path(steps, start, self._joint)
+        return path_of(steps, start, self._joint)
 
 
 def places_of(values: Mapping[str, float]) -> dict[str, float]:
@@ -176,7 +176,7 @@ def places_of(values: Mapping[str, float]) -> dict[str, float]:
     return out
 
 
-def _steps(track: Array) -> Array:
+def steps_of(track: Array) -> Array:
     """Ways forward, to the left and round in each period, and joint angles: (E, T - 1, 3 + J)."""
     way = np.diff(track[..., :3], axis=1)
     heading = track[:, :-1, 2]
@@ -185,17 +185,17 @@ def _steps(track: Array) -> Array:
     return np.concatenate([np.stack([ahead, left, way[..., 2]], axis=2), track[:, 1:, 3:]], axis=2)
 
 
-def _path(steps: Array, start: Array, joint: Array) -> Array:
-    """The inverse of ``_steps``, from a first pose."""
+def path_of(steps: Array, start: Array, joint: Array) -> Array:
+    """The inverse of ``steps_of``, from a first pose."""
     still = np.zeros((len(steps), 1))
     heading = start[2] + np.concatenate([still, np.cumsum(steps[..., 2], axis=1)], axis=1)
     c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
     x = np.cumsum(c * steps[..., 0] - s * steps[..., 1], axis=1)
     y = np.cumsum(s * steps[..., 0] + c * steps[..., 1], axis=1)
     x, y = (a + np.concatenate([still, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
-    first = np.broadcast_to(joint, (len(steps), 1, joint.size))
+    first = np.broadcast_to(joint, (len(steps), joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
     return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
 
 
-__all__ = ["ROLLOUTS", "Batch", "Emulator", "places_of", "rollouts"]
+__all__ = ["ROLLOUTS", "Batch", "Emulator", "places_of", "path_of", "rollouts", "steps_of"]

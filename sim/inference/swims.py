@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 from tqdm import tqdm
 
 from sim.robot.swimmer import CONTROL_S, Swimmer
@@ -45,6 +46,9 @@ class Swim:
         signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
         noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
             it is not known.
+        pose_noise: Likewise of x, y and heading, shape (3,).
+        pose: As they were seen, shape (T, 3); of nobody who does not know.
+        repeated: Share of the poses that are those of the sample before, to the last digit.
     """
 
     name: str
@@ -53,6 +57,17 @@ class Swim:
     start: Array
     signals: Array
     noise: Array | float = 0.0
+    pose_noise: Array | float = 0.0
+    pose: Array | None = None
+    repeated: float = 0.0
+
+    @property
+    def heading(self) -> Array:
+        """As it was seen, shape (T,); smoothed as the speeds are."""
+        if self.pose is None:
+            turned = np.cumsum(self.signals[:, 2]) * CONTROL_S
+            return np.asarray(self.start[2] + turned - turned[0])
+        return np.asarray(savgol_filter(self.pose[:, 2], min(11, self.t.size), 2))
 
 
 def swim_of(recording: Recording, robot: Robot) -> Swim:
@@ -83,6 +98,7 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     pose = np.stack([recording.columns[name] for name in names], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
     grid = np.stack([even(column) for column in pose.T], axis=1)
+    same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
     joints = np.stack([even(recording.position[:, k]) for k in order], axis=1)
     command = np.nan_to_num(recording.command[row][:, order])
     return Swim(
@@ -92,20 +108,30 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
         noise=_noise(t, np.concatenate([grid, joints], axis=1)),
+        pose_noise=_jitter(grid),
+        pose=grid,
+        repeated=float(same.mean()) if same.size else 0.0,
     )
+
+
+def _jitter(shown: Array) -> Array:
+    """Noise of each column (T, K) of what does not jump, shape (K,).
+
+    What third differences show, in which no motion of a robot is left: for white noise their
+    variance is 20 times its own.
+    """
+    third = np.abs(np.diff(shown, 3, axis=0))
+    return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)))
 
 
 def _noise(t: Array, shown: Array) -> Array:
     """Noise of surge, sway, yaw rate and joints, from poses and angles (T, 3 + J).
 
-    That of a pose is what its third differences show, in which no motion of a robot is left: for
-    white noise their variance is 20 times its own. The velocities' is what the estimator makes of
-    such noise.
+    The velocities' is what the estimator makes of such noise.
     """
-    third = np.abs(np.diff(shown, 3, axis=0))
-    sd = np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)
-    drawn = np.random.default_rng(0).standard_normal((t.size, 3)) * np.nan_to_num(sd[:3])
-    return np.concatenate([body_velocity(t, drawn).std(axis=0), np.nan_to_num(sd[3:])])
+    sd = _jitter(shown)
+    drawn = np.random.default_rng(0).standard_normal((t.size, 3)) * sd[:3]
+    return np.concatenate([body_velocity(t, drawn).std(axis=0), sd[3:]])
 
 
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:

@@ -56,7 +56,7 @@ def by_film(robot: Robot, *, run_up_s: float = RUN_UP_S) -> Simulator:
         v[:, 0], v[:, 1] = _START_M_S * np.cos(start[2]), _START_M_S * np.sin(start[2])
         twin.motion.v.assign(v)
         twin.swim(sent[: SUBSTEPS * before])
-        _carry(twin, start)
+        carry(twin, start)
         now = twin.state()
         first = np.concatenate([now.pose, now.measured], axis=1)
         track = twin.swim(sent[SUBSTEPS * before :])[:, SUBSTEPS - 1 :: SUBSTEPS]
@@ -77,7 +77,7 @@ def _fine(command: Array) -> tuple[Array, Array]:
     return angle, np.asarray(angle[1:] + turn[:-1] / 2)
 
 
-def _carry(twin: Twin, pose: Array) -> None:
+def carry(twin: Twin, pose: Array) -> None:
     """Put robots and the water around them at a pose of the pool; how they move stays."""
     clock = np.array(twin.motion.clock.numpy())
     q, v = np.array(twin.motion.q.numpy()), np.array(twin.motion.v.numpy())
@@ -97,4 +97,4 @@ def _carry(twin: Twin, pose: Array) -> None:
     wp.launch(start_twin, dim=twin.n_envs, inputs=inputs, device=twin.device)
 
 
-__all__ = ["RUN_UP_S", "by_film", "follower"]
+__all__ = ["RUN_UP_S", "by_film", "carry", "follower"]

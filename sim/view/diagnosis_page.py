@@ -9,6 +9,14 @@ _LEAD = "Which physics of the body or the camera does the simulator leave out of
 _FOUND = {
     "consistent": ("good", "Nothing is missing that these swims could show."),
     "explained": ("good", "Something was missing from the simulation, and it has a name now."),
+    "partly_explained": (
+        "info",
+        "A part of what is missing has a name; something else is there that has none.",
+    ),
+    "unexplained": (
+        "info",
+        "Something is missing, and nothing in the catalogue accounts for it.",
+    ),
     "ambiguous": ("info", "Something is missing; these swims do not tell which of a few it is."),
 }
 

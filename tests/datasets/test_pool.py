@@ -15,7 +15,7 @@ from sim.robot.shape import hull_of
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[2] / "datasets" / "pool"
-NAMES = ("truth", "servos", "surfaces", "camera", "world", "make")
+NAMES = ("truth", "servos", "surfaces", "waters", "camera", "world", "make")
 H = 5e-4
 
 
@@ -92,7 +92,9 @@ def test_rough_surfaces_take_the_power_that_their_links_lose(code):
     truth = code["truth"].Truth
     rubber, both = ("surface_friction.rubber",), ("surface_friction.rubber", "surface_friction.abs")
     truths = [truth("x", {n: {"coefficient": 0.05} for n in names}) for names in ((), rubber, both)]
-    rough = code["surfaces"].Surfaces(truths, robot, hull_of(robot), 0.1)
+    hull = hull_of(robot)
+    links = code["surfaces"].Links(hull, 0.1)
+    rough = code["surfaces"].Surfaces(truths, robot, hull, links)
     q = np.tile(np.random.default_rng(0).normal(0, 0.5, 6), (3, 1))
     v = np.tile(np.random.default_rng(1).normal(0, 1.0, 6), (3, 1))
     out = np.zeros((3, 6))

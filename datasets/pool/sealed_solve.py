@@ -1,0 +1,106 @@
+"""Let ``sim2real diagnose`` answer every case of a sealed set of swims, from its inputs alone.
+
+    python datasets/pool/sealed_solve.py SET VERDICTS [--processes N] [--seconds S] [--share K/N]
+
+What a robot's swims in which nothing is missing say of its law is worked out once and kept. Each
+case's time stands in ``cost.json``; one that has been answered is not answered again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from sim.inference.followed import by_followed_twin
+from sim.inference.law_error import LAW_ERROR
+from sim.inference.searched import learned, raw, searched
+from sim.inference.swim_findings import diagnosis_of
+from sim.inference.swims import swim_of
+from sim.inference.twin_search import Belief
+from sim2real.diagnose.result import write_diagnosis
+from sim2real.model import read_model, write_model
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+
+def law_of(folder: Path, verdicts: Path) -> str:
+    """What the swims of a robot in which nothing is missing say, kept beside the verdicts."""
+    target = verdicts / f"{folder.name}.npz"
+    if target.exists():
+        return f"{folder.name} known"
+    start = time.perf_counter()
+    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    simulate = by_followed_twin(robot, threads=1)
+    references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
+    belief = learned(references, model, robot, simulate)
+    verdicts.mkdir(parents=True, exist_ok=True)
+    np.savez(target, **vars(belief))
+    return f"{folder.name} learned, {time.perf_counter() - start:.0f} s"
+
+
+def answer(folder: Path, verdicts: Path) -> str:
+    """Diagnose one case."""
+    start, before = time.perf_counter(), time.process_time()
+    place = folder.parent
+    robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
+    simulate = by_followed_twin(robot, threads=1)
+    referred = json.loads((folder / "case.json").read_text())["references"]
+    belief = learned([], model, robot, simulate)
+    if referred:
+        kept = np.load(verdicts / f"{place.name}.npz")
+        belief = Belief(**{name: kept[name] for name in kept.files})
+    swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
+    found = searched(swims, model, robot, simulate, belief)
+    said = diagnosis_of(found, robot, LAW_ERROR, referred=referred)
+    target = verdicts / folder.name
+    target.mkdir(parents=True, exist_ok=True)
+    write_diagnosis(said, target / "diagnosis.json", "enriched.json")
+    write_model(said.model, target / "enriched.json")
+    assert said.baseline is not None
+    write_model(said.baseline, target / "baseline.json")
+    (target / "raw.json").write_text(json.dumps(raw(found)) + "\n")
+    cost = {"wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - before}
+    (target / "cost.json").write_text(json.dumps(cost) + "\n")
+    return f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s"
+
+
+def main() -> None:
+    """Answer the cases."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("set", type=Path)
+    parser.add_argument("verdicts", type=Path)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
+    parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth case from the Kth")
+    options = parser.parse_args()
+    deadline = time.monotonic() + options.seconds
+    first, step = (int(x) for x in options.share.split("/"))
+    robots = sorted((options.set / "inputs").glob("robot_*"))
+    cases = sorted((options.set / "inputs").glob("robot_*/case_*/case.json"))[first::step]
+    left = [
+        p.parent for p in cases if not (options.verdicts / p.parent.name / "cost.json").exists()
+    ]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
+        laws = [pool.submit(law_of, folder, options.verdicts) for folder in robots]
+        for done in as_completed(laws):
+            print(done.result(), flush=True)
+        running: set[Future[str]] = set()
+        for folder in [*left, None]:
+            while running and (folder is None or len(running) >= options.processes):
+                one = next(as_completed(running))
+                running.remove(one)
+                print(one.exception() or one.result(), flush=True)
+            if folder is None or time.monotonic() > deadline:
+                continue
+            running.add(pool.submit(answer, folder, options.verdicts))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,241 @@
+"""Coordinates of what swims may tell, in which a swim is nearly linear, and their swims.
+
+One column for each number: gains and latencies, the twin's law, every effect of the body and the
+camera. A tether acts by its stiffness and by stiffness times anchor; a skin that gives way as a
+mixture of a quick and a slow one. A current is added to what was swum in still water, with the
+heading that was seen: a body goes along with even water.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.parameters import candidates
+from sim.inference.search import Effect
+from sim.inference.swims import Swim, with_values
+from sim.twin.law import Coefficients
+from sim2real.body import values
+from sim2real.camera import observed
+from sim2real.model import Model
+from sim2real.robot import Robot
+from sim2real.velocity import body_velocity
+
+Array = NDArray[np.float64]
+
+LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
+"""Coefficients of the twin's law that swims may move."""
+SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+QUICK_S, SLOW_S = 0.12, 0.9
+"""Relaxation times whose mixture a skin that gives way is."""
+_FOLLOWS = 1e4
+"""Gain from which a servo only follows what was filmed (``sim.twin.prescribed``)."""
+_TETHER_STEP = 0.05
+_CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
+_STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
+_PULL = ("tether.stiffness_N_per_m", "tether.x_m", "tether.y_m")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One coordinate.
+
+    Attributes:
+        name: Of the parameter it stands for.
+        effect: The effect it belongs to, as ``(name, component)``; None for servos and law.
+        nominal: Its value where nothing is missing.
+        low, high: Its bounds.
+        step: Of a derivative.
+        prior_sd: Of an effect that is there.
+    """
+
+    name: str
+    effect: tuple[str, str] | None
+    nominal: float
+    low: float
+    high: float
+    step: float
+    prior_sd: float
+
+    @property
+    def kind(self) -> str:
+        """What stands in ``law_error.json``: the name without joint or material."""
+        parts = self.name.split(".")
+        if self.effect is None:
+            return ".".join(("servo" if parts[0] != "twin" else "twin", parts[-1]))
+        return f"{parts[0]}.{parts[-1]}"
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """All columns of a robot.
+
+    Attributes:
+        model: The servos, and the law where the model has one.
+        columns: F of them.
+        effects: Those that may be missing.
+    """
+
+    model: Model
+    columns: tuple[Column, ...]
+    effects: tuple[Effect, ...]
+    place: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot, model: Model) -> Coordinates:
+        """The columns of a robot with these servos."""
+        columns = []
+        for joint in robot.joints:
+            servo = model.joints[joint.name]
+            for name in SERVO if servo.kp_Nm_per_rad < _FOLLOWS else ():
+                value = float(getattr(servo, name))
+                size = max(abs(value), 1e-3)
+                columns.append(
+                    Column(f"{joint.name}.{name}", None, value, 0.1 * size, 5 * size, 0.05 * size,
+                           np.inf)
+                )  # fmt: skip
+        law = Coefficients.of(model.body)
+        for name in LAW:
+            value = float(getattr(law, name))
+            size = max(abs(value), 0.1)
+            columns.append(
+                Column(f"twin.{name}", None, value, 0.0, 3 * size + 3, 0.1 * size, np.inf)
+            )
+        listed = tuple(Effect(*one) for one in candidates(robot))
+        for one in listed:
+            for p in one.free:
+                low, high = p.low, p.high
+                if p.name in (*_PULL[1:], _RELAX):
+                    low, high = (0.0, 10.0) if p.name == _RELAX else (-10.0, 10.0)
+                sd = p.prior_sd if p.name != _RELAX else 4 * one.free[0].typical
+                step = _TETHER_STEP if p.name in _PULL else 0.5 * p.typical
+                step = one.free[0].typical / 2 if p.name == _RELAX else step
+                sd = 0.4 if p.name in _PULL else sd
+                columns.append(Column(p.name, (one.name, one.component), 0.0, low, high, step, sd))
+        place = {column.name: k for k, column in enumerate(columns)}
+        return cls(model, tuple(columns), listed, place)
+
+    def of_effect(self, effect: Effect) -> list[int]:
+        """Columns of an effect."""
+        return [self.place[p.name] for p in effect.free]
+
+    @property
+    def base(self) -> list[int]:
+        """Columns of servos and law."""
+        return [k for k, column in enumerate(self.columns) if column.effect is None]
+
+    @property
+    def nominal(self) -> Array:
+        """Shape (F,)."""
+        return np.array([column.nominal for column in self.columns])
+
+    def clipped(self, x: Array) -> Array:
+        """Points (..., F) within the bounds."""
+        low = np.array([column.low for column in self.columns])
+        return np.clip(x, low, [column.high for column in self.columns])
+
+    def room(self, x: Array) -> Array:
+        """How far each column may go down and up from a point (F,), shape (2, F)."""
+        low, high = (np.array([getattr(c, end) for c in self.columns]) for end in ("low", "high"))
+        return np.stack([low - x, high - x])
+
+    def parameters(self, x: Array) -> dict[str, float]:
+        """Parameters by name at a point (F,); those of effects that are off are left out."""
+        out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
+        if _STIFF in out:
+            quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
+            out[_STIFF] = quick + slow
+            share = slow / (quick + slow) if quick + slow > 0 else 0.5
+            out[_RELAX] = float(np.exp((1 - share) * np.log(QUICK_S) + share * np.log(SLOW_S)))
+        if _PULL[0] in out:
+            k = out[_PULL[0]]
+            for name in _PULL[1:]:
+                out[name] = float(np.clip(out[name] / k, -10.0, 10.0)) if k > 1e-4 else 0.0
+        off = {
+            e.free[0].name.rpartition(".")[0]
+            for e in self.effects
+            if not any(x[k] for k in self.of_effect(e))
+        }
+        return {name: v for name, v in out.items() if name.rpartition(".")[0] not in off}
+
+    def model_at(self, x: Array) -> Model:
+        """The model at a point (F,)."""
+        return with_values(self.model, self.parameters(x))
+
+    def steps(self, x: Array) -> Array:
+        """Steps of one-sided derivatives about a point (F,): into what is allowed."""
+        step = np.array([column.step for column in self.columns])
+        high = np.array([column.high for column in self.columns])
+        return np.where(x + step > high, -step, step)
+
+    def about(self, x: Array) -> tuple[Array, Array]:
+        """Points (F + 1, F) from which derivatives about x are taken, the base of each, (F,).
+
+        Row 0 is x, row k + 1 what column k is moved to; its base is row 0, but for a tether's
+        anchor, which no tether of no stiffness has: there it is the tether's own row.
+        """
+        points = np.tile(x, (x.size + 1, 1))
+        points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
+        base = np.zeros(x.size, dtype=np.intp)
+        if _PULL[0] in self.place and x[self.place[_PULL[0]]] < 1e-3:
+            own = self.place[_PULL[0]]
+            for name in _PULL[1:]:
+                k = self.place[name]
+                points[k + 1, own] = points[own + 1, own]
+                base[k] = own + 1
+        return points, np.asarray(base, dtype=np.float64)
+
+
+Swum = Callable[[Sequence[Model], Swim], Array]
+"""From models (E) and a swim to tracks (E, T, 3 + J)."""
+
+
+def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) -> Array:
+    """Signals of a swim at points (E, F), shape (E, T, 3 + J).
+
+    Points that differ in the camera and the current alone share a rollout.
+    """
+    outer = [
+        k for k, c in enumerate(coordinates.columns)
+        if c.effect is not None and (c.effect[1] == "camera" or c.name in _CURRENT)
+    ]  # fmt: skip
+    inner = points.copy()
+    inner[:, outer] = 0.0
+    unique, which = np.unique(inner, axis=0, return_inverse=True)
+    track = simulate([coordinates.model_at(x) for x in unique], swim)[which.reshape(-1)]
+    return _seen(track, [coordinates.parameters(x) for x in points], swim)
+
+
+def seen_as(models: Sequence[Model], swim: Swim, simulate: Swum) -> Array:
+    """Signals of a swim by models, current and camera as in ``swum``, shape (E, T, 3 + J)."""
+    given = [values(model) for model in models]
+    still = [
+        with_values(model, {name: 0.0 for name in _CURRENT if name in one})
+        for model, one in zip(models, given, strict=True)
+    ]
+    return _seen(simulate(still, swim), given, swim)
+
+
+def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
+    """What camera and joints show of tracks (E, T, 3 + J) swum in still water."""
+    out = np.full((len(track), swim.t.size, track.shape[2]), np.nan)
+    heading = swim.heading
+    c, s = np.cos(heading), np.sin(heading)
+    for e, given in enumerate(parameters):
+        if not np.isfinite(track[e]).all():
+            continue
+        out[e, :, :3] = body_velocity(swim.t, observed(swim.t, track[e, :, :3], given))
+        out[e, :, 3:] = track[e, :, 3:]
+        u, v = (given.get(name, 0.0) for name in _CURRENT)
+        out[e, :, 0] += c * u + s * v
+        out[e, :, 1] += c * v - s * u
+    return out
+
+
+def in_fit(columns: Sequence[Column], members: frozenset[Effect]) -> NDArray[np.bool_]:
+    """Which columns a fit with these effects moves, shape (F,)."""
+    on = {(e.name, e.component) for e in members}
+    return np.array([c.effect is None or c.effect in on for c in columns])

@@ -1,0 +1,82 @@
+"""How wrong the twin is, as it was measured: its error is a part of the noise.
+
+``law_error.json`` says, with where it is from, what a twin that was calibrated on a robot's swims
+still gets wrong of another swim of the same robot in which nothing is missing: the share of
+each signal, by band of frequency, and how much of each effect it imitates. ``benchmarks/
+pool_decisions.py`` learns them from the nulls of a development set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.coordinates import Coordinates
+from sim2real.structured import read_json
+
+Array = NDArray[np.float64]
+
+FILE = Path(__file__).with_name("law_error.json")
+SCHEMA = "sim2real.law_error/1"
+RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
+"""Kinds of columns whose sizes are shares of their values."""
+ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
+
+
+@dataclass(frozen=True)
+class LawError:
+    """What is known of the twin's error.
+
+    Attributes:
+        shares: Error as a share of a signal's size, by signal (surge, sway, yaw rate, joints) and
+            band (slow, beat, fast), shape (4, 3).
+        imitated: By kind of column, the standard deviation of what the twin's error passes for:
+            of servos and law from one swim to another, of effects that are not there.
+        unknown: The same of servos and law of a robot that was never seen.
+        usual: Mean of the law's coefficients over robots.
+        decisions: Thresholds, by name.
+    """
+
+    shares: Array
+    imitated: Mapping[str, float]
+    unknown: Mapping[str, float]
+    usual: Mapping[str, float]
+    decisions: Mapping[str, float]
+
+    def imitation(self, coordinates: Coordinates) -> Array:
+        """Standard deviation of what the error passes for in each column, shape (F,)."""
+        return np.array([self._of(self.imitated, c.kind, c.nominal) for c in coordinates.columns])
+
+    def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:
+        """Mean (B,) and covariance (B, B) of servos and law of a robot that was never seen."""
+        base = [coordinates.columns[k] for k in coordinates.base]
+        mean = [self.usual.get(c.kind, c.nominal) for c in base]
+        sd = [self._of(self.unknown, c.kind, c.nominal) for c in base]
+        return np.array(mean), np.diag(np.square(sd))
+
+    @staticmethod
+    def _of(known: Mapping[str, float], kind: str, nominal: float) -> float:
+        """A gain's is relative."""
+        value = known[kind]
+        return value * abs(nominal) if kind in RELATIVE else value
+
+
+def read_law_error(path: Path = FILE) -> LawError:
+    """That of a file, as ``benchmarks/pool_decisions.py`` writes it."""
+    content = read_json(path, SCHEMA)
+    shares = content["shares"]
+    return LawError(
+        shares=np.array([[shares[row][band] for band in BANDS] for row in ROWS], dtype=np.float64),
+        imitated=content["imitated"],
+        unknown=content["unknown"],
+        usual=content["usual"],
+        decisions=content["decisions"],
+    )
+
+
+LAW_ERROR = read_law_error()
+"""That which ships."""

@@ -1,0 +1,105 @@
+"""What to record next where swims leave a choice: that in which two rivals are furthest apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.blocks import Blocks
+from sim.inference.coordinates import swum
+from sim.inference.twin_search import Fit, TwinSwims
+from sim.robot.swimmer import CONTROL_S
+from sim2real.diagnose.result import Experiment
+
+Array = NDArray[np.float64]
+
+SECONDS = 12.0
+_SIZE, _LAG = (0.28, 0.6), 1.1
+CONTEXTS: Mapping[str, str] = {
+    "skin": "with the torque off, joints turned by hand",
+    "camera": "with a light that blinks with a joint's command in the picture",
+    "drag": "coasting: a few strokes, then straight and still",
+    "mass": "turning on the spot",
+    "water": "the same strokes in two opposite headings",
+}
+"""What tells a family apart that no strokes do."""
+_FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "skin": ("skin_elasticity", "skin_damping", "skin_viscoelasticity", "skin_coupling"),
+    "camera": ("camera_latency", "pose_filter", "dropped_frames"),
+    "drag": ("linear_drag", "form_drag", "surface_friction", "added_mass", "wall_effect"),
+    "mass": ("com_offset", "marker_offset", "trim_asymmetry"),
+    "water": ("pool_current", "tether", "camera_rotation", "camera_scale"),
+}
+
+
+def _wave(
+    beat: float, strong: float, turn: float = 0.0, until: float = SECONDS
+) -> Callable[[Array, int], Array]:
+    def sent(t: Array, joints: int) -> Array:
+        size = strong * np.linspace(*_SIZE, joints)
+        wave = size * np.sin(2 * np.pi * beat * t[:, None] - _LAG * np.arange(joints))
+        soft = np.clip(t / 0.8, 0, 1)[:, None] * (t[:, None] < until)
+        return np.asarray(np.clip(soft * (wave + turn), -0.76, 0.76))
+
+    return sent
+
+
+def _square(t: Array, joints: int) -> Array:
+    return np.tile(0.4 * np.sign(np.sin(np.pi * t))[:, None], (1, joints))
+
+
+MENU: Mapping[str, Callable[[Array, int], Array]] = {
+    "slow, strong strokes": _wave(0.7, 1.1),
+    "quick, weak strokes": _wave(1.5, 0.5),
+    "strokes in a circle": _wave(1.0, 0.9, 0.25),
+    "strokes, then coasting": _wave(1.2, 1.0, 0.0, 6.0),
+    "squares in all joints": _square,
+}
+"""Swims that any robot can swim."""
+
+
+def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]) -> Experiment:
+    """The swim of the menu in which two fits differ most, in noises, the twin's error among them.
+
+    Args:
+        problem: What they were fitted to.
+        one: The likeliest.
+        other: Its closest rival.
+        effects: Their names.
+    """
+    before = problem.swims[0]
+    t = CONTROL_S * np.arange(round(SECONDS / CONTROL_S))
+    joints = before.command.shape[1]
+    found = []
+    for name, sent in MENU.items():
+        command = sent(t, joints)
+        empty = np.zeros((t.size, 3 + joints))
+        swim = replace(before, t=t, command=command, signals=empty, pose=None, repeated=0.0)
+        signals = swum(problem.coordinates, swim, np.stack([one.x, other.x]), problem.simulate)
+        blocks = Blocks.of(replace(swim, signals=signals[0]))
+        errors = blocks.errors(signals[1]) * blocks.weights(problem.belief.shares)
+        found.append((float(np.sqrt(np.sum(errors**2))), name, command))
+    far, name, command = max(found, key=lambda each: each[0])
+    family = next(
+        (f for f, names in _FAMILIES.items() if effects[0] in names and effects[1] in names), ""
+    )
+    context = CONTEXTS.get(family, "none")
+    also = f", and {context}" if family else ""
+    titles = " and ".join(effect.replace("_", " ") for effect in effects)
+    return Experiment(
+        component="body",
+        separates=effects,
+        command=name,
+        context=context,
+        separation=far,
+        duration_s=SECONDS,
+        statement=f"To tell {titles} apart: {name}{also}; they would be {far:.0f} noises apart.",
+        t=t,
+        signal=command,
+    )
+
+
+__all__ = ["next_swim"]

@@ -1,0 +1,220 @@
+"""The search for what is missing in swims, before anything is decided.
+
+It is that of ``sim2real.inference.selection`` on swims as ``twin_search`` has them: every
+effect of the catalogue beside servos and law, in which the twin's error is a part of the noise.
+What is named has to predict the end of each swim better when fitted to its beginning; what others
+can imitate is a group; and where a shape without a name (``unlisted``) does better than all, the
+diagnosis abstains. Thresholds are in ``law_error.json``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.coordinates import Coordinates, Swum
+from sim.inference.law_error import LAW_ERROR, LawError
+from sim.inference.search import Effect
+from sim.inference.swims import Swim
+from sim.inference.twin_search import Belief, Fit, TwinSwims
+from sim.inference.unlisted import gains
+from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+MOST = 2
+HELD_OUT = 0.3
+"""Share of each swim that decides whether what is named predicts better."""
+_ITS_OWN = (0.5, 6.0)
+"""How much better or worse (in squares) than usual the twin may be for a robot."""
+_RIVALS = 5
+_CLOSE = 15.0
+"""Evidence within which a rival is fitted as carefully as the best."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One set of effects, as far as decisions need it.
+
+    Attributes:
+        names: Effects as ``(name, component)``.
+        evidence: Logarithm, above that of nothing missing, before any cost.
+        settled: Whether it was fitted to the end.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    evidence: float
+    settled: bool
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What a search found, before anything is decided.
+
+    Attributes:
+        problem: The swims.
+        plain: The fit with nothing missing.
+        found: Every set that was tried, best first.
+        best: The best of them.
+        parts: The best without each of its members, and what has those parts alone.
+        nameless: Evidence that shapes without a name add to the plain fit and to the best.
+        held: Held-out loss and error of the speed (m/s) by set.
+        misfit: Mean square of the best fit's weighted errors by signal and band, shape (4, 3).
+    """
+
+    problem: TwinSwims
+    plain: Hypothesis[Fit]
+    found: list[Hypothesis[Fit]]
+    best: Hypothesis[Fit]
+    nameless: dict[str, dict[str, float]]
+    held: dict[Members, tuple[float, float]]
+    misfit: Array
+
+    def table(self) -> list[Tried]:
+        """All sets."""
+        zero = self.plain.evidence
+        return [
+            Tried(names_of(one.members), one.evidence - zero, one.fit.looked) for one in self.found
+        ]
+
+
+def names_of(members: Members) -> tuple[tuple[str, str], ...]:
+    """Effects of a set, as names and components."""
+    listed: list[Effect] = list(members)
+    return tuple(sorted((one.name, one.component) for one in listed))
+
+
+def learned(
+    references: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    simulate: Swum,
+    known: LawError = LAW_ERROR,
+) -> Belief:
+    """What is known of servos and law before a swim: from swims in which nothing is missing.
+
+    Without such swims it is what robots usually have.
+    """
+    coordinates = Coordinates.of(robot, model)
+    mean, covariance = known.prior(coordinates)
+    imitation = known.imitation(coordinates)
+    usual = Belief(mean, covariance, imitation, known.shares)
+    if not references:
+        return replace(usual, shares=known.decisions["unreferred"] * known.shares)
+    problem = TwinSwims(coordinates, references, simulate, usual)
+    found = problem.plain()
+    base = coordinates.base
+    spread = problem.covariance(frozenset(), found.fit.near)[np.ix_(base, base)]
+    own = np.diag(np.square(imitation[base]))
+    wrong = np.sqrt(np.clip(_misfit(problem, found), *_ITS_OWN))
+    return Belief(found.fit.x[base], spread + own, imitation, known.shares * wrong)
+
+
+def searched(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    simulate: Swum,
+    belief: Belief,
+    known: LawError = LAW_ERROR,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Searched:
+    """Try sets of effects on swims of one robot."""
+    coordinates = Coordinates.of(robot, model)
+    problem = TwinSwims(coordinates, swims, simulate, belief)
+    plain = problem.plain()
+    progress(0.1)
+    ledger: Ledger[Fit] = Ledger(0)
+    ledger.keep(plain)
+    breadth = Breadth(most=MOST, added=6, rivals=3, within=np.inf)
+    problem.cost = known.decisions["cost"]
+    select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
+    problem.cost = 0.0
+    cost = known.decisions["cost"]
+    tried = {
+        members: replace(one, evidence=one.evidence + cost * len(members))
+        for members, one in ledger.tried.items()
+    }
+
+    def worth(one: Hypothesis[Fit]) -> float:
+        return one.evidence - cost * len(one.members)
+
+    for _ in range(2):
+        order = sorted(tried.values(), key=worth, reverse=True)
+        close = [one for one in order[: _RIVALS + 1] if worth(one) > worth(order[0]) - _CLOSE]
+        parts = [tried[p] for p in _parts(order[0].members) if p in tried]
+        for one in {h.members: h for h in [*close, *parts] if h.members}.values():
+            tried[one.members] = _looked(problem.settled(one))
+    progress(0.9)
+    order = sorted(tried.values(), key=worth, reverse=True)
+    best = order[0]
+    held = {}
+    for members in [frozenset(), *_parts(best.members), best.members]:
+        if members in tried and members not in held:
+            held[members] = _held(problem, tried[members])
+    nameless = {"plain": gains(problem, plain.members, plain.fit)}
+    nameless["best"] = gains(problem, best.members, best.fit)
+    progress(1.0)
+    return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
+
+
+def _looked(one: Hypothesis[Fit]) -> Hypothesis[Fit]:
+    return replace(one, fit=replace(one.fit, looked=True))
+
+
+def _parts(members: Members) -> list[Members]:
+    """A set without each of its members."""
+    return [members - {one} for one in sorted(members, key=str)]
+
+
+def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
+    """Loss, and error of the speed over ground in m/s, of what a fit to the beginning predicts."""
+    fit, left = problem.held(one.members, one.fit, HELD_OUT)
+    rows = fit.rows
+    loss = 0.5 * float(np.sum(rows[left] ** 2))
+    square, count, at = 0.0, 0, 0
+    for weight in problem.weights:
+        n = weight.size
+        error = (rows[at : at + n] * left[at : at + n]).reshape(weight.shape)
+        square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
+        count += int(left[at : at + n].reshape(weight.shape)[:, 0].sum())
+        at += n
+    return loss, float(np.sqrt(square / max(count, 1)))
+
+
+def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
+    """Mean square of what is left, that which seems to be of the twin's error taken off, (4, 3)."""
+    rows = one.fit.rows + one.fit.near.slope @ problem.seems(one.members, one.fit)
+    sums, counts, at = np.zeros((4, 3)), np.zeros((4, 3)), 0
+    for blocks, weight in zip(problem.blocks, problem.weights, strict=True):
+        left = rows[at : at + weight.size].reshape(weight.shape) ** 2
+        at += weight.size
+        for k in range(weight.shape[1]):
+            np.add.at(sums[min(k, 3)], blocks.band, left[:, k])
+            np.add.at(counts[min(k, 3)], blocks.band, 1.0)
+    return sums / np.maximum(counts, 1.0)
+
+
+def raw(found: Searched) -> dict[str, Any]:
+    """What decisions are made from, as JSON takes it: thresholds can be read off many of these."""
+    return {
+        "sets": [
+            {"names": [list(n) for n in one.names], "evidence": one.evidence,
+             "settled": one.settled}
+            for one in found.table()
+        ],
+        "nameless": found.nameless,
+        "held": [
+            {"names": [list(n) for n in names_of(m)], "loss": loss, "speed": speed}
+            for m, (loss, speed) in found.held.items()
+        ],
+        "misfit": found.misfit.tolist(),
+        "repeated": max(swim.repeated for swim in found.problem.swims),
+        "rollouts": found.problem.rollouts,
+    }  # fmt: skip

@@ -1,0 +1,170 @@
+"""What a search in swims is worth saying: names, groups, probabilities, or that nothing fits.
+
+Pure functions of what ``diagnose_swims.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
+the thresholds off many searches without repeating one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim2real.diagnose.result import Verdict
+
+Name = tuple[str, str]
+Names = frozenset[Name]
+
+STATED, LIKELY = 0.05, 0.5
+"""Probabilities from which an effect is told at all, and from which a model has it."""
+IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
+"""Effects by which a law that is wrong somewhere else helps itself."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """One effect that is named.
+
+    Attributes:
+        name: Effect and component.
+        group: What these swims cannot tell from it, itself first.
+        probability: That one of the group is there.
+        gain: Evidence that it adds to the others.
+    """
+
+    name: Name
+    group: tuple[Name, ...]
+    probability: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What is said.
+
+    Attributes:
+        verdict: In a word.
+        named: Likeliest first.
+        offered: The set whose model predicts; nothing where no name is likely.
+        rivals: Other effects and their probabilities, likeliest first.
+        unlisted: Probability that something is there that the catalogue lacks.
+        shape: The shape without a name that does best.
+    """
+
+    verdict: Verdict
+    named: tuple[Named, ...]
+    offered: Names
+    rivals: tuple[tuple[Name, float], ...]
+    unlisted: float
+    shape: str
+
+
+def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
+    """Say what a search is worth.
+
+    Args:
+        raw: As ``diagnose_swims.raw`` has it.
+        numbers: ``decisions`` of ``law_error.json``.
+    """
+    cost, heat = numbers["cost"], numbers["temperature"]
+    worth = {_names(one): one["evidence"] - cost * len(one["names"]) for one in raw["sets"]}
+    settled = {_names(one) for one in raw["sets"] if one["settled"]}
+    held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
+    best = max(settled, key=lambda s: worth[s])
+    offered = _predicting(best, held, worth, numbers)
+    keys = list(worth)
+    level = np.array([worth[s] for s in keys]) / heat
+    share = np.exp(level - level.max())
+    share = share / share.sum()
+    beyond = {
+        shape: gain - numbers[f"usual {shape.split()[0]}"]
+        for shape, gain in raw["nameless"]["best"].items()
+    }
+    shape, more = max(beyond.items(), key=lambda one: one[1])
+    usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
+    off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
+    unlisted = 1 - (1 - _soft(more, numbers["unlisted"], numbers["unlisted_softness"])) * (
+        1 - _soft(off, numbers["misfit"], numbers["misfit_softness"])
+    )
+    named = []
+    for name in offered:
+        group = _group(name, offered, worth, numbers)
+        there = float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
+        rest = offered - {name}
+        gain = worth[offered] - worth.get(rest, min(worth.values())) + cost
+        certain = min(there * (1 - unlisted), numbers["most_certain"])
+        named.append(Named(name, group, certain, gain))
+    if max((one.probability for one in named), default=0.0) < LIKELY:
+        offered = frozenset()
+    named = [one for one in named if one.probability >= STATED]
+    named.sort(key=lambda one: -one.gain)
+    alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
+    rivals = [
+        (name, float(sum(p for s, p in zip(keys, share, strict=True) if name in s)))
+        for name in alone
+    ]
+    rivals.sort(key=lambda one: -one[1])
+    return Decided(
+        _verdict(named, best, unlisted), tuple(named), offered, tuple(rivals), unlisted,
+        shape,
+    )  # fmt: skip
+
+
+def _verdict(named: list[Named], best: Names, unlisted: float) -> Verdict:
+    likely = [one for one in named if one.probability >= LIKELY]
+    if unlisted >= 0.5:
+        return "partly_explained" if likely else "unexplained"
+    if not likely:
+        return "consistent"
+    return "ambiguous" if any(len(one.group) > 1 for one in likely) else "explained"
+
+
+def _predicting(
+    best: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
+    numbers: Mapping[str, float],
+) -> Names:  # fmt: skip
+    """The best set whose every member makes what was held out likelier, and no speed worse."""
+    now = best
+    while now:
+        parts = {now - {name}: name for name in now}
+        known = {part: held[part] for part in parts if part in held}
+        if now not in held:
+            return now
+        bad = [
+            part
+            for part, (loss, speed) in known.items()
+            if loss - held[now][0] < numbers["held_gain"]
+            or held[now][1] > speed * (1 + numbers["held_worse"])
+        ]
+        if not bad:
+            return now
+        now = max(bad, key=lambda part: worth.get(part, -np.inf))
+    return now
+
+
+def _group(
+    name: Name, members: Names, worth: Mapping[Names, float], numbers: Mapping[str, float]
+) -> tuple[Name, ...]:
+    """Itself, and what does as well in its place."""
+    rest = members - {name}
+    alike = []
+    for other in {n for s in worth for n in s} - members:
+        instead = rest | {other}
+        if instead in worth:
+            limit = numbers["alike"]
+            if name[0] in IMITATORS or other[0] in IMITATORS:
+                limit = numbers["alike_imitated"]
+            behind = worth[members] - worth[instead]
+            if behind < limit:
+                alike.append((behind, other))
+    return (name, *(other for _, other in sorted(alike)))
+
+
+def _names(one: Mapping[str, Any]) -> Names:
+    return frozenset((str(a), str(b)) for a, b in one["names"])
+
+
+def _soft(value: float, limit: float, softness: float) -> float:
+    return float(1 / (1 + np.exp(-np.clip((value - limit) / softness, -40, 40))))

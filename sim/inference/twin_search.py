@@ -1,0 +1,415 @@
+"""Swims of one robot as a problem of ``sim2real.inference.selection``, in the twin.
+
+Near a fit a swim is linear in all coordinates, so one batch of rollouts (``look``) tells what every
+effect would bring, and refits follow its derivatives, a rollout or two a step. What the twin gets
+wrong is a part of the noise: what is left has the size that ``Blocks`` say, and every effect that a
+hypothesis does not have may still seem to be there by as much as the twin's error imitates it. So
+evidence is that of a normal model with all columns in every hypothesis: those of an effect that is
+there have its prior, the others the imitation's (MacKay, Information Theory, Inference, and
+Learning Algorithms (2003), ch. 28).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.blocks import Blocks
+from sim.inference.coordinates import Coordinates, Swum, in_fit, swum
+from sim.inference.swims import Swim
+from sim2real.inference.selection import Hypothesis, Ledger, Members
+
+Array = NDArray[np.float64]
+
+FIRST = 9
+"""Single effects that are refitted, of those that promise most."""
+LOST = "dropped_frames.probability"
+_EACH, _SURELY = 3.0, 60.0
+"""Evidence of one repeated pose, and the most that they may bring."""
+_HOLDS = 4
+_STEPS = 3
+_SETTLED = 0.7
+"""Change of the loss below which a fit stays where it is."""
+_JUMPS = (-6.0, -2.0, 2.0, 6.0)
+"""Sizes from which a search for an effect may begin, in steps of its derivative."""
+_SHARES = (1.0, 0.4, 0.1)
+"""Of a step, tried together."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known before a swim.
+
+    Attributes:
+        mean: Of servos and law, shape (B,).
+        covariance: Likewise, shape (B, B).
+        imitation: Standard deviation that each column seems to have without being there, (F,).
+        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
+    """
+
+    mean: Array
+    covariance: Array
+    imitation: Array
+    shares: Array
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A swim's errors near a point: ``rows + slope @ (x - at)``.
+
+    Attributes:
+        at: Shape (F,).
+        slope: Shape (n, F).
+        normal: ``slope.T @ slope``.
+    """
+
+    at: Array
+    slope: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis, fitted.
+
+    Attributes:
+        x: The point, shape (F,): 0 where an effect is not in it.
+        rows: Weighted errors there, shape (n,).
+        loss: Minus the logarithm of likelihood and prior.
+        near: The slope that it was found with.
+        looked: Whether that is the slope at its own point.
+    """
+
+    x: Array
+    rows: Array
+    loss: float
+    near: Slope
+    looked: bool = False
+
+
+def _bounded(curvature: Array, gradient: Array, room: Array) -> Array:
+    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
+    step = -np.linalg.solve(curvature, gradient)
+    held = np.zeros(step.size, dtype=bool)
+    for _ in range(_HOLDS):
+        beyond = (step < room[0]) | (step > room[1])
+        if not (beyond & ~held).any():
+            break
+        held |= beyond
+        step = np.clip(step, room[0], room[1])
+        free = ~held
+        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+    return np.clip(step, room[0], room[1])
+
+
+@dataclass
+class TwinSwims:
+    """Swims, and all that a search asks of them.
+
+    Attributes:
+        coordinates: Of the robot.
+        swims: Its recordings.
+        simulate: The twin.
+        belief: What is known before.
+        cost: What an effect costs in evidence.
+    """
+
+    coordinates: Coordinates
+    swims: Sequence[Swim]
+    simulate: Swum
+    belief: Belief
+    cost: float = 0.0
+    blocks: list[Blocks] = field(init=False)
+    weights: list[Array] = field(init=False)
+    kept: NDArray[np.bool_] | None = None
+    rollouts: int = 0
+
+    def __post_init__(self) -> None:
+        """Take the recordings apart."""
+        self.blocks = [Blocks.of(swim) for swim in self.swims]
+        self.weights = [one.weights(self.belief.shares) for one in self.blocks]
+        if not any(c.kind.startswith("servo") for c in self.coordinates.columns):
+            for weight in self.weights:  # joints that follow a film say nothing
+                weight[:, 3:] = 0.0
+
+    # --- simulations -------------------------------------------------------------------------
+
+    def rows(self, points: Array) -> Array:
+        """Weighted errors at points (E, F), shape (E, n); all, whether fitted or not."""
+        self.rollouts += len(points) * len(self.swims)
+        parts = []
+        for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
+            error = blocks.errors(swum(self.coordinates, swim, points, self.simulate))
+            parts.append((error * weight).reshape(len(points), -1))
+        return np.concatenate(parts, axis=1)
+
+    def slope(self, x: Array) -> tuple[Array, Slope]:
+        """Weighted errors at a point, and their derivatives by all columns."""
+        points, base = self.coordinates.about(x)
+        rows = self.rows(self.coordinates.clipped(points))
+        step = self.coordinates.steps(x)
+        slope = ((rows[1:] - rows[base.astype(int)]) / step[:, None]).T
+        return rows[0], Slope(x, slope, slope.T @ slope)
+
+    def fitted(self, rows: Array) -> Array:
+        """Of rows (..., n) those that a fit sees; the others are 0."""
+        return rows if self.kept is None else rows * self.kept
+
+    # --- the normal model --------------------------------------------------------------------
+
+    def precision(self, members: Members) -> Array:
+        """Of all columns before the swim, shape (F, F)."""
+        c = self.coordinates
+        sd = self.belief.imitation.copy()
+        on = in_fit(c.columns, members)
+        for k in np.flatnonzero(on):
+            column = c.columns[k]
+            if column.effect is not None:
+                sd[k] = np.hypot(sd[k], column.prior_sd)
+        lost = c.place.get(LOST)
+        if lost is not None and on[lost]:
+            n = sum(swim.t.size for swim in self.swims)
+            sd[lost] = np.sqrt((self.repeated * (1 - self.repeated) + 1 / n) / n)
+        out = np.diag(1 / np.square(sd))
+        base = np.array(c.base)
+        out[np.ix_(base, base)] = np.linalg.inv(self.belief.covariance)
+        return out
+
+    def centre(self, members: Members) -> Array:
+        """The mean before the swim, shape (F,); lost frames are counted, not fitted."""
+        c = self.coordinates
+        x = c.nominal
+        x[c.base] = self.belief.mean
+        if LOST in c.place and in_fit(c.columns, members)[c.place[LOST]]:
+            x[c.place[LOST]] = self.repeated
+        return x
+
+    @property
+    def repeated(self) -> float:
+        """Share of poses that repeat the one before to the last digit: frames that were lost."""
+        return max(swim.repeated for swim in self.swims)
+
+    def counted(self, members: Members) -> float:
+        """Evidence of the count of repeated poses: noise never repeats, a lost frame always."""
+        if LOST not in self.coordinates.place:
+            return 0.0
+        n = sum(swim.t.size for swim in self.swims)
+        often = min(self.repeated * n * _EACH, _SURELY)
+        there = any(one.name == LOST.partition(".")[0] for one in members)
+        return (often if there else 0.0) if often > _EACH else (-_SURELY if there else 0.0)
+
+    def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
+        """Loss at a point, and the step to where it is least by the slopes, shape (F,).
+
+        What the fit does not move stays at 0: a fit should predict by what it has.
+        """
+        own = in_fit(self.coordinates.columns, members)
+        prior = self.precision(members)[np.ix_(own, own)]
+        seen, slope, normal = self._part(rows, near)
+        off = (x - self.centre(members))[own]
+        gradient = slope[:, own].T @ seen + prior @ off
+        step = np.zeros(x.size)
+        room = self.coordinates.room(x)[:, own]
+        step[own] = _bounded(normal[np.ix_(own, own)] + prior, gradient, room)
+        return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
+
+    def evidence(self, members: Members, fit: Fit) -> float:
+        """Logarithm of the marginal likelihood, up to a constant of the swims.
+
+        About the fit the swims are linear in all columns; those of other effects are there by as
+        much as the twin's error imitates them.
+        """
+        loss, size, _ = self._whole(members, fit)
+        sure = self.counted(members) - self.cost * len(members)
+        return sure - loss - 0.5 * size
+
+    def seems(self, members: Members, fit: Fit) -> Array:
+        """The step of all columns to where they would be best, those of no effect among them."""
+        return self._whole(members, fit)[2]
+
+    def _whole(self, members: Members, fit: Fit) -> tuple[float, float, Array]:
+        prior = self.precision(members)
+        seen, slope, normal = self._part(fit.rows, fit.near)
+        off = fit.x - self.centre(members)
+        gradient = slope.T @ seen + prior @ off
+        whole = normal + prior
+        step = -np.linalg.solve(whole, gradient)
+        loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
+        loss += 0.5 * float(gradient @ step)
+        size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
+        return loss, float(size), step
+
+    def covariance(self, members: Members, near: Slope) -> Array:
+        """Of all columns after the swim, shape (F, F)."""
+        _, _, normal = self._part(None, near)
+        return np.asarray(np.linalg.inv(normal + self.precision(members)))
+
+    def _part(self, rows: Array | None, near: Slope) -> tuple[Array, Array, Array]:
+        none = np.zeros(0)
+        if self.kept is None:
+            return (none if rows is None else rows), near.slope, near.normal
+        slope = near.slope[self.kept]
+        return (none if rows is None else rows[self.kept]), slope, slope.T @ slope
+
+    def part(self, fit: Fit) -> tuple[Array, Array]:
+        """Rows and slopes of a fit that it was fitted to."""
+        rows, slope, _ = self._part(fit.rows, fit.near)
+        return rows, slope
+
+    # --- fits --------------------------------------------------------------------------------
+
+    def plain(self, rounds: int = 3) -> Hypothesis[Fit]:
+        """The hypothesis that nothing is missing."""
+        none: Members = frozenset()
+        x = self.centre(none)
+        for _ in range(rounds):
+            rows, near = self.slope(x)
+            begun = Fit(x, rows, self.judged(none, x, rows, near)[0], near)
+            (found,) = self._walk([(none, begun)], 2)
+            x = found.x
+        return self._there(none, x)
+
+    def _there(self, members: Members, x: Array) -> Hypothesis[Fit]:
+        """A fit at a point, with slopes of its own."""
+        rows, near = self.slope(x)
+        fit = Fit(x, rows, self.judged(members, x, rows, near)[0], near, looked=True)
+        return Hypothesis(members, fit, self.evidence(members, fit))
+
+    def polished(self, members: Members, fit: Fit) -> Hypothesis[Fit]:
+        """The fit with slopes of its own, and on along them."""
+        begun = self._there(members, fit.x).fit
+        (found,) = self._walk([(members, begun)], 2)
+        return Hypothesis(members, found, self.evidence(members, found))
+
+    def settled(self, found: Hypothesis[Fit], rounds: int = 2) -> Hypothesis[Fit]:
+        """A hypothesis whose fit has slopes of its own, and stays where it is with them."""
+        for _ in range(rounds):
+            before = found.fit.loss
+            found = self.polished(found.members, found.fit)
+            if abs(before - found.fit.loss) < _SETTLED:
+                break
+        return found
+
+    def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, NDArray[np.bool_]]:
+        """A fit of the first part of each swim, from one of all of it; which rows it left out."""
+        first = [
+            np.repeat(one.block < round((1 - share) * len(one.edges)), w.shape[1])
+            for one, w in zip(self.blocks, self.weights, strict=True)
+        ]
+        self.kept = np.concatenate(first)
+        try:
+            (found,) = self._walk([(members, replace(fit, loss=np.inf))], _STEPS)
+        finally:
+            kept, self.kept = self.kept, None
+        return found, ~kept
+
+    def _walk(self, begun: Sequence[tuple[Members, Fit]], steps: int) -> list[Fit]:
+        """Go on from fits along their slopes, all in one batch a step."""
+        now = [fit for _, fit in begun]
+        going = list(range(len(begun)))
+        for _ in range(steps):
+            if not going:
+                break
+            trials = []
+            for k in going:
+                members, fit = begun[k][0], now[k]
+                _, step = self.judged(members, fit.x, fit.rows, fit.near)
+                trials += [self.coordinates.clipped(fit.x + share * step) for share in _SHARES]
+            rows = self.rows(np.array(trials))
+            still = []
+            for place, k in enumerate(going):
+                members, before = begun[k][0], now[k]
+                for n in range(len(_SHARES)):
+                    i = place * len(_SHARES) + n
+                    loss, _ = self.judged(members, trials[i], rows[i], before.near)
+                    if loss < now[k].loss:
+                        now[k] = Fit(trials[i], rows[i], loss, before.near)
+                if now[k].loss < before.loss - 0.1:
+                    still.append(k)
+            going = still
+        return now
+
+    # --- what the search asks ----------------------------------------------------------------
+
+    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
+        """Take the slopes of these sets' fits, and go on along them."""
+        for ledger, members in places:
+            known = ledger.tried[members]
+            if not known.fit.looked:
+                found = self.polished(members, known.fit)
+                ledger.tried[members] = replace(found, fit=replace(found.fit, looked=True))
+
+    def additions(
+        self, ledger: Ledger[Fit], members: Members, most: int | None
+    ) -> Sequence[tuple[Hashable, Fit]]:
+        """Effects that promise most beside a set, by its slopes."""
+        fit = ledger.tried[members].fit
+        found = []
+        for effect in self.coordinates.effects:
+            if effect not in members:
+                more = members | {effect}
+                found.append((self.evidence(more, self._linear(more, fit)), effect))
+        found.sort(key=lambda one: -one[0])
+        return [(effect, fit) for _, effect in found[: most or FIRST]]
+
+    def _linear(self, members: Members, fit: Fit) -> Fit:
+        """Where a step along the slopes would end, cut to what is allowed."""
+        _, step = self.judged(members, fit.x, fit.rows, fit.near)
+        there = self.coordinates.clipped(fit.x + step)
+        rows = fit.rows + fit.near.slope @ (there - fit.x)
+        return Fit(there, rows, self.judged(members, there, rows, fit.near)[0], fit.near)
+
+    def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
+        """The best fit that has one effect more, without it."""
+        best = ledger.best
+        keep = in_fit(self.coordinates.columns, members)
+        x = np.where(keep, best.fit.x, self.coordinates.nominal)
+        return replace(best.fit, x=x, rows=self.rows(x[None])[0])
+
+    def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
+        """Fit sets, each from a fit of a part of it, in one batch a step."""
+        begun = []
+        for _, members, fit in jobs:
+            loss, _ = self.judged(members, fit.x, fit.rows, fit.near)
+            begun.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
+        begun = self._jumped(begun)
+        ended = self._walk(begun, _STEPS)
+        return [
+            Hypothesis(members, fit, self.evidence(members, fit))
+            for (members, _), fit in zip(begun, ended, strict=True)
+        ]
+
+    def _jumped(self, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
+        """Starts from sizes that an effect of one number may have, where they promise more."""
+        trials, of = [], []
+        for k, (members, fit) in enumerate(begun):
+            for effect in members:
+                own = self.coordinates.of_effect(effect)
+                if len(own) == 1 and fit.x[own[0]] == 0.0:
+                    column = self.coordinates.columns[own[0]]
+                    for size in _JUMPS:
+                        x = fit.x.copy()
+                        x[own[0]] = np.clip(size * column.step, column.low, column.high)
+                        trials.append(x)
+                        of.append(k)
+        if not trials:
+            return list(begun)
+        rows = self.rows(np.array(trials))
+        out = list(begun)
+        best = [self._linear(m, f).loss for m, f in begun]
+        for x, row, k in zip(trials, rows, of, strict=True):
+            members, fit = begun[k]
+            loss, _ = self.judged(members, x, row, fit.near)
+            there = Fit(x, row, loss, fit.near)
+            promised = self._linear(members, there).loss
+            if promised < best[k] and loss < out[k][1].loss:
+                best[k], out[k] = promised, (members, there)
+        return out
+
+    def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
+        """Whether what was found is worth going on from."""
+        return bool(ledger.best.members)
