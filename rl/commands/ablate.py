@@ -39,12 +39,12 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
-    known = reality if isinstance(reality, Model) else None
+    known = known_of(options, reality)
     left = {"all-and-effects"} if enriched is None else set()
     left |= {"ceiling"} if known is None else set()
     names = options.arms or [name for name in ARMS if name not in left]
     if known is None and "ceiling" in names:
-        raise InputError("ablate", "--arms", "ceiling", "--reality MODEL.json, which says all")
+        raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
     if enriched is None and any(ARMS[name].effects for name in names):
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
     arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
@@ -52,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
     places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
+    files += [options.truth] if options.truth else []
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
         options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
@@ -70,6 +71,13 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
         return read_model(options.reality)
     cell = options.reality_cell_m
     return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
+
+
+def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model | None:
+    """Reality's own parameters, where they are known."""
+    if options.truth is not None:
+        return read_model(options.truth)
+    return reality if isinstance(reality, Model) else None
 
 
 def plan_of(options: argparse.Namespace) -> Plan:
@@ -128,7 +136,7 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
                 name = f"{arm.name}-{seed}"
                 files = {
                     key: None if value is None else str(value.absolute())
-                    for key in ("robot", "model", "ranges", "enriched", "reality")
+                    for key in ("robot", "model", "ranges", "enriched", "reality", "truth")
                     for value in (getattr(options, key),)
                 }
                 given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
@@ -159,6 +167,7 @@ def train_one(
     ranges: str,
     enriched: str | None,
     reality: str,
+    truth: str | None,
     arm: str,
     seed: int,
     plan: dict[str, Any],
@@ -169,7 +178,7 @@ def train_one(
     torch.set_num_threads(1)
     fish = read_robot(robot)
     more = None if enriched is None else read_model(enriched)
-    known = read_model(reality) if arm == "ceiling" else None
+    known = read_model(truth or reality) if arm == "ceiling" else None
     one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more, known)
     how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
     train(folder, fish, [one], how)

@@ -21,7 +21,7 @@ from rl.experiments.ablation_report import (
     keeps,
     markdown,
     power,
-    reward_figure,
+    return_figure,
     rows,
     way_figure,
     write_report,
@@ -186,7 +186,7 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
     )
     apart = differences(told)
     figures = [
-        Figure(svg(reward_figure(rows(told)))),
+        Figure(svg(return_figure(rows(told)))),
         Figure(svg(difference_figure(apart)), power(apart)),
         Figure(svg(way_figure(told))),
     ]
@@ -197,7 +197,7 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
 def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model) -> Section:
     """What an agent with all techniques has learned, to watch: the best of them in simulation."""
     mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
-    best = max(mine, key=lambda agent: fmean(agent["simulation"]["reward"]))
+    best = max(mine, key=lambda agent: fmean(agent["simulation"]["return"]))
     policy = options.out / "ablation" / "train" / best["folder"] / "policy.zip"
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):

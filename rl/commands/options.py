@@ -109,6 +109,12 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         help="what training never sees: MODEL.json, or a Python file that offers make",
     )
     command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
+    command.add_argument(
+        "--truth",
+        type=Path,
+        metavar="MODEL",
+        help="reality's own parameters, for the arm ceiling (default: --reality, where it is one)",
+    )
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
     command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
     command.add_argument(
