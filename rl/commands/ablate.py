@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.places import Place, Real, Simulated
 from rl.experiments.reality import RealityFile, read_reality
+from rl.experiments.shared import from_shared
 from rl.randomize import noise_of
 from rl.sac import recipes
 from rl.sac.train import Arm, Plan
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     known = known_of(options, reality)
     left = {"all-and-effects"} if enriched is None else set()
     left |= {"ceiling"} if known is None else set()
-    names = options.arms or [name for name in ARMS if name not in left]
+    names = options.arms or [name for name in ARMS if name not in {*left, "none"}]
     if known is None and "ceiling" in names:
         raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
     if enriched is None and any(ARMS[name].effects for name in names):
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     found = ablate(
         options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=made,
-        trainer=None if options.executor is None else by_jobs(options),
+        trainer=trainer_of(options, arm_of("none", model, robot, ranges)),
     )  # fmt: skip
     write_report(found, plan, options.out, made)
     print(markdown(found))
@@ -80,11 +81,31 @@ def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model
     return reality if isinstance(reality, Model) else None
 
 
-def plan_of(options: argparse.Namespace) -> Plan:
-    """How to train, the quick settings first."""
+def trainer_of(options: argparse.Namespace, none: Arm) -> Callable[..., list[Path]] | None:
+    """What trains: all in one batch where None, a process each, or from a shared beginning."""
+    if not shared_steps(options):
+        return None if options.executor is None else by_jobs(options)
+    if options.executor is not None:
+        raise InputError("ablate", "--shared", "--executor beside it", "one of the two")
+    return from_shared(none, plan_of(options, shared=True))
+
+
+def shared_steps(options: argparse.Namespace) -> int:
+    """Steps that agents of one seed have in common; 0 where they have none."""
+    quick = recipes.SHARED if options.quick else 0
+    return int(quick if options.shared is None else options.shared)
+
+
+def plan_of(options: argparse.Namespace, *, shared: bool = False) -> Plan:
+    """How to train, the quick settings first; or how what arms share is trained."""
     given = {name: value for name, value in vars(options).items() if value is not None}
+    quick = recipes.QUICK if options.quick else {}
+    if shared:
+        given |= {"steps": shared_steps(options)}
+    elif shared_steps(options):
+        quick = {"recipe": "fine", **(recipes.QUICK_FINE if options.quick else {})}
     return recipes.plan_of(
-        {**(recipes.QUICK if options.quick else {}), **given},
+        {**quick, **given},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
         device=options.device, cell_m=options.cell_m, threads=options.threads,
     )  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 from sim2real.commands.command import Command
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
-_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling")
+_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling", "none")
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -130,6 +130,13 @@ def _ablate(command: argparse.ArgumentParser) -> None:
     _sampled(command)
     command.add_argument("--task", choices=_TASKS, help="to train at (default chain)")
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
+    command.add_argument(
+        "--shared",
+        type=int,
+        metavar="STEPS",
+        help="agents of a seed learn so long in common, with no technique, before the arms part "
+        "(default 0; with --quick 200000)",
+    )
     _plan(command)
     _executor(command)
 

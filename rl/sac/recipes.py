@@ -58,6 +58,12 @@ QUICK: dict[str, Any] = {
 }  # fmt: skip
 """What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
 not swim by their mean action yet."""
+SHARED = 200_000
+"""Steps that agents of a seed have in common in a quick ablation, before its arms part."""
+QUICK_FINE: dict[str, Any] = {
+    "steps": 120_000, "envs": 32, "segment": 60_000, "hidden": [64, 64], "updates_per_step": 0.07,
+}  # fmt: skip
+"""What each arm of a quick ablation learns after that."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",
     "hidden", "energy_weight", "energy_start",
