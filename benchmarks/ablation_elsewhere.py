@@ -46,6 +46,8 @@ def main() -> None:
     parser.add_argument("--cell-m", type=float, help="of each arm's own simulator")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--repeats", type=int, default=8)
+    parser.add_argument("--longest", type=int, help="control periods of a trial (default 1000)")
+    parser.add_argument("--at-once", type=int, help="robots in the reality (default: its own word)")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -100,6 +102,7 @@ def swum(
     arms = [arm_of(name, model, robot, ranges, enriched, truth) for name in names]
     plan = replace(plan, device=options.device, cell_m=options.cell_m or plan.cell_m)
     reality = read_reality(options.reality, cell_m=options.reality_cell_m)
+    reality = replace(reality, at_once=options.at_once or reality.at_once)
     places = tried_in(robot, arms, plan, ranges, reality)
 
     def known(*_: Any) -> list[Path]:  # noqa: ANN401 - as ``train`` is called
@@ -107,7 +110,7 @@ def swum(
 
     return ablate(
         options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
-        trainer=known,
+        longest=options.longest, trainer=known,
     )  # fmt: skip
 
 

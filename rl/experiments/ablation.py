@@ -41,6 +41,7 @@ def ablate(
     repeats: int = 5,
     seed: int = 0,
     sampled: bool = False,
+    longest: int | None = None,
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
 ) -> dict[str, Any]:
@@ -55,6 +56,7 @@ def ablate(
         repeats: Episodes of each agent and place.
         seed: Of starts and noise.
         sampled: Whether policies act as in training, with their own noise.
+        longest: Control periods of a trial at most; the task's own where None.
         note: Provenance.
         trainer: What trains, called as ``rl.sac.train.train``, which it is where None.
 
@@ -64,7 +66,8 @@ def ablate(
     """
     trainer = trainer or train
     agents = trainer(folder / "train", robot, arms, plan, note)
-    task = replace(TASKS["turn"], energy=plan.task.energy)
+    turn = TASKS["turn"]
+    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     found: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
     for place in places:
@@ -122,7 +125,7 @@ def key(
     whole = hashlib.sha256()
     for agent in agents:
         whole.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    whole.update(repr((robot, place.key(), task.energy, how)).encode())
+    whole.update(repr((robot, place.key(), task.energy, task.steps, how)).encode())
     return whole.hexdigest()
 
 
