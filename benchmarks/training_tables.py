@@ -35,11 +35,15 @@ def groups(results: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Mapping[s
     """Rows by what is compared: all seeds of a group of policies, or one controller."""
     out: dict[str, list[Mapping[str, Any]]] = {}
     for name, row in results.items():
-        path = Path(name)
-        own = path.parent.name if path.stem == "policy" else path.stem
-        policy = path.suffix in (".zip", ".npz")
-        out.setdefault(own.rsplit("-", 1)[0] if policy else name, []).append(row)
+        out.setdefault(group_of(name) or name, []).append(row)
     return out
+
+
+def group_of(name: str) -> str:
+    """What a policy's seeds have in common in their names; empty where it is no policy."""
+    path = Path(name)
+    own = path.parent.name if path.stem == "policy" else path.stem
+    return own.rsplit("-", 1)[0] if path.suffix in (".zip", ".npz") else ""
 
 
 def line(name: str, rows: Sequence[Mapping[str, Any]]) -> str:
