@@ -92,18 +92,16 @@ def trainer_of(options: argparse.Namespace, none: Arm) -> Callable[..., list[Pat
 
 def shared_steps(options: argparse.Namespace) -> int:
     """Steps that agents of one seed have in common; 0 where they have none."""
-    quick = recipes.SHARED if options.quick else 0
+    quick = recipes.SHARED if options.quick and options.executor is None else 0
     return int(quick if options.shared is None else options.shared)
 
 
 def plan_of(options: argparse.Namespace, *, shared: bool = False) -> Plan:
     """How to train, the quick settings first; or how what arms share is trained."""
     given = {name: value for name, value in vars(options).items() if value is not None}
-    quick = recipes.QUICK if options.quick else {}
+    quick = {"recipe": "brief"} if options.quick else {}
     if shared:
         given |= {"steps": shared_steps(options)}
-    elif shared_steps(options):
-        quick = {"recipe": "fine", **(recipes.QUICK_FINE if options.quick else {})}
     return recipes.plan_of(
         {**quick, **given},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,

@@ -65,10 +65,10 @@ _SHOWN = "square"
 
 _SWIMS = ("p1", "p2")
 """Swims of the pool: the first is calibrated on, ranges take both."""
-SHARED = plan_of({**recipes.QUICK, "steps": recipes.SHARED}, fidelity="twin", threads=2)
-QUICK = plan_of({"recipe": "fine", **recipes.QUICK_FINE}, fidelity="twin", threads=2)
-"""Of the ablation, cut short to what two cores do in minutes: what agents of a seed have in common,
-and what each arm learns after that."""
+QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
+SHARED = replace(QUICK, steps=recipes.SHARED)
+"""Of the ablation, cut short to what two cores do in minutes: what each arm learns, and what agents
+of a seed have in common before that."""
 SEEDS = 6
 
 

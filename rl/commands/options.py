@@ -47,9 +47,9 @@ def _executor(command: argparse.ArgumentParser) -> None:
 def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--recipe",
-        choices=("default", "paper", "fine"),
+        choices=("default", "paper", "brief", "fine"),
         help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
-        "what goes on from policies that swim",
+        "what goes on from policies that swim, elsewhere or nearly here",
     )
     command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 1000000)")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
@@ -135,7 +135,7 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         type=int,
         metavar="STEPS",
         help="agents of a seed learn so long in common, with no technique, before the arms part "
-        "(default 0; with --quick 200000)",
+        "(default 0; with --quick 160000)",
     )
     _plan(command)
     _executor(command)
