@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from training_tables import group_of
 
 import sim2real as s2r
 from rl.controllers import Controller
@@ -87,14 +88,15 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
         plan = plan_of(vars(options), seeds=seeds, **water)
         draws = draws_of(model, ranges, robot, seed=0)
         arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
-        agents = {one.name: one for one in train(options.out / "train", robot, arms, plan)}
+        folders = train(options.out / "train", robot, arms, plan)
+        agents = {one.name: one / "policy.zip" for one in folders}
     limits = [joint.limits_rad for joint in robot.joints]
     found = {}
     for task in options.tasks:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
         crew: dict[str, Controller] = {}
-        for name, folder in agents.items():
-            crew[f"{name}/policy.zip"] = controller_of(str(folder / "policy.zip"), limits, n)
+        for name, path in agents.items():
+            crew[f"{name}/{path.name}"] = controller_of(str(path), limits, n)
         for kind in MARKS:
             for pace in PACES:
                 name = f"{kind}-{pace}"
@@ -108,12 +110,12 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def known(trained: list[str]) -> dict[str, Path]:
-    """Folders of agents by "NAME-K", from "NAME=FOLDER" of runs."""
+    """Policies by "NAME-K", from "NAME=FOLDER" of runs."""
     out = {}
     for one in trained:
         name, _, folder = one.partition("=")
-        for k, path in enumerate(sorted(Path(folder).rglob("policy.zip"))):
-            out[f"{name}-{k}"] = path.parent
+        for k, path in enumerate(sorted(Path(folder).rglob("policy.*"))):
+            out[f"{name}-{k}"] = path
     return out
 
 
@@ -146,8 +148,8 @@ def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
     """All of them, and the mean of each group of seeds."""
     own: dict[str, list[Any]] = {}
     for name, row in rows.items():
-        if name.endswith(".zip"):
-            own.setdefault(name.rsplit("-", 1)[0], []).append(row)
+        if group := group_of(name):
+            own.setdefault(group, []).append(row)
     for k, (name, some) in enumerate(own.items()):
         points = np.array([(one["energy"] / 1e3, one["time_s"]) for one in some])
         x, y = points.mean(axis=0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -46,7 +47,7 @@ def main() -> int:
                 print(f"killed after {moment:.1f} s: {left(killed)}", flush=True)
             else:  # done before its time: the next one begins anew
                 compare(whole, killed)
-                killed = Path(folder) / f"killed-{kills}"
+                shutil.rmtree(killed)
         if started(killed).wait():
             raise SystemExit("the killed run failed")
         compare(whole, killed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.places import Place, Real, Simulated
 from rl.experiments.reality import RealityFile, read_reality
+from rl.experiments.shared import from_shared
 from rl.randomize import noise_of
 from rl.sac import recipes
 from rl.sac.train import Arm, Plan
@@ -39,12 +40,12 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
-    known = reality if isinstance(reality, Model) else None
+    known = known_of(options, reality)
     left = {"all-and-effects"} if enriched is None else set()
     left |= {"ceiling"} if known is None else set()
-    names = options.arms or [name for name in ARMS if name not in left]
+    names = options.arms or [name for name in ARMS if name not in {*left, "none"}]
     if known is None and "ceiling" in names:
-        raise InputError("ablate", "--arms", "ceiling", "--reality MODEL.json, which says all")
+        raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
     if enriched is None and any(ARMS[name].effects for name in names):
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
     arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
@@ -52,11 +53,12 @@ def run(options: argparse.Namespace) -> int:
     places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
+    files += [options.truth] if options.truth else []
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
         options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=made,
-        trainer=None if options.executor is None else by_jobs(options),
+        trainer=trainer_of(options, arm_of("none", model, robot, ranges)),
     )  # fmt: skip
     write_report(found, plan, options.out, made)
     print(markdown(found))
@@ -72,11 +74,36 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
     return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
 
 
-def plan_of(options: argparse.Namespace) -> Plan:
-    """How to train, the quick settings first."""
+def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model | None:
+    """Reality's own parameters, where they are known."""
+    if options.truth is not None:
+        return read_model(options.truth)
+    return reality if isinstance(reality, Model) else None
+
+
+def trainer_of(options: argparse.Namespace, none: Arm) -> Callable[..., list[Path]] | None:
+    """What trains: all in one batch where None, a process each, or from a shared beginning."""
+    if not shared_steps(options):
+        return None if options.executor is None else by_jobs(options)
+    if options.executor is not None:
+        raise InputError("ablate", "--shared", "--executor beside it", "one of the two")
+    return from_shared(none, plan_of(options, shared=True))
+
+
+def shared_steps(options: argparse.Namespace) -> int:
+    """Steps that agents of one seed have in common; 0 where they have none."""
+    quick = recipes.SHARED if options.quick and options.executor is None else 0
+    return int(quick if options.shared is None else options.shared)
+
+
+def plan_of(options: argparse.Namespace, *, shared: bool = False) -> Plan:
+    """How to train, the quick settings first; or how what arms share is trained."""
     given = {name: value for name, value in vars(options).items() if value is not None}
+    quick = {"recipe": "brief"} if options.quick else {}
+    if shared:
+        given |= {"steps": shared_steps(options)}
     return recipes.plan_of(
-        {**(recipes.QUICK if options.quick else {}), **given},
+        {**quick, **given},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
         device=options.device, cell_m=options.cell_m, threads=options.threads,
     )  # fmt: skip
@@ -128,7 +155,7 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
                 name = f"{arm.name}-{seed}"
                 files = {
                     key: None if value is None else str(value.absolute())
-                    for key in ("robot", "model", "ranges", "enriched", "reality")
+                    for key in ("robot", "model", "ranges", "enriched", "reality", "truth")
                     for value in (getattr(options, key),)
                 }
                 given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
@@ -159,6 +186,7 @@ def train_one(
     ranges: str,
     enriched: str | None,
     reality: str,
+    truth: str | None,
     arm: str,
     seed: int,
     plan: dict[str, Any],
@@ -169,7 +197,7 @@ def train_one(
     torch.set_num_threads(1)
     fish = read_robot(robot)
     more = None if enriched is None else read_model(enriched)
-    known = read_model(reality) if arm == "ceiling" else None
+    known = read_model(truth or reality) if arm == "ceiling" else None
     one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more, known)
     how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
     train(folder, fish, [one], how)

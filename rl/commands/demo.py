@@ -21,14 +21,15 @@ from rl.experiments.ablation_report import (
     keeps,
     markdown,
     power,
-    reward_figure,
+    return_figure,
     rows,
     way_figure,
     write_report,
 )
-from rl.experiments.arms import ARMS, arm_of
+from rl.experiments.arms import arm_of
 from rl.experiments.differences import differences
-from rl.sac.recipes import QUICK as QUICK_OPTIONS
+from rl.experiments.shared import from_shared
+from rl.sac import recipes
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan
 from sim.inference.calibrate import Calibrated, calibrate
@@ -64,9 +65,11 @@ _SHOWN = "square"
 
 _SWIMS = ("p1", "p2")
 """Swims of the pool: the first is calibrated on, ranges take both."""
-QUICK = plan_of(QUICK_OPTIONS, fidelity="twin", threads=2)
-"""Of the ablation: the library's recipe, cut short to what two cores do in minutes."""
-SEEDS = 3
+QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
+SHARED = replace(QUICK, steps=recipes.SHARED)
+"""Of the ablation, cut short to what two cores do in minutes: what each arm learns, and what agents
+of a seed have in common before that."""
+SEEDS = 6
 
 
 def run(options: argparse.Namespace) -> int:
@@ -163,15 +166,19 @@ def _ablated(
     options: argparse.Namespace, robot: Robot, model: Model, found: Gathered
 ) -> tuple[dict[str, Any], Plan]:
     """A quick ablation in the twin: what ``ablate`` tells of it, and how it trained."""
-    names = [name for name in ARMS if not ARMS[name].effects and name != "ceiling"]
+    names = ("all", "no-servo", "no-density", "no-randomization")
     arms = [arm_of(name, model, robot, found.ranges) for name in names]
     reality = read_model(options.pool / "reality.json")
     plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
     folder = options.out / "ablation"
+    trainer = from_shared(arm_of("none", model, robot, found.ranges), SHARED)
     torch.set_num_threads(2)  # one batch of all agents, no longer small
-    with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {plan.steps} steps each, in the twin"):
+    steps = f"{SHARED.steps} steps in common and {plan.steps} in each"
+    with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {steps}, in the twin"):
         places = tried_in(robot, arms, plan, found.ranges, reality)
-        told = ablate(folder, robot, arms, plan, places, seed=options.seed, repeats=10)
+        told = ablate(
+            folder, robot, arms, plan, places, seed=options.seed, repeats=10, trainer=trainer
+        )
     write_report(told, plan, folder, model.provenance)
     print(markdown(told))
     return told, plan
@@ -180,13 +187,15 @@ def _ablated(
 def _ablation(told: dict[str, Any], plan: Plan) -> Section:
     """The chain's last stage, not its result."""
     note = (
-        f"{plan.steps} steps an agent and {SEEDS} seeds: a difference whose interval leaves out "
-        "zero stands out even so. Reality is the twin with other numbers, friction, play and a "
-        "skin here, as a pool of its own is too slow for two cores; reports/ablation has more."
+        f"The {SEEDS} agents of an arm go on from the same {SEEDS} that learned for {SHARED.steps} "
+        f"steps with no technique at all, for {plan.steps} steps more: pairs differ by their arms. "
+        "A difference whose interval leaves out zero stands out. Reality is the twin with other "
+        "numbers, friction, play and a skin here, as a pool of its own is too slow for two cores; "
+        "reports/ablation has more."
     )
     apart = differences(told)
     figures = [
-        Figure(svg(reward_figure(rows(told)))),
+        Figure(svg(return_figure(rows(told)))),
         Figure(svg(difference_figure(apart)), power(apart)),
         Figure(svg(way_figure(told))),
     ]
@@ -197,7 +206,7 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
 def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model) -> Section:
     """What an agent with all techniques has learned, to watch: the best of them in simulation."""
     mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
-    best = max(mine, key=lambda agent: fmean(agent["simulation"]["reward"]))
+    best = max(mine, key=lambda agent: fmean(agent["simulation"]["return"]))
     policy = options.out / "ablation" / "train" / best["folder"] / "policy.zip"
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):

@@ -8,7 +8,7 @@ from pathlib import Path
 from sim2real.commands.command import Command
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
-_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling")
+_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling", "none")
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -47,9 +47,9 @@ def _executor(command: argparse.ArgumentParser) -> None:
 def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--recipe",
-        choices=("default", "paper", "fine"),
+        choices=("default", "paper", "brief", "fine"),
         help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
-        "what goes on from policies that swim",
+        "what goes on from policies that swim, elsewhere or nearly here",
     )
     command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 1000000)")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
@@ -109,6 +109,12 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         help="what training never sees: MODEL.json, or a Python file that offers make",
     )
     command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
+    command.add_argument(
+        "--truth",
+        type=Path,
+        metavar="MODEL",
+        help="reality's own parameters, for the arm ceiling (default: --reality, where it is one)",
+    )
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
     command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
     command.add_argument(
@@ -124,6 +130,13 @@ def _ablate(command: argparse.ArgumentParser) -> None:
     _sampled(command)
     command.add_argument("--task", choices=_TASKS, help="to train at (default chain)")
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
+    command.add_argument(
+        "--shared",
+        type=int,
+        metavar="STEPS",
+        help="agents of a seed learn so long in common, with no technique, before the arms part "
+        "(default 0; with --quick 160000)",
+    )
     _plan(command)
     _executor(command)
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
+from rl.deploy.forward import Policy, read_npz
 from rl.experiments.evaluate import Episodes, spent
 from rl.experiments.places import Crew, Place
 from rl.experiments.real_episodes import same_starts
@@ -40,6 +41,7 @@ def ablate(
     repeats: int = 5,
     seed: int = 0,
     sampled: bool = False,
+    longest: int | None = None,
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
 ) -> dict[str, Any]:
@@ -54,31 +56,34 @@ def ablate(
         repeats: Episodes of each agent and place.
         seed: Of starts and noise.
         sampled: Whether policies act as in training, with their own noise.
+        longest: Control periods of a trial at most; the task's own where None.
         note: Provenance.
         trainer: What trains, called as ``rl.sac.train.train``, which it is where None.
 
     Returns:
-        ``agents``: for each, its arm, seed and, by place, reward, success, time and energy of each
-        repeat.
+        ``agents``: for each, its arm, seed and, by place, return (the rewards discounted as in
+        training), reward, success, time and energy of each repeat.
     """
     trainer = trainer or train
     agents = trainer(folder / "train", robot, arms, plan, note)
-    task = replace(TASKS["turn"], energy=plan.task.energy)
+    turn = TASKS["turn"]
+    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     found: dict[str, Any] = {}
+    discount = plan.settings.gamma ** (1 / plan.view.period)
     for place in places:
         path = folder / f"{place.name}.json"
-        asked = key(agents, robot, place, task, (repeats, seed, sampled))
+        asked = key(agents, robot, place, task, (repeats, seed, sampled, discount))
         known = json.loads(path.read_text()) if path.exists() else {}
         if known.get("key") != asked:
             policies = [
                 SampledController(agent / "policy.zip", seed=k)
                 if sampled
-                else PolicyController(read_zip(agent / "policy.zip"))
+                else PolicyController(policy_in(agent))
                 for k, agent in enumerate(agents)
             ]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
             episodes = place.swim(Crew(policies, repeats), robot, task, starts, seed)
-            known = {"key": asked, **told(episodes, len(agents), task)}
+            known = {"key": asked, **told(episodes, len(agents), task, discount)}
             write_json(path, known)
         found[place.name] = known
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
@@ -95,8 +100,18 @@ def ablate(
     }
 
 
+def policy_in(agent: Path) -> Policy:
+    """What is left of an agent in its folder: ``policy.npz``, or else ``policy.zip``."""
+    alone = agent / "policy.npz"
+    return read_npz(alone) if alone.exists() else read_zip(agent / "policy.zip")
+
+
 def key(
-    agents: Sequence[Path], robot: Robot, place: Place, task: Task, how: tuple[int, int, bool]
+    agents: Sequence[Path],
+    robot: Robot,
+    place: Place,
+    task: Task,
+    how: tuple[int, int, bool, float],
 ) -> str:
     """SHA-256 of what decides how agents do in a place: policies, robot, place, reward, starts.
 
@@ -105,20 +120,19 @@ def key(
         robot: The robot.
         place: The place.
         task: The task.
-        how: Repeats, seed, and whether policies act with noise.
+        how: Repeats, seed, whether policies act with noise, discount of a control period.
     """
     whole = hashlib.sha256()
     for agent in agents:
-        whole.update(
-            repr([layer.tobytes() for layer in read_zip(agent / "policy.zip").weights]).encode()
-        )
-    whole.update(repr((robot, place.key(), task.energy, how)).encode())
+        whole.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
+    whole.update(repr((robot, place.key(), task.energy, task.steps, how)).encode())
     return whole.hexdigest()
 
 
-def told(episodes: Episodes, A: int, task: Task) -> dict[str, Any]:
+def told(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
     """Episodes of A agents as JSON keeps them; time and energy as ``evaluate.spent`` has them."""
     time, used = spent(episodes, task)
+    returned = episodes.discounted(discount)
     own = np.arange(len(used)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
@@ -126,6 +140,7 @@ def told(episodes: Episodes, A: int, task: Task) -> dict[str, Any]:
 
     agents = [
         {
+            "return": numbers(returned[rows]),
             "reward": numbers(episodes.reward[rows]),
             "success": [bool(x) for x in episodes.success[rows]],
             "time_s": numbers(time[rows]),

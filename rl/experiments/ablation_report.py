@@ -10,7 +10,7 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
-from rl.experiments.differences import Difference, differences, seeds_needed
+from rl.experiments.differences import OUTCOME, Difference, differences, seeds_needed
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
 from sim2real.output import write_json, write_whole
@@ -30,7 +30,7 @@ def write_report(found: Found, plan: Plan, folder: Path, made: Mapping[str, Any]
     trained: dict[str, list[Path]] = {}
     for agent in found["agents"]:
         own = next(
-            p for p in (folder / "train").rglob(agent["folder"]) if (p / "policy.zip").exists()
+            p for p in (folder / "train").rglob(agent["folder"]) if (p / "progress.csv").exists()
         )
         trained.setdefault(TITLES[agent["arm"]], []).append(own)
     draw_curves(trained, folder / "curve.png")
@@ -39,14 +39,16 @@ def write_report(found: Found, plan: Plan, folder: Path, made: Mapping[str, Any]
 
 
 def rows(found: Found) -> list[dict[str, Any]]:
-    """One row an arm: means and 90 % intervals of the reward by place, success, time, energy."""
+    """One row an arm: means and 90 % intervals of return and reward by place, success and so on."""
     out = []
     for arm in dict.fromkeys(agent["arm"] for agent in found["agents"]):
         own = [agent for agent in found["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
         for place in found["places"]:
-            rng = np.random.default_rng(0)
-            row[place] = {"reward": bootstrap([a[place]["reward"] for a in own], rng)}
+            row[place] = {
+                name: bootstrap([a[place][name] for a in own], np.random.default_rng(0))
+                for name in (OUTCOME, "reward")
+            }
             row[place]["success"] = float(np.mean([a[place]["success"] for a in own]))
             for name in ("time_s", "energy"):
                 row[place][name] = float(np.mean([a[place][name] for a in own]))
@@ -57,15 +59,16 @@ def rows(found: Found) -> list[dict[str, Any]]:
 def markdown(found: Found) -> str:
     """The table as Markdown."""
     lines = [
-        "| arm | simulation: reward | arrives | reality: reward | arrives | time (s) | energy |",
-        "|---|---|---|---|---|---|---|",
+        "| arm | simulation: return | arrives | reality: return | arrives | time (s) | energy "
+        "| reward |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows(found):
         sim, real = (row[place] for place in found["places"])
         lines.append(
             f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
             f"| {_mean(real)} | {100 * real['success']:.0f} % | {real['time_s']:.1f} "
-            f"| {real['energy']:.0f} |"
+            f"| {real['energy']:.0f} | {real['reward'][0]:.1f} |"
         )
     lines += [
         "",
@@ -82,8 +85,8 @@ def markdown(found: Found) -> str:
 
 
 def _mean(place: Mapping[str, Any]) -> str:
-    mean, low, high = place["reward"]
-    return f"{mean:.1f} ({low:.1f} to {high:.1f})"
+    mean, low, high = place[OUTCOME]
+    return f"{mean:.2f} ({low:.2f} to {high:.2f})"
 
 
 def sections(found: Found, plan: Plan) -> list[Section]:
@@ -99,8 +102,8 @@ def sections(found: Found, plan: Plan) -> list[Section]:
                 cell
                 for place in found["places"]
                 for cell in (
-                    f"{row[place]['reward'][0]:.1f}\n{row[place]['reward'][1]:.1f} to "
-                    f"{row[place]['reward'][2]:.1f}",
+                    f"{row[place][OUTCOME][0]:.2f}\n{row[place][OUTCOME][1]:.2f} to "
+                    f"{row[place][OUTCOME][2]:.2f}",
                     f"{100 * row[place]['success']:.0f} %",
                 )
             ),
@@ -109,15 +112,16 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         )
         for row in table
     ]
-    header = ("arm", "reward, simulation", "arrives", "reward, reality", "arrives", "s", "energy")
+    header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "s", "energy")
     note = (
-        "Means with 90 % intervals, agents and repeats resampled. Time and energy in reality, "
+        "Rewards discounted as in training: means with 90 % intervals, agents and repeats "
+        "resampled. Time and energy in reality, "
         "over all turns: one that does not arrive counts the whole time."
     )
-    rewards = Section(
+    returns = Section(
         "What each technique is worth",
         keeps(by),
-        [Picture(svg(reward_figure(table))), Table(header, cells, caption=note)],
+        [Picture(svg(return_figure(table))), Table(header, cells, caption=note)],
     )
     told = differences(found)
     notes: list[Block] = [
@@ -128,7 +132,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         notes.insert(0, Picture(svg(difference_figure(told))))
         notes.append(Note("info", power(told)))
     if not any(row["reality"]["success"] for row in table):
-        said = "No arm reached the target in reality: rewards compare how far and how cheaply they "
+        said = "No arm reached the target in reality: returns compare how far and how cheaply they "
         notes.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
     ways = Section(
         "The turns",
@@ -142,7 +146,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         f"Simulation: {found['said']['simulation']}. Reality: {found['said']['reality']}."
     )
     return [
-        rewards,
+        returns,
         Section("What is lost without it", _DIFFERENCES, notes),
         ways,
         Section("How", "", [how]),
@@ -150,7 +154,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
 
 
 _DIFFERENCES = (
-    "Reward in reality of all techniques less that of each arm, agents paired by their seeds: the "
+    "Return in reality of all techniques less that of each arm, agents paired by their seeds: the "
     "mean and its 90 % interval. An interval that leaves out zero tells the arms apart."
 )
 
@@ -158,7 +162,7 @@ _DIFFERENCES = (
 def compared(arm: str, one: Difference) -> str:
     """What an arm loses against all techniques, in a sentence."""
     word = "less" if one.mean > 0 else "more"
-    said = f"{TITLES[arm]}: {abs(one.mean):.2f} {word} reward in reality than all techniques"
+    said = f"{TITLES[arm]}: {abs(one.mean):.2f} {word} return in reality than all techniques"
     if one.pairs < 2:
         return f"{said}; one pair of agents tells nothing of chance"
     ends = sorted((abs(one.low), abs(one.high)))
@@ -177,7 +181,7 @@ def power(told: Mapping[str, Difference]) -> str:
     pairs = next(iter(told.values())).pairs
     return (
         f"{pairs} seeds an arm. For intervals narrower than a third of the largest difference "
-        f"({largest:.1f}) the spread over pairs asks for: {', '.join(parts)}."
+        f"({largest:.2f}) the spread over pairs asks for: {', '.join(parts)}."
     )
 
 
@@ -186,7 +190,7 @@ def difference_figure(told: Mapping[str, Difference]) -> Figure:
     from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
 
     with house_style():
-        figure = new_figure(70 + 34 * len(told), "Reward lost in reality without each technique")
+        figure = new_figure(70 + 34 * len(told), "Return lost in reality without each technique")
         axes = figure.subplots()
         for y, one in enumerate(told.values()):
             colour = ACCENT if one.told else MUTED
@@ -199,7 +203,7 @@ def difference_figure(told: Mapping[str, Difference]) -> Figure:
         axes.set_yticks(range(len(told)), [TITLES[arm] for arm in told])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("reward of all techniques less this arm's, in reality")
+        axes.set_xlabel("return of all techniques less this arm's, in reality")
     return figure
 
 
@@ -207,32 +211,32 @@ def keeps(by: Mapping[str, Mapping[str, Any]]) -> str:
     """How much of its simulated reward the first arm keeps, in a sentence."""
     if "all" not in by:
         return ""
-    sim, real = (by["all"][place]["reward"][0] for place in ("simulation", "reality"))
-    said = f"With all techniques the reward is {sim:.1f} in simulation and {real:.1f} in reality"
+    sim, real = (by["all"][place][OUTCOME][0] for place in ("simulation", "reality"))
+    said = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
     said += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
     if "all-and-effects" in by and sim > real:
-        more = by["all-and-effects"]["reality"]["reward"][0] - real
+        more = by["all-and-effects"]["reality"][OUTCOME][0] - real
         said += f" With the effects found, {100 * more / (sim - real):.0f} % of the gap is closed."
     return said
 
 
-def reward_figure(table: list[dict[str, Any]]) -> Figure:
-    """Reward of each arm in simulation and in reality, with intervals."""
+def return_figure(table: list[dict[str, Any]]) -> Figure:
+    """Return of each arm in simulation and in reality, with intervals."""
     from sim2real.report.style import ACCENT, FAINT, house_style, new_figure
 
     with house_style():
-        figure = new_figure(60 + 46 * len(table), "Reward of each arm in simulation and reality")
+        figure = new_figure(60 + 46 * len(table), "Return of each arm in simulation and reality")
         axes = figure.subplots()
         for place, colour, off in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
             y = np.arange(len(table)) + off
-            mean, low, high = np.array([row[place]["reward"] for row in table]).T
+            mean, low, high = np.array([row[place][OUTCOME] for row in table]).T
             axes.barh(y, mean, 0.3, color=colour, label=place)
             axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
         axes.set_yticks(range(len(table)), [TITLES[row["arm"]] for row in table])
         axes.invert_yaxis()
         axes.grid(axis="x")
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("reward of a 180 degree turn with the target 1.5 m behind")
+        axes.set_xlabel("discounted return of a 180 degree turn with the target 1.5 m behind")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 

@@ -56,10 +56,11 @@ ARMS: Mapping[str, Techniques] = {
     "no-randomization": Techniques(randomization=False),
     "all-and-effects": Techniques(effects=True),
     "ceiling": Techniques(),
+    "none": Techniques(servo=False, density=False, randomization=False),
 }
 """The paper's four, one that the paper could not have, and the intervention: an arm that learns in
 reality's own parameters, where a model says what they are. What it does better than "all", no
-technique that was left out can explain away."""
+technique that was left out can explain away. "none" is where arms may begin: ``shared``."""
 TITLES: Mapping[str, str] = {
     "all": "all techniques",
     "no-servo": "no servo calibration",
@@ -67,6 +68,7 @@ TITLES: Mapping[str, str] = {
     "no-randomization": "no randomization",
     "all-and-effects": "all, and the effects found",
     "ceiling": "trained in reality itself",
+    "none": "no technique",
 }
 
 

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+OUTCOME = "return"
+"""What is compared: the rewards of a turn discounted as in training, which is what agents learn to
+earn. The plain reward has no price of time and pays who dawdles most."""
 SHARE = 1 / 3
 """An interval tells arms apart where it is narrower than this share of the largest difference."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Reward of all techniques less an arm's, over S pairs of agents of one seed.
+    """Return of all techniques less an arm's, over S pairs of agents of one seed.
 
     Attributes:
         mean: Above zero where the arm loses.
@@ -50,7 +53,7 @@ def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Differenc
 
 
 def differences(
-    found: Mapping[str, Any], place: str = "reality", key: str = "reward"
+    found: Mapping[str, Any], place: str = "reality", key: str = OUTCOME
 ) -> dict[str, Difference]:
     """Of "all" and each other arm of an ablation, by arm."""
     table: dict[str, dict[int, float]] = {}

@@ -26,7 +26,7 @@ class Episodes:
     Attributes:
         pose: x, y in m and heading in rad of the head, shape (T, E, 3).
         rate: Joint rates in rad/s, shape (T, E, J).
-        reward: Sum of the task's rewards, shape (E,).
+        value: The task's reward of each control period, shape (T, E), 0 in the first row.
         reached: Waypoints reached, shape (E,).
         steps: Length in control periods, shape (E,).
         targets: Waypoints in m, shape (E, W, 2).
@@ -34,10 +34,23 @@ class Episodes:
 
     pose: Array
     rate: Array
-    reward: Array
+    value: Array
     reached: NDArray[np.int64]
     steps: NDArray[np.int64]
     targets: Array
+
+    @property
+    def reward(self) -> Array:
+        """Sum of the rewards, shape (E,)."""
+        return np.asarray(np.nansum(self.value, axis=0))
+
+    def discounted(self, discount: float) -> Array:
+        """Sum of the rewards, one a control period later worth ``discount`` of it, shape (E,).
+
+        What an agent is trained for; the plain sum has no price of time.
+        """
+        worth = discount ** np.maximum(np.arange(len(self.value)) - 1.0, 0.0)
+        return np.asarray(worth @ np.nan_to_num(self.value))
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -82,7 +95,7 @@ def run_episodes(
     targets = world.targets.cpu().double().numpy()
     controller.reset(np.ones(E, dtype=bool))
     pose, rate = [_taken(world.pose)], [_taken(world.rate)]
-    total, going = np.zeros(E), np.ones(E, dtype=bool)
+    value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
     if watch is not None:
         watch()
@@ -90,7 +103,7 @@ def run_episodes(
         action = controller.act(seen.cpu().numpy())
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
         seen = step.observation
-        total += np.where(going, _taken(step.reward), 0.0)
+        value.append(np.where(going, _taken(step.reward), np.nan))
         steps += going
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for kept, now in ((pose, world.pose), (rate, world.rate)):
@@ -100,7 +113,7 @@ def run_episodes(
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break
-    return Episodes(np.array(pose), np.array(rate), total, reached, steps, targets)
+    return Episodes(np.array(pose), np.array(rate), np.array(value), reached, steps, targets)
 
 
 def _taken(tensor: torch.Tensor) -> Array:

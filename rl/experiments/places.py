@@ -176,7 +176,7 @@ def some(episodes: Episodes, which: NDArray[np.bool_]) -> Episodes:
     """The episodes of some of the robots, ``which`` of shape (E,)."""
     e = episodes
     return Episodes(
-        e.pose[:, which], e.rate[:, which], e.reward[which], e.reached[which], e.steps[which],
+        e.pose[:, which], e.rate[:, which], e.value[:, which], e.reached[which], e.steps[which],
         e.targets[which],
     )  # fmt: skip
 
@@ -186,13 +186,15 @@ def _joined(found: Sequence[Episodes]) -> Episodes:
     T = max(len(one.pose) for one in found)
 
     def long(values: Array) -> Array:
-        return np.pad(values, ((0, T - len(values)), (0, 0), (0, 0)), constant_values=np.nan)
+        more = [(0, T - len(values)), *[(0, 0)] * (values.ndim - 1)]
+        return np.pad(values, more, constant_values=np.nan)
 
     return Episodes(
         np.concatenate([long(one.pose) for one in found], axis=1),
         np.concatenate([long(one.rate) for one in found], axis=1),
+        np.concatenate([long(one.value) for one in found], axis=1),
         *(
             np.concatenate([getattr(one, key) for one in found])
-            for key in ("reward", "reached", "steps", "targets")
+            for key in ("reached", "steps", "targets")
         ),
     )

@@ -79,7 +79,7 @@ def run_real_episodes(
     shown = eyes.look(reality.reset(starts.pose, starts.joint), going)
     controller.reset(np.ones(n, dtype=bool))
     pose, rate = [shown.copy()], [_rate(reality, eyes)]
-    total, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
+    value, steps = [np.zeros(n)], np.zeros(n, dtype=np.int64)
     for _ in tqdm(range(task.steps), desc="reality", unit="step", disable=None, leave=False):
         before = eyes.distance.copy()
         desired = np.clip(controller.act(eyes.observation), *limits.T)
@@ -88,9 +88,9 @@ def run_real_episodes(
         reached = eyes.distance < task.arrive_m
         outside = (np.abs(shown[:, :2]) > np.array(task.domain_m) / 2).any(axis=1)
         now = _rate(reality, eyes)
-        told = (before, eyes.distance, now, reached, outside)
-        value = reward(task, *(torch.as_tensor(x) for x in told)).numpy()
-        total += np.where(going, value, 0.0)
+        parts = (before, eyes.distance, now, reached, outside)
+        earned = reward(task, *(torch.as_tensor(x) for x in parts)).numpy()
+        value.append(np.where(going, earned, np.nan))
         steps += going
         for kept, one in ((pose, shown), (rate, now)):
             kept.append(np.where(going[:, None], one, np.nan))
@@ -98,7 +98,8 @@ def run_real_episodes(
         going &= ~(eyes.arrived | outside | eyes.blind())
         if not going.any():
             break
-    return Episodes(np.array(pose), np.array(rate), total, eyes.reached, steps, starts.targets)
+    told = (np.array(pose), np.array(rate), np.array(value), eyes.reached, steps)
+    return Episodes(*told, starts.targets)
 
 
 def _rate(reality: Reality, eyes: Eyes) -> Array:

@@ -8,7 +8,8 @@ it. It offers::
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
         return reality    # with the two methods below
 
-    AT_ONCE = 1           # if there are only so many robots at a time
+    AT_ONCE = 1           # if there are only so many robots at a time, or:
+    def at_once(**options): return 1       # the same by the options of make
 
 and what ``make`` returns has::
 
@@ -120,6 +121,8 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
     own = list(signature.parameters.values())[4:]
     defaults = {p.name: p.default for p in own if p.default is not p.empty}
     most = getattr(module, "AT_ONCE", None)
+    if callable(by_options := getattr(module, "at_once", None)):
+        most = by_options(**{**defaults, **options})
     if most is not None and (type(most) is not int or most < 1):
         raise InputError(path, "AT_ONCE", repr(most), "a number of robots, at least 1")
     whole = hashlib.sha256()

@@ -145,7 +145,7 @@ class Agents:
         self.average = self.actor.flat.clone()
         self.price = torch.zeros(A, 1, device=device)
         self._rate = torch.tensor(settings.rate, device=device)
-        self._entropy = torch.tensor(self.J * settings.entropy_target[0], device=device)
+        self._entropy = torch.full((A,), self.J * settings.entropy_target[0], device=device)
         width = 2 * self.O + self.J + 3
         self.memory = torch.zeros(A, settings.memory, width, device=device)
         self.position, self.filled = 0, 0
@@ -217,12 +217,18 @@ class Agents:
         self.filled = filled
         self._filled.fill_(filled)
 
-    def set_schedule(self, share: float) -> None:
-        """Set what changes with the share of the training that is done."""
+    def set_schedule(self, share: float, grown: Sequence[float]) -> None:
+        """Set what changes as the training goes on.
+
+        Args:
+            share: Of the training that is done: the rate falls with it.
+            grown: How far each agent is on its way from exploring to swimming well, from 0 to 1:
+                its entropy falls with it.
+        """
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
         first, last = s.entropy_target
-        self._entropy.fill_(self.J * (first + (last - first) * share))
+        self._entropy.copy_(self.J * (first + (last - first) * torch.tensor(grown)))
 
     @contextmanager
     def averaged(self) -> Iterator[None]:

@@ -50,14 +50,23 @@ RECIPES: Mapping[str, Recipe] = {
             batch=128, rate=3e-4, rate_end=0.3, warm_up=20_000, entropy_target=(-2.0, -2.5)
         ),
     ),
+    "brief": Recipe(
+        steps=260_000,
+        envs=32,
+        segment=130_000,
+        settings=Settings(batch=64, hidden=(64, 64), updates_per_step=0.085),
+    ),
 }
-"""By the names that ``--recipe`` takes; "fine" goes on from policies that swim elsewhere, such as
-from the twin's in the fluid: all of the energy weight and little noise from the first step on."""
+"""By the names that ``--recipe`` takes. "brief" is the default at a tenth of the cost, for what can
+swim elsewhere, such as each arm of a quick ablation. "fine" goes on from policies that nearly swim
+here, such as from the twin's in the fluid: all of the energy weight, little noise at once."""
 QUICK: dict[str, Any] = {
     "steps": 300_000, "envs": 32, "segment": 60_000, "hidden": [64, 64], "updates_per_step": 0.12,
 }  # fmt: skip
 """What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
 not swim by their mean action yet."""
+SHARED = 160_000
+"""Steps that agents of a seed have in common in a quick ablation, before its arms part."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",
     "hidden", "energy_weight", "energy_start",

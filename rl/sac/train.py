@@ -267,7 +267,7 @@ def _segment(
         progress.steps += each
         bar.update(each)
         if progress.steps >= settings.warm_up:
-            agents.set_schedule(progress.steps / plan.steps)
+            agents.set_schedule(progress.steps / plan.steps, progress.grown)
             owed += settings.updates_per_step * each
             agents.learn(int(owed))
             owed -= int(owed)

@@ -11,11 +11,13 @@ import pytest
 
 import rl.experiments.places
 from rl.commands.ablate import tried_in
-from rl.experiments.ablation import ablate, bootstrap
+from rl.experiments.ablation import ablate, bootstrap, policy_in
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.differences import differences, paired, seeds_needed
+from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import read_reality
+from rl.experiments.shared import from_shared
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
 from rl.task import TASKS, shortened
@@ -148,6 +150,29 @@ def test_the_report_is_written(run, tmp_path):
     assert [row["arm"] for row in table] == ["all", "no-servo"]
     assert markdown(found).count("\n") == 7
     assert set(differences(found)) == {"no-servo"}
+
+
+def test_arms_go_on_from_one_agent_a_seed_that_met_no_technique(robot, model, tmp_path):
+    arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
+    still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10_000))  # nothing is learned
+    trainer = from_shared(arm_of("none", model, robot, RANGES), PLAN)
+    folders = trainer(tmp_path, robot, arms, still)
+    assert [one.name for one in folders] == ["all-0", "all-1", "no-servo-0", "no-servo-1"]
+    kept = [policy_in(one).weights for one in folders]
+    begun = [policy_in(tmp_path / "shared" / f"none-{seed}").weights for seed in (0, 1, 0, 1)]
+    assert all(np.array_equal(a[0], b[0]) for a, b in zip(kept, begun, strict=True))
+    assert not np.array_equal(kept[0][0], kept[1][0])
+    (first,) = arm_of("none", model, robot, RANGES).draws.models
+    assert all(joint == STIFF for joint in first.joints.values())
+    assert np.allclose(first.body["normalised_density"], one_density(robot))
+
+
+def test_a_return_is_what_agents_learn_to_earn():
+    value = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [np.nan, 4.0]])
+    none = np.zeros((4, 2, 3))
+    one = Episodes(none, none, value, np.ones(2), np.ones(2), np.zeros((2, 1, 2)))
+    assert one.reward.tolist() == [2.0, 6.0]
+    assert one.discounted(0.5).tolist() == [1.5, 2.0]
 
 
 def test_pairs_take_out_what_seeds_have_in_common():

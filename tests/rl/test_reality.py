@@ -220,6 +220,16 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path, source, said):
     assert "\n" not in str(caught.value)
 
 
+def test_how_many_at_a_time_may_depend_on_the_options(tmp_path):
+    path = tmp_path / "cells.py"
+    path.write_text(
+        "def at_once(*, cell_m): return int(0.1 / cell_m)\n"
+        "def make(robot, n, seed, device, *, cell_m=0.05): ..."
+    )
+    assert read_reality(path).at_once == 2
+    assert read_reality(path, cell_m=0.02).at_once == 5
+
+
 def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
     with pytest.raises(InputError, match="cell"):
         read_reality(glider(), cell=0.02)

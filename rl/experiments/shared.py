@@ -1,0 +1,39 @@
+"""A beginning that the arms of an ablation share: what it costs to learn to swim is paid once.
+
+Most of a training goes by before an agent swims at all, and when it does is chance: the spread of
+that hides what arms differ in. Here one agent a seed learns with no technique at all, in the old
+simulator's defaults, and every arm of that seed goes on from it. No arm has then met a technique
+that it is to do without, and pairs of agents differ by their arms alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rl.sac.train import Arm, Plan, train
+from sim2real.robot import Robot
+
+
+def from_shared(first: Arm, plan: Plan) -> Callable[..., list[Path]]:
+    """A trainer, called as ``train``, whose agents go on from those of one arm.
+
+    Args:
+        first: The arm that all begin in.
+        plan: How that is trained; its seeds are those of the plan that the trainer is given.
+    """
+
+    def trained(
+        folder: Path,
+        robot: Robot,
+        arms: Sequence[Arm],
+        then: Plan,
+        note: dict[str, Any] | None = None,
+    ) -> list[Path]:
+        begun = train(folder / "shared", robot, [first], replace(plan, seeds=then.seeds), note)
+        own = [agent / "policy.zip" for _ in arms for agent in begun]
+        return train(folder, robot, arms, then, note, first=own)
+
+    return trained
