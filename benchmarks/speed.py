@@ -9,7 +9,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,17 @@ from scipy.optimize import differential_evolution
 Array = NDArray[np.float64]
 
 DATA = Path(__file__).parents[1] / "datasets" / "servo_steps"
+LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
+LOSSES = LINE | {
+    "resistance_rise": 1.0,
+    "rotor_inertia_kgm2": 0.001,
+    "coulomb_Nm": 0.02,
+    "motor_friction": 0.2,
+    "load_friction": 0.1,
+    "stribeck_motor_friction": 0.1,
+    "stribeck_load_friction": 0.05,
+    "stribeck_speed_rad_s": 0.5,
+}
 FITTED = ("steps", "sine", "square")
 
 
@@ -28,6 +39,9 @@ def main() -> None:
     help_s = best_of(3, lambda: run_cli("--help"))
     row("sim2real --help", help_s, 0.5, "s")
     row("256 rollouts of 5000 sub-steps, one core", 1e3 * rollouts(256, 5000), 40.0, "ms")
+    for law in (LINE, LOSSES):
+        name = "  on the motor's line" if law is LINE else "  with all of its losses"
+        row(name, 1e3 * rollouts(256, 5000, law), 40.0, "ms")
     base = rollouts(256, 5000)
     row("  cost of four times the rollouts", rollouts(1024, 5000) / base, 4.4, "times")
     row("  cost of four times the sub-steps", rollouts(256, 20000) / base, 4.4, "times")
@@ -63,19 +77,21 @@ def run_cli(*arguments: str) -> None:
     )
 
 
-def rollouts(batch: int, substeps: int) -> float:
-    """Time of a batch of rollouts of one joint, in s."""
+def rollouts(batch: int, substeps: int, motor: Mapping[str, float] | None = None) -> float:
+    """Time of a batch of rollouts of one joint, in s; of a linear servo without a motor."""
     from sim2real.servo.parameters import COLUMNS
     from sim2real.servo.rollout import rollout
 
     theta = np.zeros((batch, len(COLUMNS)))
     theta[:, :4] = (2.2, 0.06, 0.068, 0.002)
     theta[:, 0] *= np.linspace(0.9, 1.1, batch)
+    for name, value in (motor or {}).items():
+        theta[:, COLUMNS.index(f"motor.{name}")] = value
     t = 1e-3 * np.arange(substeps + 1)  # samples so close that each is one sub-step away
     command = 0.5 * np.sign(np.sin(np.pi * t))
     change = np.flatnonzero(np.diff(command)) + 1
     command[change] = command[change - 1]
-    return best_of(5, lambda: rollout(theta, t, command[:, None], steps_per_radian=20.0))
+    return best_of(5, lambda: rollout(theta, t, command[:, None], substep_s=1.01e-3))
 
 
 def identification() -> tuple[float, float, float]:

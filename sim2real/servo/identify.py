@@ -25,7 +25,7 @@ from sim2real.servo.intervals import intervals, motor_intervals, symmetric_inter
 from sim2real.servo.motor_choice import choose_motor
 from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.servo_type import ServoType, learn, read_type
+from sim2real.servo.servo_type import ServoType, learn, type_of
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia, split, traces
 from sim2real.servo.uncertainty import Uncertainty, uncertainty
@@ -88,7 +88,7 @@ def identify(
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
     servos = {joint: _servo(robot, joint, law) for joint in moving}
-    types = {joint: read_type(s.type) for joint, s in servos.items() if s is not None and s.type}
+    types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
     def one(joint: str, known: ServoType | None) -> JointResult:
         given = traces(recordings, joint)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.output import write_json
+from sim2real.robot import Servo
 from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.motor_prior import Belief, Prior
 from sim2real.servo.parameters import BASE, LOOP
@@ -141,6 +142,12 @@ def read_type(name: str, where: str = "robot", field: str = "type") -> ServoType
         beliefs,
         str(content.get("source", "")),
     )
+
+
+def type_of(servo: Servo) -> ServoType | None:
+    """The type that a servo's table in ``robot.toml`` names; None where it names none."""
+    file, table = servo.where
+    return read_type(servo.type, file, f"{table}.type") if servo.type else None
 
 
 def write_type(servo_type: ServoType, path: Path) -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.model import FittedEffect, JointModel
+from sim2real.servo.parameters import BASE, COLUMNS, joint_row
 from sim2real.servo.rollout import rollout
 
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.0683, 0.002
@@ -138,3 +139,20 @@ def test_swings_freely_once_the_torque_is_off():
     period = np.mean(np.diff(t[400:][crossings]))
     assert period == pytest.approx(2 * np.pi * np.sqrt(INERTIA / 0.48), rel=2e-2)
     assert np.abs(angle).max() > 0.05, "nothing damps it"
+
+
+def test_the_fast_kernel_moves_as_the_one_with_effects_does():
+    """Rows without effects go through a kernel of their own, unless one beside them has one."""
+    motor = {
+        "stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2, "resistance_rise": 1.0,
+        "coulomb_Nm": 0.02, "motor_friction": 0.2, "stribeck_motor_friction": 0.1,
+        "stribeck_speed_rad_s": 0.5, "loop_period_s": 0.004,
+    }  # fmt: skip
+    fast = joint_row(JointModel(2.0, 0.06, 0.05, 0.002, law="motor", motor=motor), None)
+    effect = (FittedEffect("backlash", {"gap_rad": 0.02}),)
+    other = joint_row(JointModel(2.0, 0.06, 0.05, 0.002, effects=effect), None)
+    t = 0.02 * np.arange(100)
+    command = np.where(t > 0.2, 0.5 * np.sign(np.sin(3 * t)), 0.0)[:, None]
+    alone = rollout(fast[None], t, command, substep_s=5e-4)
+    beside = rollout(np.stack([fast, other]), t, command, substep_s=5e-4)
+    np.testing.assert_array_equal(alone[0], beside[0])
