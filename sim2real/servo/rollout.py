@@ -67,7 +67,7 @@ def rollout(
     active = active_effects(rows)
     longest = np.full(rows.shape[0], substep_s)
     if substep_s is None:
-        steps = np.where(active > 0, 2 * steps_per_radian, steps_per_radian)
+        steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
     signal = np.tile(np.arange(J, dtype=np.int32), B)
     signals = [
