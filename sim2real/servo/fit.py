@@ -186,3 +186,25 @@ def plain_row(kp: float, kd: float, latency: float) -> Array:
     row = np.zeros(len(COLUMNS))
     row[: len(BASE)] = kp, kd, latency, 1.0, 0.0
     return row
+
+
+def best_of(
+    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
+) -> tuple[Fit, list[Fit]]:
+    """The best fit of all starts (P,), and those of the others that settled elsewhere.
+
+    Args:
+        fitted: The joint's recordings.
+        starts: Where to begin; the first is followed further than the others.
+        names: What is fitted.
+    """
+    inertia = fitted[0].load.inertia_kgm2
+    free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]
+    fits = [fit(fitted, starts[0], free[0])]
+    fits += [
+        fit(fitted, other, by, rounds=1, evaluations=20)
+        for other, by in zip(starts[1:], free[1:], strict=True)
+    ]
+    scale = min(one.scale_rad for one in fits)
+    fits.sort(key=lambda one: one.loss(scale))
+    return fits[0], fits[1:]

@@ -12,7 +12,7 @@ from sim2real.effects import Effect, named
 from sim2real.errors import InputError
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import correlation_samples, whiteness
-from sim2real.inference.parameters import Parameter, column
+from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
@@ -20,7 +20,7 @@ from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo import advice
 from sim2real.servo.enrich import fit_effects
-from sim2real.servo.fit import Fit, fit, gains, inertia_left_out, residuals
+from sim2real.servo.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
 from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
 from sim2real.servo.motor_choice import choose_motor
 from sim2real.servo.motor_fit import MotorFit
@@ -220,31 +220,6 @@ def _identify_joint(
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
     return JointResult(model, figures, held, motor)
-
-
-def best_of(
-    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
-) -> tuple[Fit, list[Fit]]:
-    """The best fit of all starts (P,), and those of the others that settled elsewhere.
-
-    Args:
-        fitted: The joint's recordings.
-        starts: Where to begin; the first is followed further than the others.
-        names: What is fitted.
-    """
-    free = [_plain(start, fitted[0].load.inertia_kgm2, names) for start in starts]
-    fits = [fit(fitted, starts[0], free[0])]
-    fits += [
-        fit(fitted, other, by, rounds=1, evaluations=20)
-        for other, by in zip(starts[1:], free[1:], strict=True)
-    ]
-    scale = min(one.scale_rad for one in fits)
-    fits.sort(key=lambda one: one.loss(scale))
-    return fits[0], fits[1:]
-
-
-def _plain(row: Array, inertia: float, names: Sequence[str]) -> list[Parameter]:
-    return [p for p in gains(row, inertia) if p.name in names]
 
 
 def _units(best: Fit) -> Array:

@@ -11,8 +11,7 @@ from sim2real.inference.holdout import rms
 from sim2real.model import JointModel
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
-from sim2real.servo.fit import gains
-from sim2real.servo.identify import best_of
+from sim2real.servo.fit import best_of, gains
 from sim2real.servo.motor_fit import EXPLAINED, fit_motor
 from sim2real.servo.motor_prior import Prior, motor_prior
 from sim2real.servo.parameters import LINE
