@@ -131,7 +131,10 @@ def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
             for kind, mark in MARKS.items():
                 colour = INK if kind == "pnl" else MUTED
                 for name, full in ((kind, colour), (ELSEWHERE[kind], "none")):
-                    own = [rows[f"{name}-{pace}"] for pace in PACES if f"{name}-{pace}" in rows]
+                    paces = [f"{name}-{pace}" for pace in PACES]
+                    if name in rows:  # the middle one, as a command line calls it
+                        paces[1] = name
+                    own = [rows[pace] for pace in paces if pace in rows]
                     points = [(one["energy"] / 1e3, one["time_s"]) for one in own]
                     style: Any = {"marker": mark, "color": colour, "markerfacecolor": full}
                     if points:

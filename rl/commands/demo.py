@@ -177,7 +177,7 @@ def _ablated(
     with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {steps}, in the twin"):
         places = tried_in(robot, arms, plan, found.ranges, reality)
         told = ablate(
-            folder, robot, arms, plan, places, seed=options.seed, repeats=10, trainer=trainer
+            folder, robot, arms, plan, places, seed=options.seed, repeats=8, trainer=trainer
         )
     write_report(told, plan, folder, model.provenance)
     print(markdown(told))
