@@ -24,7 +24,7 @@ from sim2real.inference.selection import Hypothesis, Ledger, Members
 
 Array = NDArray[np.float64]
 
-FIRST = 9
+FIRST = 8
 """Single effects that are refitted, of those that promise most."""
 LOST = "dropped_frames.probability"
 _EACH, _SURELY = 3.0, 60.0
@@ -33,7 +33,7 @@ _HOLDS = 4
 _STEPS = 3
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
-_JUMPS = (-6.0, -2.0, 2.0, 6.0)
+_JUMPS = (-2.0, 2.0, 6.0)
 """Sizes from which a search for an effect may begin, in steps of its derivative."""
 _SHARES = (1.0, 0.4, 0.1)
 """Of a step, tried together."""
@@ -125,6 +125,7 @@ class TwinSwims:
     cost: float = 0.0
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
+    before: Fit | None = None
     kept: NDArray[np.bool_] | None = None
     rollouts: int = 0
 
@@ -266,9 +267,10 @@ class TwinSwims:
         """The hypothesis that nothing is missing."""
         none: Members = frozenset()
         x = self.centre(none)
-        for _ in range(rounds):
+        for number in range(rounds):
             rows, near = self.slope(x)
             begun = Fit(x, rows, self.judged(none, x, rows, near)[0], near)
+            self.before = begun if number == 0 else self.before
             (found,) = self._walk([(none, begun)], 2)
             x = found.x
         return self._there(none, x)
@@ -347,14 +349,22 @@ class TwinSwims:
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects that promise most beside a set, by its slopes."""
-        fit = ledger.tried[members].fit
+        fits = [ledger.tried[members].fit, *self._afresh(members)]
         found = []
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
-                found.append((self.evidence(more, self._linear(more, fit)), effect))
+                hopes = [self.evidence(more, self._linear(more, fit)) for fit in fits]
+                found.append((max(hopes), effect))
         found.sort(key=lambda one: -one[0])
-        return [(effect, fit) for _, effect in found[: most or FIRST]]
+        return [(effect, fits[0]) for _, effect in found[: most or FIRST]]
+
+    def _afresh(self, members: Members) -> list[Fit]:
+        """Where a fit may begin as well, if nothing is in it yet: at what was known before.
+
+        A law that has bent to what is missing is no good start for what is.
+        """
+        return [] if members or self.before is None else [self.before]
 
     def _linear(self, members: Members, fit: Fit) -> Fit:
         """Where a step along the slopes would end, cut to what is allowed."""
@@ -376,11 +386,19 @@ class TwinSwims:
         for _, members, fit in jobs:
             loss, _ = self.judged(members, fit.x, fit.rows, fit.near)
             begun.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
+        count = len(begun)
+        for _, members, _ in jobs:
+            if len(members) == 1:
+                begun += [(members, fit) for fit in self._afresh(frozenset())]
         begun = self._jumped(begun)
         ended = self._walk(begun, _STEPS)
+        best: dict[Members, Fit] = {}
+        for (members, _), fit in zip(begun, ended, strict=True):
+            known = best.get(members)
+            best[members] = fit if known is None or fit.loss < known.loss else known
         return [
-            Hypothesis(members, fit, self.evidence(members, fit))
-            for (members, _), fit in zip(begun, ended, strict=True)
+            Hypothesis(members, best[members], self.evidence(members, best[members]))
+            for members, _ in begun[:count]
         ]
 
     def _jumped(self, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
