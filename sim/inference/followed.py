@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 SUBSTEPS = 4
-"""Of a control period: half the twin's own, which moves a swim by a percent, far below its error."""
+"""Of a control period: half the twin's own moves a swim by a percent, far below its error."""
 
 
 def by_followed_twin(robot: Robot, **given: Any) -> Swum:  # noqa: ANN401 - options of Twin

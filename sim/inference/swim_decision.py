@@ -135,7 +135,7 @@ def _predicting(
         bad = [
             part
             for part, (loss, speed) in known.items()
-            if _worse(loss - held[now][0], held[now][1] / speed, numbers)
+            if _worse(loss - held[now][0], held[now][1] / max(speed, 1e-9), numbers)
         ]
         if not bad:
             return now
