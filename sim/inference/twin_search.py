@@ -238,7 +238,7 @@ class TwinSwims:
         off = fit.x - self.centre(members)
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
-        step = -np.linalg.solve(whole, gradient)
+        step: Array = np.asarray(-np.linalg.solve(whole, gradient), dtype=np.float64)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
         loss += 0.5 * float(gradient @ step)
         size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
