@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sim.inference.blocks import Blocks
 from sim.inference.coordinates import Coordinates, Swum, in_fit, swum
+from sim.inference.linear import Belief, Fit, Slope, bounded
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
 
@@ -29,7 +30,6 @@ FIRST = 8
 LOST = "dropped_frames.probability"
 _EACH, _SURELY = 3.0, 60.0
 """Evidence of one repeated pose, and the most that they may bring."""
-_HOLDS = 4
 _STEPS = 3
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
@@ -37,73 +37,6 @@ _JUMPS = (-2.0, 2.0, 6.0)
 """Sizes from which a search for an effect may begin, in steps of its derivative."""
 _SHARES = (1.0, 0.4, 0.1)
 """Of a step, tried together."""
-
-
-@dataclass(frozen=True)
-class Belief:
-    """What is known before a swim.
-
-    Attributes:
-        mean: Of servos and law, shape (B,).
-        covariance: Likewise, shape (B, B).
-        imitation: Standard deviation that each column seems to have without being there, (F,).
-        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
-    """
-
-    mean: Array
-    covariance: Array
-    imitation: Array
-    shares: Array
-
-
-@dataclass(frozen=True)
-class Slope:
-    """A swim's errors near a point: ``rows + slope @ (x - at)``.
-
-    Attributes:
-        at: Shape (F,).
-        slope: Shape (n, F).
-        normal: ``slope.T @ slope``.
-    """
-
-    at: Array
-    slope: Array
-    normal: Array
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A hypothesis, fitted.
-
-    Attributes:
-        x: The point, shape (F,): 0 where an effect is not in it.
-        rows: Weighted errors there, shape (n,).
-        loss: Minus the logarithm of likelihood and prior.
-        near: The slope that it was found with.
-        looked: Whether that is the slope at its own point.
-    """
-
-    x: Array
-    rows: Array
-    loss: float
-    near: Slope
-    looked: bool = False
-
-
-def _bounded(curvature: Array, gradient: Array, room: Array) -> Array:
-    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
-    step = -np.linalg.solve(curvature, gradient)
-    held = np.zeros(step.size, dtype=bool)
-    for _ in range(_HOLDS):
-        beyond = (step < room[0]) | (step > room[1])
-        if not (beyond & ~held).any():
-            break
-        held |= beyond
-        step = np.clip(step, room[0], room[1])
-        free = ~held
-        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
-        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
-    return np.clip(step, room[0], room[1])
 
 
 @dataclass
@@ -215,7 +148,7 @@ class TwinSwims:
         gradient = slope[:, own].T @ seen + prior @ off
         step = np.zeros(x.size)
         room = self.coordinates.room(x)[:, own]
-        step[own] = _bounded(normal[np.ix_(own, own)] + prior, gradient, room)
+        step[own] = bounded(normal[np.ix_(own, own)] + prior, gradient, room)
         return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
 
     def evidence(self, members: Members, fit: Fit) -> float:
@@ -431,3 +364,6 @@ class TwinSwims:
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
         """Whether what was found is worth going on from."""
         return bool(ledger.best.members)
+
+
+__all__ = ["Belief", "Fit", "Slope", "TwinSwims"]
