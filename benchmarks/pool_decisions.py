@@ -147,7 +147,8 @@ def sizes(
         kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
         own = float(kept.sum()) + _WORTH * guess[kind] ** 2
         size = float(np.sqrt(own / (len(kept) + _WORTH)))
-        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], _MOST * guess[kind]))
+        most = _MOST * (2 if kind == "added_mass.ratio" else 1)
+        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], most * guess[kind]))
     found = np.array([[np.mean(cell) for cell in row] for row in left])
     return np.sqrt(np.maximum(found, 1e-6)), fresh
 
@@ -189,12 +190,13 @@ def learn(development: Path, processes: int) -> None:
 
 SPANS: dict[str, tuple[float, float]] = {
     "cost": (2.0, 14.0), "temperature": (1.0, 8.0), "alike": (0.5, 6.0),
-    "alike_imitated": (1.0, 12.0), "unlisted": (-5.0, 40.0), "unlisted_softness": (1.0, 8.0),
-    "misfit": (-0.3, 2.0), "misfit_softness": (0.05, 0.5), "held_gain": (-3.0, 3.0),
-    "held_worse": (0.0, 0.03), "most_certain": (0.95, 0.99),
+    "alike_imitated": (1.0, 12.0), "unlisted": (-5.0, 40.0), "unlisted_softness": (1.0, 4.0),
+    "misfit": (-0.3, 2.0), "misfit_softness": (0.05, 0.15), "held_better": (0.03, 0.3),
+    "held_sure": (15.0, 200.0), "held_gain": (-3.0, 5.0),
+    "held_worse": (0.0, 0.02), "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
-_LOOKS, _NARROW = 1500, 0.25
+_LOOKS, _NARROW = 2400, 0.2
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
 
@@ -271,7 +273,7 @@ def worth(found: dict[str, float]) -> float:
     return (
         found["detection"] + found["group_first"] + 0.8 * found["both"] + found["abstains"]
         - 6 * over("false_alarm", 0.0) - 4 * over("wrong", 0.015) - 3 * over("ece", 0.05)
-        - 0.5 * found["flagged_null"]
+        - max(0.0, found["flagged_null"] - 0.3)
     )  # fmt: skip
 
 
@@ -293,20 +295,22 @@ def usually(cases: list[tuple[dict[str, Any], dict[str, Any]]]) -> Numbers:
     }
 
 
-def choose(development: Path, verdicts: Path) -> None:
+def choose(development: Path, places: list[Path]) -> None:
     """Thresholds whose answers to the development set are best, by a random search that narrows."""
     answers = json.loads((development / "answers.json").read_text())["cases"]
-    cases = [
-        (one, json.loads((verdicts / one["case"] / "raw.json").read_text()))
-        for one in answers if (verdicts / one["case"] / "raw.json").exists()
-    ]  # fmt: skip
+    cases = []
+    for one in answers:
+        found = [place / one["case"] / "raw.json" for place in places]
+        found = [path for path in found if path.exists()]
+        if found:
+            cases.append((one, json.loads(found[0].read_text())))
     rng = np.random.default_rng(0)
     content = json.loads(FILE.read_text())
     best = dict(content["decisions"]) | usually(cases)
     top = worth(judged(cases, best))
     print(len(cases), "cases; before", judged(cases, best))
     for look in range(_LOOKS):
-        near = _NARROW if look > _LOOKS // 3 else 1.0
+        near = _NARROW if look > _LOOKS // 6 else 1.0
         trial = dict(best)
         for name, (low, high) in SPANS.items():
             drawn = rng.uniform(low, high)
@@ -333,7 +337,7 @@ def main() -> None:
     one.add_argument("--processes", type=int, default=2)
     two = commands.add_parser("choose")
     two.add_argument("development", type=Path)
-    two.add_argument("verdicts", type=Path)
+    two.add_argument("verdicts", type=Path, nargs="+", help="the first that has a case counts")
     options = parser.parse_args()
     if options.command == "learn":
         learn(options.development, options.processes)

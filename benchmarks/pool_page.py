@@ -118,7 +118,7 @@ def main() -> None:
     results = json.loads(options.results.read_text())
     columns = [("sealed", results)]
     if options.development:
-        columns.append(("development", json.loads(options.development.read_text())))
+        columns.append(("development, 25", json.loads(options.development.read_text())))
     for name, path in zip(("regression", "all drags"), options.rivals or (), strict=False):
         columns.append((name, json.loads(path.read_text())))
     found = results["results"]

@@ -36,6 +36,7 @@ MEANS = {
     "across": ("added_mass", "body"), "added_mass": ("added_mass", "body"),
     "head": ("added_mass", "body"), "tail": ("form_drag", "body"),
     "thrust": ("form_drag", "body"), "wake": ("linear_drag", "body"),
+    "slender": ("linear_drag", "body"),
 }  # fmt: skip
 """What a coefficient that is off is called."""
 

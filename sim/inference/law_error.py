@@ -24,6 +24,8 @@ FILE = Path(__file__).with_name("law_error.json")
 SCHEMA = "sim2real.law_error/1"
 RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are shares of their values."""
+_UNMEASURED = 0.2
+"""What an effect that was never measured is imitated by, in steps of its derivative."""
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 
 
@@ -49,7 +51,11 @@ class LawError:
 
     def imitation(self, coordinates: Coordinates) -> Array:
         """Standard deviation of what the error passes for in each column, shape (F,)."""
-        return np.array([self._of(self.imitated, c.kind, c.nominal) for c in coordinates.columns])
+        out = []
+        for c in coordinates.columns:
+            known = {c.kind: _UNMEASURED * c.step} | dict(self.imitated)
+            out.append(self._of(known, c.kind, c.nominal))
+        return np.array(out)
 
     def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:
         """Mean (B,) and covariance (B, B) of servos and law of a robot that was never seen."""

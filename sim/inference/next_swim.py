@@ -71,7 +71,7 @@ def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]
         effects: Their names.
     """
     before = problem.swims[0]
-    t = CONTROL_S * np.arange(round(SECONDS / CONTROL_S))
+    t: Array = CONTROL_S * np.arange(round(SECONDS / CONTROL_S), dtype=np.float64)
     joints = before.command.shape[1]
     found = []
     for name, sent in MENU.items():

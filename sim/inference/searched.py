@@ -33,8 +33,8 @@ HELD_OUT = 0.3
 """Share of each swim that decides whether what is named predicts better."""
 _ITS_OWN = (0.5, 6.0)
 """How much better or worse (in squares) than usual the twin may be for a robot."""
-_RIVALS = 5
-_CLOSE = 15.0
+_RIVALS = 4
+_CLOSE = 10.0
 """Evidence within which a rival is fitted as carefully as the best."""
 
 
@@ -132,7 +132,7 @@ def searched(
     progress(0.1)
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(plain)
-    breadth = Breadth(most=MOST, added=6, rivals=3, within=np.inf)
+    breadth = Breadth(most=MOST, added=5, rivals=3, within=np.inf)
     problem.cost = known.decisions["cost"]
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     problem.cost = 0.0
@@ -145,12 +145,15 @@ def searched(
     def worth(one: Hypothesis[Fit]) -> float:
         return one.evidence - cost * len(one.members)
 
+    done: set[Members] = set()
     for _ in range(2):
         order = sorted(tried.values(), key=worth, reverse=True)
         close = [one for one in order[: _RIVALS + 1] if worth(one) > worth(order[0]) - _CLOSE]
         parts = [tried[p] for p in _parts(order[0].members) if p in tried]
         for one in {h.members: h for h in [*close, *parts] if h.members}.values():
-            tried[one.members] = _looked(problem.settled(one))
+            if one.members not in done:
+                tried[one.members] = _looked(problem.settled(one, 1 if one.fit.looked else 2))
+                done.add(one.members)
     progress(0.9)
     order = sorted(tried.values(), key=worth, reverse=True)
     best = order[0]

@@ -135,13 +135,19 @@ def _predicting(
         bad = [
             part
             for part, (loss, speed) in known.items()
-            if loss - held[now][0] < numbers["held_gain"]
-            or held[now][1] > speed * (1 + numbers["held_worse"])
+            if _worse(loss - held[now][0], held[now][1] / max(speed, 1e-9), numbers)
         ]
         if not bad:
             return now
         now = max(bad, key=lambda part: worth.get(part, -np.inf))
     return now
+
+
+def _worse(gain: float, speed: float, numbers: Mapping[str, float]) -> bool:
+    """Whether what was held out gets worse: of all signals, or of the speed, by its factor."""
+    if gain < numbers["held_gain"]:
+        return speed > 1 - numbers["held_better"]
+    return speed > 1 + numbers["held_worse"] and gain < numbers["held_sure"]
 
 
 def _group(

@@ -19,91 +19,24 @@ from numpy.typing import NDArray
 
 from sim.inference.blocks import Blocks
 from sim.inference.coordinates import Coordinates, Swum, in_fit, swum
+from sim.inference.linear import Belief, Fit, Slope, bounded
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
 
 Array = NDArray[np.float64]
 
-FIRST = 9
+FIRST = 8
 """Single effects that are refitted, of those that promise most."""
 LOST = "dropped_frames.probability"
 _EACH, _SURELY = 3.0, 60.0
 """Evidence of one repeated pose, and the most that they may bring."""
-_HOLDS = 4
 _STEPS = 3
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
-_JUMPS = (-6.0, -2.0, 2.0, 6.0)
+_JUMPS = (-2.0, 2.0, 6.0)
 """Sizes from which a search for an effect may begin, in steps of its derivative."""
 _SHARES = (1.0, 0.4, 0.1)
 """Of a step, tried together."""
-
-
-@dataclass(frozen=True)
-class Belief:
-    """What is known before a swim.
-
-    Attributes:
-        mean: Of servos and law, shape (B,).
-        covariance: Likewise, shape (B, B).
-        imitation: Standard deviation that each column seems to have without being there, (F,).
-        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
-    """
-
-    mean: Array
-    covariance: Array
-    imitation: Array
-    shares: Array
-
-
-@dataclass(frozen=True)
-class Slope:
-    """A swim's errors near a point: ``rows + slope @ (x - at)``.
-
-    Attributes:
-        at: Shape (F,).
-        slope: Shape (n, F).
-        normal: ``slope.T @ slope``.
-    """
-
-    at: Array
-    slope: Array
-    normal: Array
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A hypothesis, fitted.
-
-    Attributes:
-        x: The point, shape (F,): 0 where an effect is not in it.
-        rows: Weighted errors there, shape (n,).
-        loss: Minus the logarithm of likelihood and prior.
-        near: The slope that it was found with.
-        looked: Whether that is the slope at its own point.
-    """
-
-    x: Array
-    rows: Array
-    loss: float
-    near: Slope
-    looked: bool = False
-
-
-def _bounded(curvature: Array, gradient: Array, room: Array) -> Array:
-    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
-    step = -np.linalg.solve(curvature, gradient)
-    held = np.zeros(step.size, dtype=bool)
-    for _ in range(_HOLDS):
-        beyond = (step < room[0]) | (step > room[1])
-        if not (beyond & ~held).any():
-            break
-        held |= beyond
-        step = np.clip(step, room[0], room[1])
-        free = ~held
-        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
-        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
-    return np.clip(step, room[0], room[1])
 
 
 @dataclass
@@ -125,6 +58,7 @@ class TwinSwims:
     cost: float = 0.0
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
+    before: Fit | None = None
     kept: NDArray[np.bool_] | None = None
     rollouts: int = 0
 
@@ -214,7 +148,7 @@ class TwinSwims:
         gradient = slope[:, own].T @ seen + prior @ off
         step = np.zeros(x.size)
         room = self.coordinates.room(x)[:, own]
-        step[own] = _bounded(normal[np.ix_(own, own)] + prior, gradient, room)
+        step[own] = bounded(normal[np.ix_(own, own)] + prior, gradient, room)
         return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
 
     def evidence(self, members: Members, fit: Fit) -> float:
@@ -237,7 +171,7 @@ class TwinSwims:
         off = fit.x - self.centre(members)
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
-        step = -np.linalg.solve(whole, gradient)
+        step: Array = np.asarray(-np.linalg.solve(whole, gradient), dtype=np.float64)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
         loss += 0.5 * float(gradient @ step)
         size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
@@ -266,9 +200,10 @@ class TwinSwims:
         """The hypothesis that nothing is missing."""
         none: Members = frozenset()
         x = self.centre(none)
-        for _ in range(rounds):
+        for number in range(rounds):
             rows, near = self.slope(x)
             begun = Fit(x, rows, self.judged(none, x, rows, near)[0], near)
+            self.before = begun if number == 0 else self.before
             (found,) = self._walk([(none, begun)], 2)
             x = found.x
         return self._there(none, x)
@@ -347,14 +282,22 @@ class TwinSwims:
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects that promise most beside a set, by its slopes."""
-        fit = ledger.tried[members].fit
+        fits = [ledger.tried[members].fit, *self._afresh(members)]
         found = []
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
-                found.append((self.evidence(more, self._linear(more, fit)), effect))
+                hopes = [self.evidence(more, self._linear(more, fit)) for fit in fits]
+                found.append((max(hopes), effect))
         found.sort(key=lambda one: -one[0])
-        return [(effect, fit) for _, effect in found[: most or FIRST]]
+        return [(effect, fits[0]) for _, effect in found[: most or FIRST]]
+
+    def _afresh(self, members: Members) -> list[Fit]:
+        """Where a fit may begin as well, if nothing is in it yet: at what was known before.
+
+        A law that has bent to what is missing is no good start for what is.
+        """
+        return [] if members or self.before is None else [self.before]
 
     def _linear(self, members: Members, fit: Fit) -> Fit:
         """Where a step along the slopes would end, cut to what is allowed."""
@@ -376,11 +319,19 @@ class TwinSwims:
         for _, members, fit in jobs:
             loss, _ = self.judged(members, fit.x, fit.rows, fit.near)
             begun.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
+        count = len(begun)
+        for _, members, _ in jobs:
+            if len(members) == 1:
+                begun += [(members, fit) for fit in self._afresh(frozenset())]
         begun = self._jumped(begun)
         ended = self._walk(begun, _STEPS)
+        best: dict[Members, Fit] = {}
+        for (members, _), fit in zip(begun, ended, strict=True):
+            known = best.get(members)
+            best[members] = fit if known is None or fit.loss < known.loss else known
         return [
-            Hypothesis(members, fit, self.evidence(members, fit))
-            for (members, _), fit in zip(begun, ended, strict=True)
+            Hypothesis(members, best[members], self.evidence(members, best[members]))
+            for members, _ in begun[:count]
         ]
 
     def _jumped(self, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
@@ -413,3 +364,6 @@ class TwinSwims:
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
         """Whether what was found is worth going on from."""
         return bool(ledger.best.members)
+
+
+__all__ = ["Belief", "Fit", "Slope", "TwinSwims"]

@@ -518,7 +518,7 @@ import sys
 sys.path.insert(0, {str(robot)!r})
 from dataclasses import replace
 import numpy as np
-from sim.inference.diagnose_swims import candidates
+from sim.inference.parameters import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.report.diagnosis_words import plain

@@ -79,7 +79,7 @@ def test_a_carried_twin_swims_as_a_free_one_where_nothing_holds_it():
     swim = swum({})
     free = by_twin(FISH)([servos()], swim.command, swim.start)[0]
     seen_at = free[:, :3] + np.array([0.3, -0.2, 0.4])
-    carried = by_followed_twin(FISH)([servos()], replace(swim, pose=seen_at))[0]
+    carried = by_followed_twin(FISH, substeps=8)([servos()], replace(swim, pose=seen_at))[0]
     assert carried.shape == free.shape
     assert np.abs(carried[:, 3:] - free[:, 3:]).max() < 1e-3
     assert np.abs(carried[:, :3] - free[:, :3]).max() < 0.02

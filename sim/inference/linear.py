@@ -1,0 +1,80 @@
+"""What is believed before a swim, and swims as they are near a point: linear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_HOLDS = 4
+"""Times that columns are held at their bounds and the rest is solved anew."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known before a swim.
+
+    Attributes:
+        mean: Of servos and law, shape (B,).
+        covariance: Likewise, shape (B, B).
+        imitation: Standard deviation that each column seems to have without being there, (F,).
+        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
+    """
+
+    mean: Array
+    covariance: Array
+    imitation: Array
+    shares: Array
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A swim's errors near a point: ``rows + slope @ (x - at)``.
+
+    Attributes:
+        at: Shape (F,).
+        slope: Shape (n, F).
+        normal: ``slope.T @ slope``.
+    """
+
+    at: Array
+    slope: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis, fitted.
+
+    Attributes:
+        x: The point, shape (F,): 0 where an effect is not in it.
+        rows: Weighted errors there, shape (n,).
+        loss: Minus the logarithm of likelihood and prior.
+        near: The slope that it was found with.
+        looked: Whether that is the slope at its own point.
+    """
+
+    x: Array
+    rows: Array
+    loss: float
+    near: Slope
+    looked: bool = False
+
+
+def bounded(curvature: Array, gradient: Array, room: Array) -> Array:
+    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
+    step = -np.linalg.solve(curvature, gradient)
+    held = np.zeros(step.size, dtype=bool)
+    for _ in range(_HOLDS):
+        beyond = (step < room[0]) | (step > room[1])
+        if not (beyond & ~held).any():
+            break
+        held |= beyond
+        step = np.clip(step, room[0], room[1])
+        free = ~held
+        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+    return np.clip(step, room[0], room[1])

@@ -1,0 +1,177 @@
+"""The sealed swims: what is drawn, what water and camera do to them, what a knower can tell."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.robot.shape import hull_of
+from sim2real.camera import observed
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+POOL = Path(__file__).parents[2] / "datasets" / "pool"
+NAMES = (
+    "truth", "servos", "surfaces", "waters", "camera", "world", "drawn", "knower", "sealed",
+    "sealed_grade",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def code():
+    """The modules by name; they import one another as scripts do."""
+    sys.path.insert(0, str(POOL))
+    try:
+        yield {name: importlib.import_module(name) for name in NAMES}
+    finally:
+        sys.path.remove(str(POOL))
+        for name in NAMES:
+            sys.modules.pop(name, None)
+
+
+def test_every_effect_has_its_turn(code):
+    drawn, counts = code["drawn"], {"null": 5, "single": 40, "double": 6, "outside": 12}
+    plans = drawn.plan(counts, 4, np.random.default_rng(0))
+    listed = [one for robot in plans for one in robot]
+    kinds = [kind for kind, _ in listed]
+    assert {k: kinds.count(k) for k in counts} == counts
+    singles = [name for kind, name in listed if kind == "single"]
+    assert all(singles.count(name) == 2 for name in drawn.NOMINAL)
+    assert {name for kind, name in listed if kind == "outside"} == set(drawn.OUTSIDE)
+
+
+def test_the_same_seed_draws_the_same_set(code):
+    made = code["sealed"].made
+    one, other, third = (made(seed, 4, 2, code["sealed"].COUNTS) for seed in (5, 5, 6))
+    assert one[0] == other[0]
+    assert one[1] == other[1]
+    assert one[0] != third[0]
+    strengths = [s for seed in range(6) for c in made(seed, 4, 0, code["sealed"].COUNTS)[1]
+                 for s in c.strength.values()]  # fmt: skip
+    assert min(strengths) < 0.4
+    assert 2.0 < max(strengths) <= 3.0
+
+
+def test_a_drawn_robot_floats_and_can_be_read(code, tmp_path):
+    drawn, *_ = code["sealed"].made(3, 4, 1, code["sealed"].COUNTS)
+    file = tmp_path / "robot.toml"
+    file.write_text(code["sealed"].robot_toml(drawn))
+    robot = read_robot(file)
+    assert [link.length_m for link in robot.links] == [link.length_m for link in drawn.robot.links]
+    hull = hull_of(robot)
+    displaced = 1000 * np.pi * (hull.half_width * hull.half_height).mean(axis=1) * hull.length
+    assert 0.85 < sum(link.mass_kg for link in robot.links) / displaced.sum() < 1.0
+    for name in ("kp", "kd"):
+        assert np.allclose(drawn.bench[name], drawn.servos[name], rtol=0.051)
+
+
+@pytest.fixture
+def moving(code):
+    """Links of the robot that ships, at coordinates and rates of no special kind."""
+    robot = read_robot(POOL / "robot.toml")
+    hull = hull_of(robot)
+    q = np.random.default_rng(0).normal(0, 0.5, (1, 6))
+    v = np.random.default_rng(1).normal(0, 0.5, (1, 6))
+    return hull, q, v
+
+
+@pytest.mark.parametrize("effect", ["linear_drag", "form_drag"])
+def test_drags_take_power(code, moving, effect):
+    hull, q, v = moving
+    truths = [code["truth"].Truth("x", {effect: {"coefficient": 0.5}})]
+    links = code["surfaces"].Links(hull, 0.1)
+    out = np.zeros((1, 6))
+    code["waters"].Waters(truths, hull, links, 1e-3).add(out, q, v, np.zeros((1, 2)), 0.0)
+    assert float((out * v).sum()) < 0
+
+
+def test_water_that_is_carried_gives_back_what_it_took(code):
+    """Straight across and to a stop: the impulses add up to nothing, but for the last instant."""
+    robot = read_robot(POOL / "robot.toml")
+    hull = hull_of(robot)
+    truths = [code["truth"].Truth("x", {"added_mass": {"ratio": 0.3}})]
+    waters = code["waters"].Waters(truths, hull, code["surfaces"].Links(hull, 0.1), 1e-3)
+    impulse, most = 0.0, 0.0
+    for k in range(1100):
+        v = np.zeros((1, 6))
+        v[0, 1] = 0.3 * np.sin(np.pi * k / 1000) if k < 1000 else 0.0
+        out = np.zeros((1, 6))
+        waters.add(out, np.zeros((1, 6)), v, np.zeros((1, 2)), 1e-3 * k)
+        impulse += 1e-3 * out[0, 1]
+        most = max(most, abs(impulse))
+    assert most > 0.02
+    assert abs(impulse) < 0.01 * most
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters"),
+    [
+        ("camera_latency", {"latency_s": 0.06}),
+        ("camera_rotation", {"angle_rad": 0.2}),
+        ("camera_scale", {"ratio": 0.1}),
+        ("marker_offset", {"x_m": 0.03, "y_m": -0.02}),
+        ("pose_filter", {"time_constant_s": 0.05}),
+    ],
+)
+def test_the_camera_has_the_faults_that_the_catalogue_means(code, effect, parameters):
+    """Written twice, by the same definition."""
+    t = 0.02 * np.arange(300)
+    pose = np.stack([0.3 * t, 0.2 * np.sin(t), 0.5 * np.sin(2 * t)], axis=1)
+    shown = code["camera"].seen(
+        t, pose, np.zeros((300, 3)), {effect: parameters}, np.random.default_rng(0)
+    )
+    ours = observed(t, pose, {f"{effect}.{k}": v for k, v in parameters.items()})
+    assert np.abs(shown - ours).max() < 0.01 * np.ptp(pose)
+    assert np.abs(shown - pose).max() > 0.005
+
+
+def test_lost_frames_repeat_to_the_last_digit(code):
+    t = 0.02 * np.arange(2000)
+    pose = np.stack([0.3 * t, 0.0 * t, 0.0 * t], axis=1)
+    noise = {"position_m": 0.002, "heading_rad": 0.01}
+    effects = {"dropped_frames": {"probability": 0.1}}
+    shown = code["camera"].seen(
+        t, pose, np.zeros((2000, 3)), effects, np.random.default_rng(0), noise
+    )
+    same = (np.diff(shown, axis=0) == 0).all(axis=1)
+    assert same.mean() == pytest.approx(0.1, abs=0.03)
+
+
+def test_a_fin_that_is_loose_is_held_by_little(code):
+    truth = code["truth"].Truth
+    loose = truth("x", {"loose_fin": {"stiffness_Nm_per_rad": 0.1, "from_s": 1.0}})
+    fin = code["servos"].LooseFin([loose, truth("y")], 1e-3)
+    turn, rate, torque = np.array([0.2, 0.2]), np.zeros(2), np.array([1.5, 1.5])
+    servo = np.array([[2.0, 2.0], [0.07, 0.07], [0.5, 0.5]])
+    assert fin.torque(0.5, turn, rate, torque, servo).tolist() == [1.5, 1.5]
+    after = fin.torque(1.5, turn, rate, torque, servo)
+    assert abs(after[0]) < 0.01
+    assert after[1] == 1.5
+    for k in range(2000):
+        fin.torque(1.5 + 1e-3 * k, turn, rate, torque, servo)
+    assert fin.shown(4.0, turn) == pytest.approx([0.5, 0.2], abs=1e-3)
+
+
+def test_a_set_is_made_answered_for_and_published(code, tmp_path):
+    few = [
+        f"--{kind}={n}" for kind, n in (("null", 1), ("single", 1), ("double", 0), ("outside", 0))
+    ]
+    code["sealed"].main(
+        [str(tmp_path), "--seed=4", "--robots=1", "--cell-m=0.04", "--seconds=0.3", *few]
+    )
+    answers = json.loads((tmp_path / "answers.json").read_text())
+    assert sorted(one["kind"] for one in answers["cases"]) == ["null", "single"]
+    assert all(np.isfinite(one["oracle"]["llr_total"]) for one in answers["cases"])
+    swim = read_recording(tmp_path / "inputs" / "robot_01" / answers["cases"][0]["case"] / "a.csv")
+    assert swim.t.size == 15
+    assert (tmp_path / "heldout" / answers["cases"][0]["case"] / "b.csv").exists()
+    published = json.loads((tmp_path / "hashes.json").read_text())
+    assert published == code["sealed"].hashes(tmp_path)
+    inputs = "".join(p.read_text() for p in (tmp_path / "inputs").rglob("*.json"))
+    hidden = [e["effect"] for one in answers["cases"] for e in one["effects"]]
+    assert not any(name in inputs for name in hidden)
