@@ -16,7 +16,13 @@ REACH = 0.8
 
 
 def planned(searched, *members):
-    rivals = [searched.tried.tried[frozenset({name})] for name in members]
+    tried = searched.tried
+    sets = [frozenset({name}) for name in members]
+    # What explains little at first sight was not followed.
+    missing = [(tried, s, searched.search.start(tried, frozenset())) for s in sets]
+    for found in searched.search.refit([job for job in missing if job[1] not in tried.tried]):
+        tried.keep(found)
+    rivals = [tried.tried[s] for s in sets]
     return next_experiment(searched.traces[0], rivals, members, "j1", REACH)
 
 
