@@ -46,7 +46,10 @@ def main() -> None:
     answers = json.loads(told.read_text()) if told.exists() else [{"case": name} for name in names]
     known = {row["case"] for row in read(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
-    left = alike(options.set, left, options.together)
+    # The first one compiles the kernels for all: the shortest, as the others wait for it.
+    inputs = options.set / "inputs"
+    left.sort(key=lambda one: (inputs / one["case"] / "a.csv").stat().st_size)
+    left = alike(options.set, left[:1], 1) + alike(options.set, left[1:], options.together)
     spawn = multiprocessing.get_context("spawn")
     lock, place = spawn.Lock(), spawn.Value("i", 0)
     devices = [*["cpu"] * options.processes, *options.device]
@@ -59,7 +62,6 @@ def main() -> None:
         for device in devices
     ]
     workers[0].start()
-    # The first one compiles the kernels for all others of its kind.
     while not read(options.rows) and workers[0].is_alive() and time.perf_counter() < deadline:
         time.sleep(1.0)
     for worker in workers[1:]:

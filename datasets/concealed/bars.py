@@ -132,7 +132,8 @@ def _against(
     name: str, relation: str, bars: tuple[float | None, ...], tier: str, metrics: Row
 ) -> str:
     """A cell: what was measured and whether that is enough; below it bar, interval and counts."""
-    bar, metric = bars[list(TIERS).index(tier) if tier in TIERS else 0], metrics[name]
+    bar = bars[list(TIERS).index(tier) if tier in TIERS else 0]
+    metric = metrics.get(name, {"value": None})  # of results from before it was measured
     first, _, below = value(metric, name).partition("\n")
     if metric.get("value") is None:
         return "–" if bar is None else f"–\nbar {_bar_text(name, relation, bar)}; {first}"

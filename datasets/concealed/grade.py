@@ -285,7 +285,7 @@ def _floor(truth: Row, joint: str, recording: str) -> float | None:
 
 def detectable(row: Row, by: str = "llr") -> bool:
     """Whether one who knows all would see it, and act on it; True where that was not worked out."""
-    return row["practical"] and (row[by] is None or row[by] >= DETECTABLE)
+    return row.get("practical", True) and (row[by] is None or row[by] >= DETECTABLE)
 
 
 def _failures(row: Row) -> list[str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-from sim2real.link.loss import ROUNDS, TRIFLING, WORTH, Uneven
+from sim2real.link.loss import ROUNDS, WORTH, Uneven
 from sim2real.link.noise import (
     RATIOS,
     Noise,
@@ -134,7 +134,7 @@ class _Delays:
     sd_s: float
 
 
-def latency_jitter(joints: Sequence[NoisyJoint]) -> Uneven:
+def latency_jitter(joints: Sequence[NoisyJoint], worth: float = 0.0) -> Uneven:
     """Estimate the jitter of one link from all joints on it.
 
     Delays are taken for independent and Gaussian, so that the innovations are jointly Gaussian.
@@ -142,6 +142,7 @@ def latency_jitter(joints: Sequence[NoisyJoint]) -> Uneven:
 
     Args:
         joints: The joints. Delays of one set-point at several joints count as independent.
+        worth: Gain a sample below which a closer look is not worth it.
     """
     every = [_Delayed.of(joint, joint, joint.noise) for joint in joints]
     trials = [_total(every, float(h) / np.sqrt(3)) for h in _HALFWIDTHS_S]
@@ -161,7 +162,7 @@ def latency_jitter(joints: Sequence[NoisyJoint]) -> Uneven:
             period = [s.response.period_s for joint in joints for s in joint.segments]
             widest = halfwidth(sd_s, float(np.median(period)))
             best = Uneven("latency_jitter", gain, widest, error * widest / sd_s)
-        if gain < max(WORTH, TRIFLING * samples) or abs(gain - before) < max(WORTH, 0.01 * gain):
+        if gain < max(WORTH, worth * samples) or abs(gain - before) < max(WORTH, 0.01 * gain):
             break
         before = gain
         sd_s = float(np.exp(np.mean([np.log(one.sd_s) for one in found])))

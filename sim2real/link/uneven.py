@@ -30,9 +30,11 @@ def links(robots: Sequence[LinkData]) -> list[Uneven]:
 def link(robot: LinkData) -> Uneven:
     """The likelier of the two effects on one robot's link."""
     joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
-    found = max((effect(joints) for effect in (latency_jitter, packet_loss)), key=lambda x: x.gain)
+    worth = TRIFLING if robot.noticed else 0.0
+    found = max(latency_jitter(joints, worth), packet_loss(joints), key=lambda x: x.gain)
     samples = sum(joint.counts[0] for joint in joints)
-    if found.gain < robot.noticed or (robot.noticed and found.gain < TRIFLING * samples):
+    if found.gain < max(robot.noticed, worth * samples):
         return Uneven(found.effect, shares=tuple(0.0 for _ in joints))
-    alone = latency_jitter if found.effect == "latency_jitter" else packet_loss
-    return replace(found, shares=tuple(alone([joint]).gain for joint in joints))
+    late = found.effect == "latency_jitter"
+    alone = [latency_jitter([one], worth) if late else packet_loss([one]) for one in joints]
+    return replace(found, shares=tuple(one.gain for one in alone))

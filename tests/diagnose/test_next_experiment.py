@@ -16,7 +16,14 @@ REACH = 0.8
 
 
 def planned(searched, *members):
-    rivals = [searched.tried.tried[frozenset({name})] for name in members]
+    tried = searched.tried
+    sets = [frozenset({name}) for name in members]
+    # What explains little at first sight was not followed.
+    missing = [s for s in sets if s not in tried.tried]
+    jobs = [(tried, s, searched.search.start(tried, frozenset())) for s in missing]
+    for found in searched.search.refit(jobs) if jobs else ():
+        tried.keep(found)
+    rivals = [tried.tried[s] for s in sets]
     return next_experiment(searched.traces[0], rivals, members, "j1", REACH)
 
 

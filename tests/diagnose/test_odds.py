@@ -67,9 +67,7 @@ def test_the_curves_that_ship_call_a_servo_that_fits_well():
 def test_the_effect_that_explains_all_of_a_large_error_is_likely():
     sure = {**EFFECT, "probability": 0.99, "alone": 2000.0, "without": 2000.0, "changes": 0.9}
     weak = {**EFFECT, "probability": 0.6, "alone": 6.0, "without": 6.0, "changes": 0.02}
-    strong, faint = (
-        ODDS["effect"].probability(of_effect("backlash", **x)) for x in (sure, weak)
-    )
+    strong, faint = (ODDS["effect"].probability(of_effect("backlash", **x)) for x in (sure, weak))
     assert strong > 0.8
     assert faint < strong
 
