@@ -13,7 +13,7 @@ from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.judging import judged
+from sim2real.diagnose.judging import judged, with_nameless
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
@@ -160,11 +160,12 @@ def _joint_results(
     findings = investigate(
         batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
     )
-    findings = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
-    unseen = _unseen(joints, [_all_sets(finding) for finding in findings], findings, device)
+    changed = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
+    sets = [[*_all_sets(a), *_all_sets(b)] for a, b in zip(findings, changed, strict=True)]
+    unseen = _unseen(joints, [list(dict.fromkeys(some)) for some in sets], changed, device)
     findings = [
-        finding if joint.before else judged(finding, known)
-        for joint, finding, known in zip(joints, findings, unseen, strict=True)
+        with_nameless(now, judged(finding, known)) if joint.before else judged(finding, known)
+        for joint, finding, now, known in zip(joints, findings, changed, unseen, strict=True)
     ]
     plain = [finding.tried.plain for finding in findings]
     rich = [_enriched(finding) for finding in findings]

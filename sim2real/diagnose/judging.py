@@ -131,6 +131,15 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     )
 
 
+def with_nameless(changed: Finding, alone: Finding) -> Finding:
+    """A finding against references, with what the recordings alone say of something nameless.
+
+    Nothing is nameless where a change has a name.
+    """
+    said = any(group.probability >= DECISION.named for group in changed.groups)
+    return changed if said else replace(changed, unknown=alone.unknown)
+
+
 def _own_share(finding: Finding) -> float:
     """Log-likelihood that an uneven link gains at this joint; of all where it is not said."""
     assert finding.link is not None

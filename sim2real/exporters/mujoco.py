@@ -51,6 +51,7 @@ LACKS = {
     "backlash": "a loose body within stops crosses the play otherwise where torques are small",
     "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
+    "sensor_eccentricity": "add a wave of the angle to the observation",
     "deadband": "an actuator's bias is linear in the angle",
     "punch": "an actuator's bias is linear in the angle",
     "acceleration_limit": "its slewmax limits the speed of a set-point only",
