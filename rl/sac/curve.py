@@ -1,4 +1,7 @@
-"""The learning curve of a run: return and success against steps, an agent a line."""
+"""The learning curve of a run: return and success against steps.
+
+One group of agents is drawn an agent a line, several groups a mean a line.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ Array = NDArray[np.float64]
 _HEIGHT = 420
 LEAST = 64
 """Episodes behind a point of the curve."""
-STYLES = ("-", "-", "-", "--", "--")
+STYLES = ("-", "-", "-", "--", "--", ":")
 
 
 def read_progress(folder: Path) -> dict[str, Array]:
@@ -48,6 +51,17 @@ def grouped(seen: Mapping[str, Array], least: int = LEAST) -> tuple[Array, Array
     return table[:, 0], table[:, 1], table[:, 2]
 
 
+def averaged(curves: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+    """Steps, and mean return and success over curves that have points, while all of them last."""
+    curves = [curve for curve in curves if curve[0].size]
+    if not curves:
+        return np.empty(0), np.empty(0), np.empty(0)
+    first, last = max(c[0][0] for c in curves), min(c[0][-1] for c in curves)
+    steps = np.linspace(first, max(first, last), 100)
+    mean, won = (np.mean([np.interp(steps, c[0], c[n]) for c in curves], axis=0) for n in (1, 2))
+    return steps, mean, won
+
+
 def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
     """Draw the curves of groups of agents.
 
@@ -61,8 +75,9 @@ def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True)
         for k, (group, folders) in enumerate(agents.items()):
             colour = ACCENT if k == 0 else (INK, FAINT)[(k - 1) % 2]
-            for n, folder in enumerate(folders):
-                steps, mean, won = grouped(read_progress(folder))
+            curves = [grouped(read_progress(folder)) for folder in folders]
+            for n, curve in enumerate(curves if len(agents) == 1 else [averaged(curves)]):
+                steps, mean, won = curve
                 label = group if n == 0 else None
                 style = STYLES[k % len(STYLES)]
                 upper.plot(steps / 1e3, mean, style, color=colour, lw=1.1, label=label)
