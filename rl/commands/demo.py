@@ -190,8 +190,10 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
         f"The {SEEDS} agents of an arm go on from the same {SEEDS} that learned for {SHARED.steps} "
         f"steps with no technique at all, for {plan.steps} steps more: pairs differ by their arms. "
         "A difference whose interval leaves out zero stands out. Reality is the twin with other "
-        "numbers, friction, play and a skin here, as a pool of its own is too slow for two cores; "
-        "reports/ablation has more."
+        "numbers, friction, play and a skin here, as a pool of its own is too slow for two cores. "
+        "Agents this young are still learning, and a technique that makes learning harder looks "
+        "worse than it is: learned and swum in the fluid, the servo's calibration is worth most, "
+        "and nothing else tells (reports/ablation)."
     )
     apart = differences(told)
     figures = [
