@@ -14,12 +14,11 @@ import genesis
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.mujoco_agreement import servo, signals
+from benchmarks.mujoco_agreement import print_agreement, servo
 from sim2real.exporters.genesis import HAS
 from sim2real.exporters.genesis import genesis as exported
 from sim2real.model import Model
 from sim2real.recording import Load
-from sim2real.servo.predict import predict
 
 Array = NDArray[np.float64]
 STEP_S = 0.0005
@@ -59,16 +58,9 @@ def simulate(model: Model, times: Array, command: Array, start: float) -> Array:
 def main() -> None:
     """Print a table of RMS differences in mrad."""
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
-    t, sent = signals()
-    print(f"{'servo':<22}" + "".join(f"{name:>8}" for name in sent) + "   (mrad RMS)")
-    for name in ("plain", *HAS):
-        model = servo(Load(0.002), *(() if name == "plain" else (name,)))
-        apart = []
-        for command in sent.values():
-            expected = predict(model, t, {"j1": command})["j1"]
-            seen = simulate(model, t, command, float(expected[0]))
-            apart.append(1e3 * float(np.sqrt(np.mean((seen - expected) ** 2))))
-        print(f"{name:<22}" + "".join(f"{value:8.2f}" for value in apart))
+    load = Load(0.002)
+    models = {"plain": servo(load)} | {name: servo(load, name) for name in HAS}
+    print_agreement(models, simulate)
 
 
 if __name__ == "__main__":

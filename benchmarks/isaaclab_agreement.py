@@ -16,11 +16,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.mujoco_agreement import servo, signals
+from benchmarks.mujoco_agreement import print_agreement, servo
 from sim2real.exporters.isaaclab import isaaclab
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load
-from sim2real.servo.predict import predict
 
 Array = NDArray[np.float64]
 STEP_S = 0.0005
@@ -80,18 +79,10 @@ def main(folder: str) -> None:
     """Print a table of RMS differences in mrad."""
     sys.modules |= {name: MagicMock() for name in OMNIVERSE}
     sys.path.insert(0, folder)
-    t, sent = signals()
     load = Load(0.002)
     line = {"stall_torque_Nm": 0.5, "no_load_speed_rad_s": 6.0}
     motor = JointModel(2.2, 0.09, 0.0507, load.inertia_kgm2, load=load, law="motor", motor=line)
-    print(f"{'servo':<22}" + "".join(f"{name:>8}" for name in sent) + "   (mrad RMS)")
-    for name, model in {"plain": servo(load), "motor": Model({"j1": motor})}.items():
-        apart = []
-        for command in sent.values():
-            expected = predict(model, t, {"j1": command})["j1"]
-            seen = simulate(model, t, command, float(expected[0]))
-            apart.append(1e3 * float(np.sqrt(np.mean((seen - expected) ** 2))))
-        print(f"{name:<22}" + "".join(f"{value:8.2f}" for value in apart))
+    print_agreement({"plain": servo(load), "motor": Model({"j1": motor})}, simulate)
 
 
 if __name__ == "__main__":

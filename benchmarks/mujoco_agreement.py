@@ -6,6 +6,8 @@ Run: ``python -m benchmarks.mujoco_agreement``. Random steps and a sine that qui
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +38,26 @@ def servo(load: Load, *effects: str) -> Model:
     fitted = tuple(FittedEffect(name, typical[name]) for name in effects)
     joint = JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=fitted)
     return Model({"j1": joint})
+
+
+def print_agreement(
+    models: Mapping[str, Model], simulate: Callable[[Model, Array, Array, float], Array]
+) -> None:
+    """Print how far another simulator is from ``predict``, RMS in mrad, by model and signal.
+
+    Args:
+        models: Of the joint ``j1``, by name.
+        simulate: Angles in rad, shape (T,), of a model from times, set-points and the first angle.
+    """
+    t, sent = signals()
+    print(f"{'servo':<22}" + "".join(f"{name:>8}" for name in sent) + "   (mrad RMS)")
+    for name, model in models.items():
+        apart = []
+        for command in sent.values():
+            expected = predict(model, t, {"j1": command})["j1"]
+            seen = simulate(model, t, command, float(expected[0]))
+            apart.append(1e3 * float(np.sqrt(np.mean((seen - expected) ** 2))))
+        print(f"{name:<22}" + "".join(f"{value:8.2f}" for value in apart))
 
 
 def main() -> None:
