@@ -186,16 +186,22 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
+    import numpy as np
+
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.search import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
+    from sim2real.servo.motor_line import on_its_line
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
     outside = answer["kind"] == "outside"
+    link, tries = finding.link, tried.tried
+    servo = next(j.servo for j in robot.joints if j.name == one.name)
+    line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
     steps = [quantization_step(t.position) for t in one.joint.traces]
-    stated = next(j.servo.position_step_rad for j in robot.joints if j.name == one.name)
+    stated = servo.position_step_rad
     told = evidence(finding, one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {
@@ -204,7 +210,6 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         for name in h.members
         if named(name).everywhere
     }
-    link, tries = finding.link, tried.tried
     alone = {e: tries[s].evidence for e in (h["effect"] for h in hidden)
              if (s := tried.base | {e}) in tries}  # fmt: skip
     found = finding.unmodelled.windows or ()
@@ -243,6 +248,7 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
             }
             for group, features in told.groups
         ],
+        "line": line and [line[1], line[0].motor["stall_torque_Nm"] / servo.max_torque_Nm],
         "link": link and {
             "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
             "changes": finding.changes(one.unseen, link.effect), "features": told.link,
@@ -253,6 +259,8 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     }  # fmt: skip
 
 
+WIDE = 3.0
+"""How many times the data sheet's a motor's line may be, either way, to see what lines are."""
 VARIED = {"law_error": (0.0, 0.01, 0.1), "shared": (0.5, 0.99), "group_share": (0.03, 0.3)}
 """Other values of numbers whose decisions can be taken again from the sets that were tried."""
 

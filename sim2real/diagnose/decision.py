@@ -58,9 +58,6 @@ class Decision:
     change_law_error: float  # how far a straight line to a change may be from what it does
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
-    # a motor's torque-speed line is the baseline where it leaves at most this share of the linear
-    # servo's error
-    line_clear: float
     # how many times the data sheet's the line may be, either way; beyond that it is a finding
     line_room: float
 
