@@ -5,11 +5,12 @@
     python -m benchmarks.calibrate_decisions ROWS.jsonl...
 
 Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves that they were
-read from. No sealed set is looked at. Four logistic curves say how likely a finding is: an effect,
-anything missing, something without a name, an uneven link. Their weights have a normal prior about
-0, whose spread is the one that foretells cases left out best. A number with fewer cases behind it
-than ``FEWEST`` stays as it was, and says so; one that is a choice ("chosen") is none that data
-could make, and what is "kept" was set by hand.
+read from, and how many decisions turn on the numbers that are not read off. No sealed set is looked
+at. Four logistic curves say how likely a finding is: an effect, anything missing, something without
+a name, an uneven link. Their weights have a normal prior about 0, whose spread is the one that
+foretells cases left out best. A number with fewer cases behind it than ``FEWEST`` stays as it was,
+and says so; one that is a choice ("chosen") is none that data could make, and what is "kept" was
+set by hand.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.decision_rows import read
+from benchmarks.decision_sensitivity import sensitivity
+from benchmarks.decision_values import values_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FEWEST = 20
@@ -150,30 +153,6 @@ def curve(given: Sequence[tuple[str, Row, bool]]) -> tuple[dict[str, float], Row
     return {n: float(f"{w:.4g}") for n, w in zip(names, weights, strict=True)}, report
 
 
-def quantiles(rows: Sequence[Row]) -> dict[str, tuple[float, int, str]]:
-    """Numbers that are quantiles of what was measured where nothing is missing."""
-    nothing = [row for row in rows if row["kind"] in ("null", "trap")]
-    excess = [row["excess_plain"] for row in nothing]
-    found = {}
-    if len(excess) >= FEWEST:
-        found["structured"] = (
-            max(float(np.quantile(excess, 0.99)), 1.05), len(excess),
-            "99 % of joints that miss nothing leave less",
-        )  # fmt: skip
-        found["clean"] = (
-            max(float(np.quantile(excess, 0.9)), 1.02), len(excess),
-            "90 % of joints that miss nothing leave less",
-        )  # fmt: skip
-    fine = [row["step"] for row in rows if "encoder_quantization" not in row["truth"]]
-    coarse = [row["step"] for row in rows if "encoder_quantization" in row["truth"]]
-    if len(coarse) >= FEWEST:
-        middle = np.sqrt(float(np.quantile(fine, 0.995)) * float(np.quantile(coarse, 0.02)))
-        found["coarser"] = (
-            float(np.clip(middle, 1.2, 3.0)), len(coarse), "between sensors as stated and coarser"
-        )  # fmt: skip
-    return found
-
-
 def write(rows: Sequence[Row], *, dry: bool) -> None:
     """Write decision.json and the curves."""
     target = ROOT / "sim2real" / "diagnose" / "decision.json"
@@ -198,7 +177,7 @@ def write(rows: Sequence[Row], *, dry: bool) -> None:
         1 / (1 + np.exp(-sum(weights.get(n, 0.0) * v for n, v in features.items())))
         for row in rows if row["kind"] in ("null", "trap") for features in (row["whole"],)
     ]  # fmt: skip
-    read_off = quantiles(rows)
+    read_off = values_of(rows)
     if len(quiet) >= FEWEST:
         level = float(np.clip(np.quantile(quiet, QUIET), 0.5, 0.95))
         why = f"{100 * QUIET:g} % of joints that miss nothing are below"
@@ -207,6 +186,8 @@ def write(rows: Sequence[Row], *, dry: bool) -> None:
         before = values[name]["value"]
         values[name] = {"value": float(f"{value:.3g}"), "from": f"{why}; {n} of {len(rows)} joints"}
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}
+    known = {name: entry["value"] for name, entry in values.items()}
+    report["sensitivity"] = sensitivity(rows, known, content["odds"])
     content["made_by"], content["cases"] = "benchmarks/calibrate_decisions.py", cases
     order = ("schema", "made_by", "cases", "values", "odds", "odds_from")
     if not dry:

@@ -210,7 +210,7 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         for name in h.members
         if named(name).everywhere
     }
-    alone = {e: tries[s].evidence for e in (h["effect"] for h in hidden)
+    alone = {e: float(tries[s].fit.loglikelihood[0]) for e in (h["effect"] for h in hidden)
              if (s := tried.base | {e}) in tries}  # fmt: skip
     found = finding.unmodelled.windows or ()
     lengths = [t.t[-1] - t.t[0] for t in one.joint.traces]
@@ -232,10 +232,11 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "excess_plain": finding.unmodelled.excess,
         "excess": finding.excess,
         "left": finding.search.left(tried, tried.base),
-        "alone": {e: x - tried.plain.evidence for e, x in alone.items()},
+        "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
         "windows": [b - a for some in found for a, b in some],
         "windows_evidence": finding.unmodelled.windows_evidence if found else None,
         "length_s": float(sum(lengths)),
+        "count": float(best.fit.count[0]),
         "error_over_noise": one.error / one.joint.noise,
         "step": min(steps) / stated if stated > 0 else 0.0,
         "whole": told.whole,
