@@ -177,7 +177,7 @@ def _case(folder: Path) -> Case:
 
 def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     from sim2real.diagnose.judging import evidence
-    from sim2real.diagnose.search import size_in_noise
+    from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
 

@@ -42,6 +42,8 @@ class Decision:
     # share of the excess that named effects must explain, or the cause is not in the catalogue
     explained: float
     ripple: float  # what every servo has a little of is a finding from so many noises on
+    crystals: float  # relative difference of two clocks up to which it is none, and is taken off
+    sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     link_gain: float  # gain from which an uneven link is a finding
     link_shows: float  # gain from which it shows on a joint

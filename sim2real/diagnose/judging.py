@@ -15,7 +15,6 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.effects import named
 from sim2real.servo.holdout import Unseen
 from sim2real.servo.problem import Set
 
@@ -102,9 +101,8 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
             left=left,
         )
         weighed.append((group, features | {f"is {head}": 1.0}))
-    # What every servo has a little of, and no group says, is not missing.
-    said = {effect for group in finding.groups for effect in group.members}
-    small = {e for e in best.members - tried.base if named(e).everywhere and e not in said}
+    # What no group says is no finding, and not missing.
+    small = best.members - tried.base - finding.said
     servo = tried.tried.get(tried.base | small, tried.plain)
     plain, rich = unseen.get(servo.members), unseen.get(best.members)
     more = max(without.excess - 1, 0.0)
