@@ -157,7 +157,7 @@ def _joint_results(
 ) -> list[list[JointResult]]:
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
-    joints = [joint for some in ready for joint in some]
+    given = joints = [joint for some in ready for joint in some]
     robots = by_robot(ready)
     looked = _first_look(joints, rng, device)
     if not any(joint.before for joint in joints):
@@ -188,7 +188,7 @@ def _joint_results(
             h.fit.servos.theta[0],
             [named(e) for e in sorted(h.members) if not named(e).everywhere],
         )
-        for joint, h in zip(joints, plain, strict=True)
+        for joint, h in zip(given, plain, strict=True)
     ]
     results = [
         JointResult(joint, findings[j], rich[j], before[j], after[j], ordinary[j].row, unseen[j])

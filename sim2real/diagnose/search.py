@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +34,6 @@ BREADTH = selection.Breadth()
 _BETTER = 1.0
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
-_BEHIND, _SHARE_BEHIND = 60.0, 0.5
-"""Log-likelihood, and share of the best set's gain, by which what is refined may be behind."""
 
 
 def search(
@@ -187,7 +185,7 @@ class ServoSearch:
             if key not in best or rough.error2[k] < rough.error2[best[key]]:
                 best[key] = k
         fits = {key: rough.one(k) for key, k in best.items()}
-        keys = [key for key in _promising(jobs, fits) if not settled[best[key]]]
+        keys = [key for key, k in best.items() if not settled[k]]
         if keys:
             index = np.array([best[key] for key in keys])
             fine = minimise(self.batch, rough.servos[index], iterations=15, blocks=BLOCKS)
@@ -242,20 +240,6 @@ class ServoSearch:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
-
-
-def _promising(jobs: Sequence[Job], rough: Mapping[tuple[int, Set], Fits]) -> list[tuple[int, Set]]:
-    """Those that may yet come close to the best of their case."""
-    chosen = []
-    for ledger in {one.case: one for one, _, _ in jobs}.values():
-        mine = {
-            key: float(fit.loglikelihood[0]) for key, fit in rough.items() if key[0] == ledger.case
-        }
-        plain = float(ledger.plain.fit.loglikelihood[0])
-        best = max(*mine.values(), float(ledger.best.fit.loglikelihood[0]))
-        least = best - max(_BEHIND, _SHARE_BEHIND * (best - plain))
-        chosen += [key for key, value in mine.items() if value > least]
-    return chosen
 
 
 def _evidence(fit: Fits, added: Set) -> float:
