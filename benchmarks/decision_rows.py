@@ -16,6 +16,7 @@ import random
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -186,7 +187,10 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     outside = answer["kind"] == "outside"
     steps = [quantization_step(t.position) for t in one.joint.traces]
     stated = next(j.servo.position_step_rad for j in robot.joints if j.name == one.name)
-    told = evidence(finding, one.unseen)
+    # What was judged has the curve's probabilities; the curve looks at those before.
+    before = {g.members: g for g in finding.posterior.groups(tried.base)}
+    raw = tuple(before.get(g.members, g) for g in finding.groups)
+    told = evidence(replace(finding, groups=raw), one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {
         name: size_in_noise(h, name, one.joint.noise)
@@ -204,6 +208,8 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "truth": [
             h["effect"] for h in hidden if h["component"] in (one.name, *SHARED) and not outside
         ],
+        "always": [n["effect"] for n in answer.get("nuisances", ())
+                   if n["component"] in (one.name, *SHARED)],
         "outside": outside and hidden[0]["component"] == one.name,
         "nuisances": small,
         "in_base": sorted(tried.base),

@@ -65,14 +65,22 @@ class Finding:
         """Effects of its groups."""
         return frozenset(effect for group in self.groups for effect in group.members)
 
+    @property
+    def uneven(self) -> float:
+        """Share by which an uneven link raises the error of the joint."""
+        assert self.link is not None
+        return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+
     def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
         """Share by which an effect lowers the held-out error beside the others; or infinity.
 
         Infinity where that cannot be told: of rounding, and where nothing is held out. Of an
-        uneven link, which nobody can foretell, it is the share by which it raises the error.
+        uneven link, which nobody can foretell, it is the share by which it raises the error; none
+        where set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and self.link.effect == effect:
-            return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+            waits = effect == "latency_jitter" and self.link.value < DECISION.turn_s
+            return 0.0 if waits else self.uneven
         best = self.best.members
         rich = unseen.get(best)
         without = unseen.get(best - {effect}, unseen.get(self.tried.base))
