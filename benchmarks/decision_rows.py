@@ -189,7 +189,7 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     import numpy as np
 
     from sim2real.diagnose.judging import evidence
-    from sim2real.diagnose.search import size_in_noise
+    from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
     from sim2real.servo.motor_line import on_its_line
@@ -202,7 +202,10 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
     steps = [quantization_step(t.position) for t in one.joint.traces]
     stated = servo.position_step_rad
-    told = evidence(finding, one.unseen)
+    # What was judged has the curve's probabilities; the curve looks at those before.
+    before = {g.members: g for g in finding.posterior.groups(tried.base)}
+    raw = tuple(before.get(g.members, g) for g in finding.groups)
+    told = evidence(replace(finding, groups=raw), one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {
         name: size_in_noise(h, name, one.joint.noise)
@@ -223,6 +226,8 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "truth": [
             h["effect"] for h in hidden if h["component"] in (one.name, *SHARED) and not outside
         ],
+        "always": [n["effect"] for n in answer.get("nuisances", ())
+                   if n["component"] in (one.name, *SHARED)],
         "outside": outside and hidden[0]["component"] == one.name,
         "nuisances": small,
         "in_base": sorted(tried.base),

@@ -17,7 +17,7 @@ from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.motor_line import on_its_line
 from sim2real.servo.problem import Set
-from sim2real.servo.trace import Trace, traces
+from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class Joint:
         step_rad: Step of its sensor where that is coarser than stated, or None.
         given: The model of it to start from, or None.
         before: Its references.
+        stall_Nm: Torque that its data sheet states, in the units of its parameters; None where its
+            load is unknown.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Joint:
     step_rad: float | None
     given: JointModel | None = None
     before: Sequence[Trace] = ()
+    stall_Nm: float | None = None
 
     @property
     def base(self) -> Set:
@@ -83,7 +86,9 @@ def prepared(case: Case) -> list[Joint]:
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)
-            joints.append(Joint(joint.name, given, noise, step, model, before))
+            known = given[0].load is not PER_INERTIA
+            stall = joint.servo.max_torque_Nm if known else None
+            joints.append(Joint(joint.name, given, noise, step, model, before, stall))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"

@@ -35,6 +35,7 @@ class Decision:
     surely: float  # gain that is never left to chance, however uneven the noise
     law_error: float  # how far the law of an effect may be from what a servo does, relative to it
     most_certain: float  # no effect is more probable
+    sure: float  # probability from which 0.9 and more is said; below it 0.89 at most
     there: float  # probability from which something is missing, named or not
     shared: float  # how much of an effect of the supply or the link the other joints must show
     structured: float  # excess from which a residual is more than noise and slow wander
@@ -42,6 +43,9 @@ class Decision:
     # share of the excess that named effects must explain, or the cause is not in the catalogue
     explained: float
     ripple: float  # what every servo has a little of is a finding from so many noises on
+    crystals: float  # relative difference of two clocks up to which it is none, and is taken off
+    turn_s: float  # jitter below which a set-point only waits for the controller's next turn
+    sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     link_gain: float  # gain from which an uneven link is a finding
     link_shows: float  # gain from which it shows on a joint
