@@ -90,3 +90,54 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
     assert report["values"]["structured"]["count"] == 60
     assert set(report["odds"]) == set(CURVES)
+
+
+def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
+    fine = [row(case=str(k), step=1.0) for k in range(60)]
+    coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
+    found = script.values_of(fine + coarse)
+    assert 1.2 < found["coarser"][0] < 2.0
+    assert found["most_certain"][0] == pytest.approx(10 / 11)
+
+
+def test_the_room_of_a_line_is_that_of_motors_that_hide_nothing(script):
+    rng = np.random.default_rng(0)
+    rows = [row(case=str(k), line=[0.3, float(rng.uniform(0.9, 1.1))]) for k in range(100)]
+    weak = [row(case=f"x{k}", line=[0.3, 0.5], truth=["torque_saturation"]) for k in range(20)]
+    linear = [row(case=f"y{k}", line=[1.0, 3.0]) for k in range(20)]
+    room, count, _ = script.values_of(rows + weak + linear)["line_room"]
+    assert count == 100
+    assert 1.05 < room < 1.12
+
+
+def test_the_detection_gain_is_that_from_which_most_are_named(script):
+    """An eighth of those below are named by chance, and as many of those above are not."""
+    rows = []
+    for k in range(200):
+        gain = 0.2 * k
+        named = (gain > 15) != (k % 8 == 0)
+        said = [[["backlash"], 0.9 if named else 0.1]]
+        more = {"kind": "single", "truth": ["backlash"], "said": said, "alone": {"backlash": gain}}
+        rows.append(row(case=str(k), **more))
+    assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
+
+
+def uneven(gain, shares):
+    return {"effect": "packet_loss", "gain": gain, "value": 0.02, "shares": shares}
+
+
+def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
+    from benchmarks.decision_sensitivity import sensitivity
+
+    values = json.loads(FILE.read_text())
+    now = {name: entry["value"] for name, entry in values["values"].items()}
+    now |= {"link_gain": 10.0, "link_shows": 4.0, "link_tie": 5.0, "link_masked": 20.0}
+    links = {"plain": uneven(30.0, [30.0]), "best": uneven(30.0, [30.0]), "own": [0.0]}
+    usual = {
+        "links": links | {"excess": [1.0]}, "varied": {"": [[], []]}, "windows": [],
+        "windows_evidence": None, "length_s": 20.0, "count": 100.0, "left": [0.0, 9.0],
+    }  # fmt: skip
+    told = sensitivity([row(case=str(k), **usual) for k in range(5)], now, values["odds"])
+    assert told["joints"] == 5
+    assert told["link_gain"]["40"] == 5, "from 40 on a gain of 30 is none"
+    assert told["link_gain"]["5"] == 0
