@@ -51,7 +51,6 @@ class Decision:
     link_shows: float  # gain from which it shows on a joint
     link_tie: float  # gain by which a joint's own effects must beat it to be kept
     link_masked: float  # excess of a joint from which nothing can be seen of single set-points
-    mimic: float  # probability that is left to an effect that one of the supply or the link mimics
     window_cost: float  # gain that a segment of something else must earn
     window_second_cost: float  # gain that each second of it must earn
     window_share: float  # share of the time from which it is no segment
@@ -63,12 +62,6 @@ class Decision:
     change_law_error: float  # how far a straight line to a change may be from what it does
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
-    predictor: float  # share of the error below which another model is worth having
-    formula_share: float  # share of the unseen error's square that a term must take away
-    separation: float  # in noises, from which rivals are told apart at first sight
-    # a motor's torque-speed line is the baseline where it leaves at most this share of the linear
-    # servo's error
-    line_clear: float
     # how many times the data sheet's the line may be, either way; beyond that it is a finding
     line_room: float
 

@@ -64,7 +64,7 @@ def test_a_quantile_is_that_of_what_misses_nothing(script):
     rng = np.random.default_rng(0)
     rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
     rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _ = script.quantiles(rows)["structured"]
+    value, count, _ = script.values_of(rows)["structured"]
     assert count == 400
     assert value == pytest.approx(1.1, abs=0.003)
 
