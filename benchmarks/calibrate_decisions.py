@@ -7,8 +7,8 @@
 Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves that they were
 read from. No sealed set is looked at before it is answered. Four logistic curves
 (``decision_curves``) say how likely a finding is: an effect, anything missing, something without a
-name, an uneven link. A number with too few cases behind it stays as it was, and says so; one that is
-a choice ("chosen") is none that data could make, and what is "kept" was set by hand.
+name, an uneven link. A number with too few cases behind it stays as it was, and says so; one that
+is a choice ("chosen") is none that data could make, and what is "kept" was set by hand.
 """
 
 from __future__ import annotations
