@@ -20,6 +20,12 @@ def script(monkeypatch):
     return importlib.import_module("benchmarks.calibrate_decisions")
 
 
+@pytest.fixture
+def curves(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.decision_curves")
+
+
 def test_every_number_says_what_it_was_read_from():
     values = json.loads(FILE.read_text())["values"]
     assert set(values) == {field.name for field in fields(Decision)}
@@ -44,20 +50,23 @@ def row(**more):
     return usual | more
 
 
-def test_a_logistic_curve_comes_back(script):
+def test_a_logistic_curve_comes_back(curves):
     rng = np.random.default_rng(0)
     x = np.stack([np.ones(4000), rng.normal(0, 2, 4000)], axis=1)
     y = (rng.random(4000) < 1 / (1 + np.exp(-(-1 + 0.8 * x[:, 1])))).astype(float)
-    assert script.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
+    assert curves.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
 
 
-def test_a_curve_is_judged_on_cases_left_out(script):
+def test_a_curve_is_judged_on_plants_left_out(curves):
     """What says nothing gets no weight worth having, and half of all is stated as half."""
     rng = np.random.default_rng(0)
-    given = [(str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2)) for k in range(400)]
-    weights, report = script.curve(given)
-    assert abs(weights["noise"]) < 0.2
-    assert report["calibration_error"] < 0.08
+    given = [
+        curves.Sample(f"plant {k % 3}", str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2))
+        for k in range(400)
+    ]
+    found = curves.curve(given)
+    assert abs(found.weights["noise"]) < 0.2
+    assert found.report()["calibration_error"] < 0.08
 
 
 def test_a_quantile_is_that_of_what_misses_nothing(script):
@@ -73,7 +82,7 @@ def test_an_effect_that_a_nuisance_is_counts_as_there(script):
     group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"one": 1.0}}
     there = row(groups=[group], nuisances={"cogging": 3.0})
     told = script.samples([there, row(groups=[group])], 0.05)["effect"]
-    assert [right for _, _, right in told] == [True, False]
+    assert [one.right for one in told] == [True, False]
 
 
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
