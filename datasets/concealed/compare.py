@@ -48,9 +48,8 @@ def main() -> None:
             low, high = np.quantile(drawn[name], (0.025, 0.975))
             worse = low > 0 if name in SMALLER_IS_BETTER else high < 0
             change = f"{usual[1][name] - value:+.3f} ({low:+.3f} to {high:+.3f})"
-            print(
-                f"| {name} | {value:.3f} | {usual[1][name]:.3f} | {change} | {'worse' if worse else ''} |"
-            )
+            told = "worse" if worse else ""
+            print(f"| {name} | {value:.3f} | {usual[1][name]:.3f} | {change} | {told} |")
 
 
 def _measures(rows: list[dict[str, object]]) -> dict[str, float]:
