@@ -231,7 +231,7 @@ def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None
 
 
 def _windows(name: str, whole: Trace) -> list[tuple[str, Trace]]:
-    """Stretches of one recording, each simulated from its start but scored by itself."""
+    """Segments of one recording, each simulated from its start but scored by itself."""
     found = []
     for start in np.arange(whole.t[0], whole.t[-1], WINDOW_S):
         inside = whole.used & (whole.t >= start) & (whole.t < start + WINDOW_S)

@@ -1,4 +1,4 @@
-"""Stretches that differ are found where they are, apart where they are, and seldom in noise."""
+"""Segments that differ are found where they are, apart where they are, and seldom in noise."""
 
 import numpy as np
 import pytest
