@@ -114,7 +114,7 @@ def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
     return Ladder(
         baseline=before,
         enriched=after,
-        best_decoy=best_knockoff(traces, servo, moved, folds, rng),
+        best_knockoff=best_knockoff(traces, servo, moved, folds, rng),
         black_box=black_box(folds, rng),
         noise=one.joint.noise,
     )

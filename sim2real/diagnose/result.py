@@ -155,14 +155,14 @@ class Ladder:
     Attributes:
         baseline: The plain servo.
         enriched: With the named effects; equal to ``baseline`` where none is named.
-        best_decoy: With the best knockoff (it means nothing), chosen where it was fitted.
+        best_knockoff: With the best knockoff (it means nothing), chosen where it was fitted.
         black_box: With a black box that knows no physics, only commands and the plain servo.
         noise: Standard deviation of the measurement noise: no predictor does better.
     """
 
     baseline: float
     enriched: float
-    best_decoy: float | None
+    best_knockoff: float | None
     black_box: float | None
     noise: float
 

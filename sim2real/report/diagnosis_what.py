@@ -162,7 +162,7 @@ def _ladders(diagnosis: Diagnosis) -> list[Block]:
 
 
 def _ladder_caption(ladders: Mapping[str, Ladder], *, named: bool) -> str:
-    knockoff = any(ladder.best_decoy is not None for ladder in ladders.values())
+    knockoff = any(ladder.best_knockoff is not None for ladder in ladders.values())
     floor = any(ladder.black_box is not None for ladder in ladders.values())
     worth = _WORTH.format(knockoff=_KNOCKOFF if knockoff else "") if named else ""
     return _LADDER.format(named=worth, floor=_FLOOR if floor else "")
@@ -172,7 +172,7 @@ def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
     rungs: list[tuple[str, float | None, bool]] = [
         ("plain servo", ladder.baseline, False),
         ("with what is named", ladder.enriched if named else None, True),
-        ("with the best knockoff", ladder.best_decoy, False),
+        ("with the best knockoff", ladder.best_knockoff, False),
         ("with a black box", ladder.black_box, False),
         ("noise of the sensor", ladder.noise, False),
     ]

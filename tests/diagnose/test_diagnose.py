@@ -133,13 +133,13 @@ def test_nothing_named_is_nothing_named_falsely(clean):
     assert clean.hypothesis == {}
 
 
-def test_decoys_and_a_black_box_stand_beside_what_is_named(rubbing, written):
+def test_knockoffs_and_a_black_box_stand_beside_what_is_named(rubbing, written):
     assert 0 < rubbing.false_discovery_rate < 0.03
     assert written[1]["false_discovery_rate"] == rubbing.false_discovery_rate
     ladder = rubbing.ladders["j1.position_rad"]
     assert written[1]["heldout_ladder"]["j1.position_rad"] == vars(ladder)
     assert ladder.baseline == rubbing.effects[0].heldout["rmse_before"]
-    assert ladder.baseline <= ladder.best_decoy < 1.3 * ladder.baseline
+    assert ladder.baseline <= ladder.best_knockoff < 1.3 * ladder.baseline
     assert ladder.enriched < ladder.black_box < 0.5 * ladder.baseline
 
 
