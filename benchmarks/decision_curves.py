@@ -155,6 +155,8 @@ def loss(p: Array, y: Array) -> float:
 
 def least_sure(curves: Sequence[Curve], least: float = 0.9, right: float = 0.985) -> float | None:
     """Probability from which so large a share of what is foretold is right; None where never."""
+    if not curves:
+        return None
     p = np.concatenate([one.foretold for one in curves])
     y = np.concatenate([one.right for one in curves])
     for level in np.arange(least, 0.985, 0.005):

@@ -34,6 +34,8 @@ def sensitivity(rows: Sequence[Row], values: Values, odds: Mapping[str, Values])
     some = [row for row in rows if "links" in row]
     found: Row = {"joints": len(some)}
     for name, tried in TRIED.items():
+        if name not in values:
+            continue
         decide = _links if name.startswith("link") else _windows
         usual = decide(some, values, odds)
         for value in tried:

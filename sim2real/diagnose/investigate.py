@@ -9,21 +9,25 @@ import numpy as np
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.nuisances import no_finding
+from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
 from sim2real.diagnose.search import ServoSearch, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
-from sim2real.effects import CATALOGUE
+from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.holdout import Unseen
 from sim2real.servo.linear import Residual
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.plain import baselines, plain_again
 from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
+
+
+_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 
 
 @dataclass(frozen=True)
@@ -272,7 +276,9 @@ def _finding(
 ) -> Finding:
     best = tried.tried[after.sets[0]]
     groups = tuple(
-        group for group in after.groups(tried.base) if not no_finding(best, group.members[0], joint)
+        group
+        for group in after.groups(tried.base)
+        if not _no_finding(best, group.members[0], joint)
     )
     if joint.step_rad is not None:
         groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
@@ -290,3 +296,12 @@ def _finding(
         excess_after,
         joint.step_rad,
     )
+
+
+def _no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:
+    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
+    if named(effect).everywhere:
+        return size_in_noise(best, effect, joint.noise) < DECISION.ripple
+    limit = float(best.fit.servos.theta[0, _LIMIT])
+    stated = effect == "torque_saturation" and joint.stall_Nm is not None
+    return stated and limit > DECISION.sheet * (joint.stall_Nm or 0.0)

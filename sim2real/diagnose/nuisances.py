@@ -13,17 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.diagnose.decision import DECISION
 from sim2real.effects import named
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.problem import Hypothesis, Set, Tried
 from sim2real.servo.screen import NUISANCES, candidate
 
 if TYPE_CHECKING:
-    from sim2real.diagnose.case import Joint
     from sim2real.diagnose.search import Job, ServoSearch
 
-_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 _BESIDE = 4
 """Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
 _STARTS = 2
@@ -39,22 +36,13 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
     return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
 
 
-def no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:
-    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
-    if named(effect).everywhere:
-        return size_in_noise(best, effect, joint.noise) < DECISION.ripple
-    limit = float(best.fit.servos.theta[0, _LIMIT])
-    stated = effect == "torque_saturation" and joint.stall_Nm is not None
-    return stated and limit > DECISION.sheet * (joint.stall_Nm or 0.0)
-
-
-def first_look(problem: ServoSearch, ledgers: Sequence[Tried], noise: Sequence[float]) -> None:
+def first_look(problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float]) -> None:
     """Try what explains each joint best at first sight, with the small nuisances that show beside.
 
     Args:
         problem: The search to come.
         ledgers: One a joint, of plain servos.
-        noise: Standard deviation of each joint's sensor, rad.
+        large: Angle from which a joint's nuisance is a finding, rad.
     """
     problem.look([(one, one.base) for one in ledgers])
     jobs = [
@@ -73,13 +61,13 @@ def first_look(problem: ServoSearch, ledgers: Sequence[Tried], noise: Sequence[f
     for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
         tried[one.case].append(found)
     for one in wanted:
-        one.keep(_best(beside[one.case], tried[one.case], noise[one.case]))
+        one.keep(_best(beside[one.case], tried[one.case], large[one.case]))
 
 
 def with_nuisances(
     problem: ServoSearch,
     ledgers: Sequence[Tried],
-    noise: Sequence[float],
+    large: Sequence[float],
     best: Sequence[Hypothesis],
 ) -> list[Tried]:
     """The ledgers, each plain servo with the nuisances that are small.
@@ -87,11 +75,13 @@ def with_nuisances(
     Args:
         problem: The search to come.
         ledgers: One a joint, of plain servos.
-        noise: Standard deviation of each joint's sensor, rad.
+        large: Angle from which a joint's nuisance is a finding, rad.
         best: What explained each best before, of these recordings or of such a batch: the nuisances
             are fitted beside it.
     """
-    small = [_small(h, sd) - one.base for one, h, sd in zip(ledgers, best, noise, strict=True)]
+    small = [
+        _small(h, angle) - one.base for one, h, angle in zip(ledgers, best, large, strict=True)
+    ]
     wanted = [k for k, some in enumerate(small) if some]
     if not wanted:
         return list(ledgers)
@@ -147,17 +137,15 @@ def _jobs(
     return jobs
 
 
-def _best(beside: Hypothesis, tried: Sequence[Hypothesis], noise_rad: float) -> Hypothesis:
+def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
     """The likeliest set whose nuisances are all small, if they are worth it."""
     nuisances = {e.name for e in NUISANCES}
-    small = [h for h in tried if _small(h, noise_rad) == h.members & nuisances]
+    small = [h for h in tried if _small(h, large_rad) == h.members & nuisances]
     best = max([beside, *small], key=lambda h: h.evidence)
     return best if best.evidence > beside.evidence + _WORTH else beside
 
 
-def _small(found: Hypothesis, noise_rad: float) -> Set:
+def _small(found: Hypothesis, large_rad: float) -> Set:
     """Those of its nuisances that are small."""
     given = [e.name for e in NUISANCES if e.name in found.members]
-    return frozenset(
-        name for name in given if size_in_noise(found, name, noise_rad) < DECISION.ripple
-    )
+    return frozenset(name for name in given if size_in_noise(found, name, large_rad) < 1)

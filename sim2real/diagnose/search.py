@@ -66,9 +66,10 @@ def search(
     ledgers = ledgers_of(plain, bases)
     problem = ServoSearch(batch, level, rng)
     if noise is not None:
+        large = [DECISION.ripple * sd for sd in noise]
         if best is None:
-            first_look(problem, ledgers, noise)
-        ledgers = with_nuisances(problem, ledgers, noise, best or [one.best for one in ledgers])
+            first_look(problem, ledgers, large)
+        ledgers = with_nuisances(problem, ledgers, large, best or [one.best for one in ledgers])
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
