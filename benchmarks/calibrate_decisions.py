@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.decision_curves import Curve, Sample, curve, least_sure
 from benchmarks.decision_rows import read
-from benchmarks.decision_sensitivity import sensitivity
+from benchmarks.decision_sensitivity import alike, sensitivity
 from benchmarks.decision_values import values_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -113,6 +113,9 @@ def write(rows: Sequence[Row], *, dry: bool) -> None:
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}
     known = {name: entry["value"] for name, entry in values.items()}
     report["sensitivity"] = sensitivity(rows, known, content["odds"])
+    for name, entry in values.items():
+        if entry["from"].startswith("kept") and (why := alike(name, report["sensitivity"])):
+            entry["from"] = why
     content["made_by"], content["cases"] = "benchmarks/calibrate_decisions.py", cases
     order = ("schema", "made_by", "cases", "values", "odds", "odds_from")
     if not dry:

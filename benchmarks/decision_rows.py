@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sim2real.diagnose.case import Case
     from sim2real.diagnose.joint_result import JointResult
-    from sim2real.robot import Robot
 
 Row = dict[str, Any]
 SHARED = ("supply", "link")
@@ -153,7 +152,7 @@ def measured(
         linked, varied = _link_gains(joints), _varied(joints)
         rows += [
             {
-                **_row(answer, one, case.robot),
+                **_row(answer, one, case),
                 "verdict": found.verdict,
                 "links": linked,
                 "varied": v,
@@ -185,22 +184,26 @@ def _case(folder: Path) -> Case:
     )
 
 
-def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
+def _row(answer: Row, one: JointResult, case: Case) -> Row:
     import numpy as np
 
+    from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
     from sim2real.servo.motor_line import on_its_line
+    from sim2real.servo.trace import traces
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
     outside = answer["kind"] == "outside"
     link, tries = finding.link, tried.tried
-    servo = next(j.servo for j in robot.joints if j.name == one.name)
+    servo = next(j.servo for j in case.robot.joints if j.name == one.name)
     line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
-    steps = [quantization_step(t.position) for t in one.joint.traces]
+    # As recorded: what differs between clocks has been taken off the joint's own.
+    recorded = traces(case.recordings, one.name)
+    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in recorded]
     stated = servo.position_step_rad
     # What was judged has the curve's probabilities; the curve looks at those before.
     before = {g.members: g for g in finding.posterior.groups(tried.base)}
@@ -216,13 +219,15 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
     alone = {e: float(tries[s].fit.loglikelihood[0]) for e in (h["effect"] for h in hidden)
              if (s := tried.base | {e}) in tries}  # fmt: skip
     found = finding.unmodelled.windows or ()
+    windows = [b - a for some in found for a, b in some]
+    paid = DECISION.surely * sum(1 + seconds for seconds in windows)
     lengths = [t.t[-1] - t.t[0] for t in one.joint.traces]
     return {
         "case": answer["case"],
         "set": answer.get("plant", "concealed"),
         "kind": answer["kind"],
         "joint": one.name,
-        "joints": len(robot.joints),
+        "joints": len(case.robot.joints),
         "truth": [
             h["effect"] for h in hidden if h["component"] in (one.name, *SHARED) and not outside
         ],
@@ -238,8 +243,8 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "excess": finding.excess,
         "left": finding.search.left(tried, tried.base),
         "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
-        "windows": [b - a for some in found for a, b in some],
-        "windows_evidence": finding.unmodelled.windows_evidence if found else None,
+        "windows": windows,
+        "windows_gain": finding.unmodelled.windows_evidence + paid if found else None,
         "length_s": float(sum(lengths)),
         "count": float(best.fit.count[0]),
         "error_over_noise": one.error / one.joint.noise,
@@ -267,7 +272,7 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
 
 WIDE = 3.0
 """How many times the data sheet's a motor's line may be, either way, to see what lines are."""
-VARIED = {"law_error": (0.0, 0.01, 0.1), "shared": (0.5, 0.99), "group_share": (0.03, 0.3)}
+VARIED = {"law_error": (0.0, 0.01, 0.1), "group_share": (0.03, 0.3)}
 """Other values of numbers whose decisions can be taken again from the sets that were tried."""
 
 

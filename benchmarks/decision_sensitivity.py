@@ -18,40 +18,62 @@ Said = dict[tuple[str, str], Any]
 """What is decided of each joint of each case."""
 
 TRIED: Mapping[str, tuple[float, ...]] = {
-    "link_gain": (0.0, 5.0, 20.0, 40.0),
-    "link_shows": (0.0, 2.0, 8.0),
-    "link_tie": (0.0, 10.0),
-    "link_masked": (5.0, 50.0, np.inf),
-    "window_cost": (0.0, 30.0, 60.0),
-    "window_second_cost": (0.0, 15.0, 60.0),
+    "link_gain": (0.0, 5.0, 10.0, 40.0),
+    "link_shows": (2.0, 4.0, 8.0),
+    "link_tie": (5.0, 10.0),
+    "link_masked": (3.0, 5.0, 50.0, np.inf),
+    "window_cost": (0.0, 15.0, 60.0),
+    "window_second_cost": (0.0, 15.0, 30.0, 60.0),
     "window_share": (0.1, 0.3),
 }
 """Other values; those of ``decision_rows.VARIED`` are tried there."""
+ALIKE = 0.02
+"""Share of the joints that may be decided otherwise for values to be called alike."""
+
+
+def rules(values: Values) -> dict[str, float]:
+    """The numbers, and what the rules of the diagnosis have in the place of those that it lacks."""
+    sure = values["surely"]
+    gone = {"link_gain": sure, "link_shows": 0.0, "link_tie": 0.0}
+    gone |= {"window_cost": sure, "window_second_cost": sure, "window_share": 0.5}
+    return {**gone, **values}
 
 
 def sensitivity(rows: Sequence[Row], values: Values, odds: Mapping[str, Values]) -> Row:
     """For each number, by value, on how many of all joints it would be decided otherwise."""
     some = [row for row in rows if "links" in row]
     found: Row = {"joints": len(some)}
+    now = rules(values)
     for name, tried in TRIED.items():
-        if name not in values:
-            continue
         decide = _links if name.startswith("link") else _windows
-        usual = decide(some, values, odds)
+        usual = decide(some, now, odds)
+        found[name] = {"value": now[name]}
         for value in tried:
-            other = decide(some, {**values, name: value}, odds)
-            told = found.setdefault(name, {"value": values[name]})
-            told[f"{value:g}"] = sum(other[joint] != usual[joint] for joint in usual)
+            other = decide(some, {**now, name: value}, odds)
+            found[name][f"{value:g}"] = sum(other[joint] != usual[joint] for joint in usual)
     for row in some:
         usual_said = _effects(row, row["varied"][""], odds["effect"])
         for label, entry in row["varied"].items():
             name, _, value = label.partition("=")
             if name in values:
                 told = found.setdefault(name, {"value": values[name]})
-                told[value] = told.get(value, 0) + (
-                    _effects(row, entry, odds["effect"]) != usual_said
-                )
+                told.setdefault(value, 0)
+                told[value] += _effects(row, entry, odds["effect"]) != usual_said
     return found
+
+
+def alike(name: str, found: Row) -> str:
+    """Between which values hardly any decision differs, as words; empty where any other does."""
+    told = {float(x): count for x, count in found.get(name, {}).items() if x != "value"}
+    most = ALIKE * found["joints"]
+    same = (
+        [found[name]["value"], *(x for x, count in told.items() if count <= most)] if told else []
+    )
+    if len(same) < 2:
+        return ""
+    turned, same = max(told[x] for x in same), [*same, found[name]["value"]]
+    ends = f"from {min(same):g} to {max(same):g} at most {turned}"
+    return f"{ends} of {found['joints']} joints would be decided otherwise"
 
 
 def probability(weights: Values, features: Values) -> float:
@@ -78,13 +100,12 @@ def _windows(rows: Sequence[Row], values: Values, odds: Mapping[str, Values]) ->
     """Whether something is missing, and whether it has no name."""
     said: Said = {}
     for row in rows:
-        length, usual = row["windows"], {"window_cost": 15.0, "window_second_cost": 30.0}
-        score = 0.0
+        length = row["windows"]
+        gain = 0.0
         if length and sum(length) < values["window_share"] * row["length_s"]:
-            more = {name: values[name] - row.get("costs", usual)[name] for name in usual}
-            score = row["windows_evidence"] - more["window_cost"] * len(length)
-            score -= more["window_second_cost"] * sum(length)
-        whole = {**row["whole"], "windows": float(np.log1p(np.clip(score, 0.0, 1e5)))}
+            gain = row["windows_gain"] - values["window_cost"] * len(length)
+            gain -= values["window_second_cost"] * sum(length)
+        whole = {**row["whole"], "windows": float(np.log1p(np.clip(gain, 0.0, 1e5)))}
         there = probability(odds["there"], whole) >= values["there"]
         said[row["case"], row["joint"]] = there, probability(odds["nameless"], whole) > 0.5
     return said

@@ -16,14 +16,6 @@ Reading = tuple[float, int, str]
 FEWEST = 20
 CLEAR = 0.9
 """Share of the linear servo's error below which a motor's line is what the recordings show."""
-WEAKER = (
-    "torque_saturation",
-    "torque_asymmetry",
-    "thermal_derating",
-    "voltage_sag",
-    "supply_droop",
-)
-"""Effects that make a motor weaker than its data sheet."""
 UNFITTED = frozenset(e.name for e in CATALOGUE if not e.fitted)
 
 
@@ -64,8 +56,8 @@ def _of_lines(rows: Sequence[Row]) -> dict[str, Reading]:
     """How far the torque-speed lines of motors that hide nothing are from their data sheets."""
     ratios = [
         row["line"][1] for row in rows
-        if row.get("line") and row["line"][0] < CLEAR and not row["outside"]
-        and not set(WEAKER) & set(row["truth"])
+        if row.get("line") and row["line"][0] < CLEAR and row["kind"] != "trap"
+        and not row["outside"] and not row["truth"]
     ]  # fmt: skip
     if len(ratios) < FEWEST:
         return {}

@@ -37,7 +37,6 @@ class Decision:
     most_certain: float  # no effect is more probable
     sure: float  # probability from which 0.9 and more is said; below it 0.89 at most
     there: float  # probability from which something is missing, named or not
-    shared: float  # how much of an effect of the supply or the link the other joints must show
     structured: float  # excess from which a residual is more than noise and slow wander
     clean: float  # excess below which nothing is left, and nothing without a name is looked for
     # share of the excess that named effects must explain, or the cause is not in the catalogue
@@ -47,13 +46,7 @@ class Decision:
     turn_s: float  # jitter below which a set-point only waits for the controller's next turn
     sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
-    link_gain: float  # gain from which an uneven link is a finding
-    link_shows: float  # gain from which it shows on a joint
-    link_tie: float  # gain by which a joint's own effects must beat it to be kept
     link_masked: float  # excess of a joint from which nothing can be seen of single set-points
-    window_cost: float  # gain that a segment of something else must earn
-    window_second_cost: float  # gain that each second of it must earn
-    window_share: float  # share of the time from which it is no segment
     change_borrowed: float  # references that what all effects gain together counts for
     change_other_motion: float  # further log odds against a change where the case moves otherwise
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came

@@ -175,7 +175,7 @@ def _with_links(
         for k, j in enumerate(robot):
             finding = findings[j]
             own = finding.best.evidence - finding.tried.plain.evidence
-            instead = alone.shares[k] > beside.shares[k] + own - DECISION.link_tie
+            instead = alone.shares[k] > beside.shares[k] + own
             link = alone if instead and alone.gain > 0 else beside
             if link.gain > 0:
                 explained[j] = _uneven(finding, link, k, instead=instead)
@@ -199,7 +199,7 @@ def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
     """Whether a link is uneven on more than the joints whose own effects could pass for it."""
     if max(alone.gain, beside.gain) <= 0:
         return False
-    showing = [share > DECISION.link_shows for share in beside.shares]
+    showing = [share > 0 for share in beside.shares]
     free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
         return False
@@ -211,7 +211,7 @@ def link_data(
     joints: Sequence[Joint],
     robot: Sequence[int],
     fits: Sequence[Hypothesis],
-    noticed: float = DECISION.link_gain,
+    noticed: float = DECISION.surely,
 ) -> LinkData:
     """What fits leave of a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))

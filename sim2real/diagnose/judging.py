@@ -128,7 +128,7 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     if link is not None:
         uneven = scaled(
             gain=link.gain,
-            showing=float(np.mean([x > DECISION.link_shows for x in link.shares])),
+            showing=float(np.mean([x > 0 for x in link.shares])),
             excess=finding.excess,
             size=finding.uneven,
             lone=len(link.shares) == 1,

@@ -93,13 +93,13 @@ def posteriors(
 
 def _shared_odds(others: Sequence[Posterior]) -> dict[str, float]:
     """What the other joints say of the effects of the supply and the link, as log odds."""
-    odds = {}
+    odds, shown = {}, 1 - DECISION.false_alarms
     for effect in FITTED:
         if effect.component == "joint" or not others:
             continue
-        absent = float(np.prod([1 - DECISION.shared * p.inclusion(effect.name) for p in others]))
+        absent = float(np.prod([1 - shown * p.inclusion(effect.name) for p in others]))
         before = np.exp(LOG_PRIOR)
-        after = absent * before + (1 - absent) * DECISION.shared / (1 - DECISION.shared)
+        after = absent * before + (1 - absent) * shown / (1 - shown)
         odds[effect.name] = float(np.log(after / before))
     return odds
 

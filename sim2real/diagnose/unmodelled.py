@@ -21,6 +21,8 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 _ROUNDS = 3
+_BREAKDOWN = 0.5
+"""Share of the time that may differ before a median tells nothing of the rest."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def intermittent(
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
         length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
         inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
-        short = {j for j in found if inside_s[j] < DECISION.window_share * length[j]}
+        short = {j for j in found if inside_s[j] < _BREAKDOWN * length[j]}
         found = {j: w for j, w in found.items() if any(w) and j in short}
         if not found:
             return {}
@@ -134,13 +136,9 @@ def intermittent(
         now = {j: seen[k] for k, j in enumerate(order)}
         before = plain.loglikelihood
         scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
+    # Each segment must earn as much as is never left to chance, and so must each second of it.
     costs = {
-        j: sum(
-            DECISION.window_cost + DECISION.window_second_cost * (b - a)
-            for some in w
-            for a, b in some
-        )
-        for j, w in found.items()
+        j: DECISION.surely * sum(1 + b - a for some in w for a, b in some) for j, w in found.items()
     }
     return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
 

@@ -140,13 +140,15 @@ def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
 
     values = json.loads(FILE.read_text())
     now = {name: entry["value"] for name, entry in values["values"].items()}
-    now |= {"link_gain": 10.0, "link_shows": 4.0, "link_tie": 5.0, "link_masked": 20.0}
     links = {"plain": uneven(30.0, [30.0]), "best": uneven(30.0, [30.0]), "own": [0.0]}
     usual = {
         "links": links | {"excess": [1.0]}, "varied": {"": [[], []]}, "windows": [],
-        "windows_evidence": None, "length_s": 20.0, "count": 100.0, "left": [0.0, 9.0],
+        "windows_gain": None, "length_s": 20.0, "count": 100.0, "left": [0.0, 9.0],
     }  # fmt: skip
     told = sensitivity([row(case=str(k), **usual) for k in range(5)], now, values["odds"])
     assert told["joints"] == 5
     assert told["link_gain"]["40"] == 5, "from 40 on a gain of 30 is none"
     assert told["link_gain"]["5"] == 0
+    assert "from 3 to inf at most 0 of 5 joints" in importlib.import_module(
+        "benchmarks.decision_sensitivity"
+    ).alike("link_masked", told)
