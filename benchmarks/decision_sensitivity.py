@@ -66,13 +66,11 @@ def alike(name: str, found: Row) -> str:
     """Between which values hardly any decision differs, as words; empty where any other does."""
     told = {float(x): count for x, count in found.get(name, {}).items() if x != "value"}
     most = ALIKE * found["joints"]
-    same = (
-        [found[name]["value"], *(x for x, count in told.items() if count <= most)] if told else []
-    )
-    if len(same) < 2:
+    turned = {x: count for x, count in told.items() if count <= most}
+    if not turned or not found["joints"]:
         return ""
-    turned, same = max(told[x] for x in same), [*same, found[name]["value"]]
-    ends = f"from {min(same):g} to {max(same):g} at most {turned}"
+    values = [*turned, float(found[name]["value"])]
+    ends = f"from {min(values):g} to {max(values):g} at most {max(turned.values())}"
     return f"{ends} of {found['joints']} joints would be decided otherwise"
 
 
