@@ -74,8 +74,7 @@ def _guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
     """Formulas by joint, for those that miss something that no effect explains and have one."""
     found = {}
     for one in joints:
-        named = any(g.probability >= DECISION.named for g in one.finding.groups)
-        if not one.finding.mismatch or (named and one.finding.unknown <= DECISION.named):
+        if not one.finding.left:
             continue
         given = one.joint.traces
         moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}

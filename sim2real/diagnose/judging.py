@@ -152,11 +152,14 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     there = ODDS["there"].probability(found.whole) >= DECISION.there
     mismatch = bool(coarse or matters) or there or unknown > DECISION.named
+    # What explains a trifle does not explain what is left beside it.
+    trifles = not matters and finding.excess > DECISION.structured
+    unsolved = there and not coarse and (not likely or trifles)
     return replace(
         finding,
         mismatch=mismatch,
         groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
-        left=mismatch and (unknown > DECISION.named or (there and not likely and not coarse)),
+        left=unknown > DECISION.named or unsolved,
         unknown=unknown,
     )
 
