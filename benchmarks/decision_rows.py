@@ -206,8 +206,10 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in recorded]
     stated = servo.position_step_rad
     # What was judged has the curve's probabilities; the curve looks at those before.
-    before = {g.members: g for g in finding.posterior.groups(tried.base)}
-    raw = tuple(before.get(g.members, g) for g in finding.groups)
+    before = {g.members[0]: g.probability for g in finding.posterior.groups(tried.base)}
+    raw = tuple(
+        replace(g, probability=before.get(g.members[0], g.probability)) for g in finding.groups
+    )
     told = evidence(replace(finding, groups=raw), one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {

@@ -27,6 +27,10 @@ ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "jo
 """The effect that is read off the recorded numbers themselves."""
 
 
+_DRY = "coulomb_friction"
+_PRESLIDING = [
+    COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
+]
 _LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 
 
@@ -276,7 +280,7 @@ def _finding(
 ) -> Finding:
     best = tried.tried[after.sets[0]]
     groups = tuple(
-        group
+        _as_seen(best, group, joint)
         for group in after.groups(tried.base)
         if not _no_finding(best, group.members[0], joint)
     )
@@ -296,6 +300,15 @@ def _finding(
         excess_after,
         joint.step_rad,
     )
+
+
+def _as_seen(best: Hypothesis, group: Group, joint: Joint) -> Group:
+    """The group, with plain dry friction where a shaft yields by less than the sensor's noise."""
+    torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
+    yields = group.members[0] == "presliding_friction" and torque > joint.noise * stiffness
+    if yields or group.members[0] != "presliding_friction" or _DRY in group.members:
+        return group
+    return replace(group, members=(*group.members, _DRY))
 
 
 def _no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:

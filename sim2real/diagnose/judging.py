@@ -15,6 +15,7 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
+from sim2real.effects import named
 from sim2real.servo.holdout import Unseen
 from sim2real.servo.problem import Set
 
@@ -143,6 +144,8 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     groups = [
         replace(group, probability=_stated(ODDS["effect"].probability(features)))
         for group, features in found.groups
+        # Beside something nameless, what every servo has a little of is no finding.
+        if unknown <= DECISION.named or not named(group.members[0]).everywhere
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:
