@@ -2,7 +2,8 @@
 
     python datasets/foreign/make_foreign.py SET --seed 22 --no-oracle
     python -m benchmarks.decision_rows SET ROWS.jsonl VERDICTS --processes 16 --seconds 540
-    python -m benchmarks.calibrate_decisions ROWS.jsonl...
+    python -m benchmarks.decision_rows SET STEPS.jsonl --steps
+    python -m benchmarks.calibrate_decisions ROWS.jsonl... --steps STEPS.jsonl
 
 Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves that they were
 read from. No sealed set is looked at before it is answered. Four logistic curves
@@ -24,7 +25,7 @@ import numpy as np
 from benchmarks.decision_curves import Curve, Sample, curve, least_sure
 from benchmarks.decision_rows import read
 from benchmarks.decision_sensitivity import alike, sensitivity
-from benchmarks.decision_values import values_of
+from benchmarks.decision_values import of_sensors, values_of
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = 0.975
@@ -44,11 +45,13 @@ def main() -> None:
     parser.add_argument("--dry", action="store_true", help="only say what would be written")
     parser.add_argument("--measures", action="store_true", help="also write the numbers that rows"
                         " are measured with; examine the cases anew then")  # fmt: skip
+    parser.add_argument("--steps", type=Path, metavar="STEPS.jsonl", help="how finely sensors read")
     options = parser.parse_args()
     rows = []
     for k, path in enumerate(options.rows):
         rows += [{**row, "case": f"{k}/{row['case']}"} for row in read(path)]
-    write(rows, dry=options.dry, measures=options.measures)
+    steps = read(options.steps) if options.steps else ()
+    write(rows, steps, dry=options.dry, measures=options.measures)
 
 
 def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[Sample]]:
@@ -83,7 +86,7 @@ def _quiet(there: Curve, given: Sequence[Sample], rows: Sequence[Row]) -> tuple[
     return float(np.clip(np.quantile(quiet, QUIET), 0.05, 0.95)), len(quiet), why
 
 
-def write(rows: Sequence[Row], *, dry: bool, measures: bool) -> None:
+def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures: bool) -> None:
     """Write decision.json and the curves."""
     target = ROOT / "sim2real" / "diagnose" / "decision.json"
     content = json.loads(target.read_text())
@@ -103,7 +106,7 @@ def write(rows: Sequence[Row], *, dry: bool, measures: bool) -> None:
             f"logistic curve of {n} samples, {fitted.right.sum():.0f} true, of {cases} cases,"
             " straightened on plants left out"
         )
-    read_off = values_of(rows)
+    read_off = values_of(rows) | of_sensors(steps or rows)
     there = curves["there"]
     if there is not None:
         read_off["there"] = _quiet(there, given["there"], rows)

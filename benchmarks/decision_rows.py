@@ -1,6 +1,7 @@
 """Examine cases whose answers are known: one line a joint with all that a decision may look at.
 
     python -m benchmarks.decision_rows SET ROWS.jsonl VERDICTS --processes 28 --seconds 450
+    python -m benchmarks.decision_rows SET STEPS.jsonl --steps
 
 SET is a set of ``datasets/concealed`` or ``datasets/foreign``, of development seeds. The verdicts
 are written along. What is in the file already is not examined again. Of a set without answers only
@@ -33,7 +34,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("rows", type=Path, metavar="ROWS.jsonl")
-    parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
+    parser.add_argument("verdicts", type=Path, nargs="?", metavar="VERDICTS")
+    parser.add_argument("--steps", action="store_true", help="only how finely sensors read, of all")
     parser.add_argument("--processes", type=int, default=1, metavar="N", help="on the processor")
     parser.add_argument("--device", action="append", default=[], help="further ones, each a Warp"
                         " device such as cuda:0; may be repeated")  # fmt: skip
@@ -44,6 +46,10 @@ def main() -> None:
     told = options.set / "answers.json"
     names = sorted(folder.name for folder in (options.set / "inputs").iterdir())
     answers = json.loads(told.read_text()) if told.exists() else [{"case": name} for name in names]
+    if options.steps:
+        lines = [json.dumps(row) for one in answers for row in stepped(options.set, one)]
+        options.rows.write_text("\n".join(lines) + "\n")
+        return
     known = {row["case"] for row in read(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
     # The first one compiles the kernels for all: the shortest, as the others wait for it.
@@ -169,6 +175,38 @@ def measured(
     return [{**row, **cost} for row in rows]
 
 
+def stepped(challenge: Path, answer: Row) -> list[Row]:
+    """How finely each joint's sensor reads, relative to what its data sheet states."""
+    case = _case(challenge / "inputs" / answer["case"])
+    outside = answer["kind"] == "outside"
+    return [
+        {
+            "case": answer["case"],
+            "joint": joint.name,
+            "truth": [] if outside else [
+                h["effect"] for h in answer["effects"] if h["component"] in (joint.name, *SHARED)
+            ],
+            "step": step,
+        }
+        for joint in case.robot.joints if (step := _step(case, joint)) is not None
+    ]  # fmt: skip
+
+
+def _step(case: Case, joint: Any) -> float | None:  # noqa: ANN401 - imported late
+    """Step of a sensor as recorded, relative to the stated one; None where nothing moves."""
+    import numpy as np
+
+    from sim2real.noise import quantization_step
+    from sim2real.servo.trace import traces
+
+    given, stated = traces(case.recordings, joint.name), joint.servo.position_step_rad
+    if not given or stated <= 0:
+        return None
+    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in given]
+    # One that differs between recordings is no grid.
+    return float(min(steps) / stated) if max(steps) < 1.1 * min(steps) else 0.0
+
+
 def _case(folder: Path) -> Case:
     from sim2real.diagnose.case import Case
     from sim2real.model import read_model
@@ -191,9 +229,7 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
-    from sim2real.noise import quantization_step
     from sim2real.servo.motor_line import on_its_line
-    from sim2real.servo.trace import traces
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
@@ -201,10 +237,6 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     link, tries = finding.link, tried.tried
     servo = next(j.servo for j in case.robot.joints if j.name == one.name)
     line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
-    # As recorded: what differs between clocks has been taken off the joint's own.
-    recorded = traces(case.recordings, one.name)
-    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in recorded]
-    stated = servo.position_step_rad
     # What was judged has the curve's probabilities; the curve looks at those before.
     before = {g.members[0]: g.probability for g in finding.posterior.groups(tried.base)}
     raw = tuple(
@@ -250,7 +282,7 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
         "length_s": float(sum(lengths)),
         "count": float(best.fit.count[0]),
         "error_over_noise": one.error / one.joint.noise,
-        "step": min(steps) / stated if stated > 0 else 0.0,
+        "step": _step(case, next(j for j in case.robot.joints if j.name == one.name)) or 0.0,
         "whole": told.whole,
         "groups": [
             {

@@ -33,10 +33,10 @@ def values_of(rows: Sequence[Row]) -> dict[str, Reading]:
             max(float(np.quantile(excess, 0.9)), 1.02), len(excess),
             "90 % of joints that miss nothing leave less",
         )  # fmt: skip
-    return found | _of_sensors(rows) | _of_lines(rows) | _of_gains(rows)
+    return found | _of_lines(rows) | _of_gains(rows)
 
 
-def _of_sensors(rows: Sequence[Row]) -> dict[str, Reading]:
+def of_sensors(rows: Sequence[Row]) -> dict[str, Reading]:
     """From which step on a sensor is coarser than stated, and how sure that is."""
     coarse = [row["step"] for row in rows if "encoder_quantization" in row["truth"]]
     fine = [row["step"] for row in rows if "encoder_quantization" not in row["truth"]]

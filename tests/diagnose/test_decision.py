@@ -104,7 +104,7 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
 def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
     fine = [row(case=str(k), step=1.0) for k in range(60)]
     coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
-    found = script.values_of(fine + coarse)
+    found = script.of_sensors(fine + coarse)
     assert 1.2 < found["coarser"][0] < 2.0
     assert found["most_certain"][0] == pytest.approx(10 / 11)
 
