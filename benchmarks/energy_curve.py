@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
 from rl.pool import draws_of
-from rl.sac.recipes import plan_of
+from rl.sac.recipes import RECIPES, plan_of
 from rl.sac.train import Arm, train
 from rl.task import TASKS
 from sim2real.output import provenance, write_json
@@ -101,8 +102,9 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
             for pace in PACES:
                 name = f"{kind}-{pace}"
                 crew[name] = controller_of(name, limits, n, gains=options.gains)
-        swims = run_trials(robot, model, ranges, TASKS[task], crew, episodes=n, seed=7, **water)
-        found[task] = {name: summary(one, TASKS[task]) for name, one in swims.items()}
+        own = replace(TASKS[task], energy=RECIPES["default"].energy)
+        swims = run_trials(robot, model, ranges, own, crew, episodes=n, seed=7, **water)
+        found[task] = {name: summary(one, own) for name, one in swims.items()}
         content = {"task": task, "fidelity": options.fidelity, "randomized": True}
         content |= {"results": found[task], "provenance": provenance([], options.seed)}
         write_json(options.out / f"{task}.json", content)

@@ -70,6 +70,7 @@ SHARED = replace(QUICK, steps=recipes.SHARED)
 """Of the ablation, cut short to what two cores do in minutes: what each arm learns, and what agents
 of a seed have in common before that."""
 SEEDS = 6
+ARMS = ("all", "no-servo", "no-density", "no-randomization")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -166,8 +167,7 @@ def _ablated(
     options: argparse.Namespace, robot: Robot, model: Model, found: Gathered
 ) -> tuple[dict[str, Any], Plan]:
     """A quick ablation in the twin: what ``ablate`` tells of it, and how it trained."""
-    names = ("all", "no-servo", "no-density", "no-randomization")
-    arms = [arm_of(name, model, robot, found.ranges) for name in names]
+    arms = [arm_of(name, model, robot, found.ranges) for name in ARMS]
     reality = read_model(options.pool / "reality.json")
     plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
     folder = options.out / "ablation"

@@ -10,7 +10,13 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
-from rl.experiments.differences import OUTCOME, Difference, differences, seeds_needed
+from rl.experiments.differences import (
+    OUTCOME,
+    STILL,
+    Difference,
+    differences,
+    seeds_needed,
+)
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
 from sim2real.output import write_json, write_whole
@@ -72,16 +78,27 @@ def markdown(found: Found) -> str:
         )
     lines += [
         "",
-        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed |",
-        "|---|---|---|---|---|",
+        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed "
+        "| no turn counted below 0 | sd | needed |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    told = differences(found)
-    needed = seeds_needed(told)
+    told, kept = differences(found), differences(found, least=STILL)
     for arm, one in told.items():
-        ends = f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
-        many = "more than 200" if needed[arm] is None else f"{needed[arm]}"
-        lines.append(f"| {TITLES[arm]} | {ends} | {one.sd:.2f} | {one.pairs} | {many} |")
+        other = kept[arm]
+        lines.append(
+            f"| {TITLES[arm]} | {_ends(one)} | {one.sd:.2f} | {one.pairs} | {_many(told, arm)} "
+            f"| {_ends(other)} | {other.sd:.2f} | {_many(kept, arm)} |"
+        )
     return "\n".join(lines)
+
+
+def _ends(one: Difference) -> str:
+    return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
+
+
+def _many(told: Mapping[str, Difference], arm: str) -> str:
+    count = seeds_needed(told)[arm]
+    return "more than 200" if count is None else f"{count}"
 
 
 def _mean(place: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rl.sac.train import Arm, Plan, train
+from rl.world import Draws
 from sim2real.robot import Robot
 
 
@@ -37,3 +38,14 @@ def from_shared(first: Arm, plan: Plan) -> Callable[..., list[Path]]:
         return train(folder, robot, arms, then, note, first=own)
 
     return trained
+
+
+def every(arms: Sequence[Arm]) -> Arm:
+    """An arm whose episodes are drawn from all of these alike: no arm is nearer to it than another.
+
+    Args:
+        arms: What parts after it; the noise is the first one's.
+    """
+    most = max(len(arm.draws.models) for arm in arms)
+    models = [arm.draws.models[k % len(arm.draws.models)] for k in range(most) for arm in arms]
+    return Arm("every", Draws(tuple(models), arms[0].draws.noise))
