@@ -25,7 +25,7 @@ from rl.experiments.evaluate import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
 from rl.experiments.trials import UNSEEN
-from rl.pool import draws_of, make_world, own_stream
+from rl.make import draws_of, make_world, own_stream
 from rl.task import TASKS
 from sim.view.legend import Image
 from sim.view.video import FRAMES_PER_S, Video

@@ -81,9 +81,9 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
             ramp=QUICK.ramp,
         )  # fmt: skip
         trainer = from_shared(first, common)
-    places = tried_in(robot, arms, plan, ranges, reality)
+    testbeds = tried_in(robot, arms, plan, ranges, reality)
     return ablate(
-        options.out, robot, arms, plan, places, seed=options.seed, repeats=8, trainer=trainer
+        options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=8, trainer=trainer
     )
 
 

@@ -24,8 +24,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
 from rl.env import action_space, observation_space
+from rl.make import draws_of, make_world
 from rl.observer import PAPER
-from rl.pool import draws_of, make_world
 from rl.sac.agents import PLAIN, Agents
 from rl.sac.recipes import RECIPES
 from rl.sac.sac import make_sac

@@ -58,7 +58,7 @@ def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Differenc
 
 def differences(
     found: Mapping[str, Any],
-    place: str = "reality",
+    testbed: str = "reality",
     key: str = OUTCOME,
     *,
     least: float | None = None,
@@ -67,13 +67,13 @@ def differences(
 
     Args:
         found: What ``ablate`` tells.
-        place: ``reality`` or ``simulation``.
+        testbed: ``reality`` or ``simulation``.
         key: What is compared.
         least: What a turn counts for at least; anything where None.
     """
     table: dict[str, dict[int, float]] = {}
     for agent in found["agents"]:
-        mean = float(np.maximum(agent[place][key], -np.inf if least is None else least).mean())
+        mean = float(np.maximum(agent[testbed][key], -np.inf if least is None else least).mean())
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
     whole = table.pop("all", {})
     out = {}

@@ -10,13 +10,13 @@ import numpy as np
 
 from sim2real.check import all_findings, check
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import Set
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_joints
 from sim2real.servo.motor_line import on_its_line
+from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace, traces
 
 

@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.per_recording import Linear, fit_own, fitted, gains, linearised
 from sim2real.diagnose.posterior import Group, Posterior
-from sim2real.diagnose.search import LOG_PRIOR, Set
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Servos
+from sim2real.servo.problem import Servos, Set
 from sim2real.servo.screen import candidate
 from sim2real.servo.trace import Trace
 

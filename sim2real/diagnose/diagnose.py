@@ -17,7 +17,6 @@ from sim2real.diagnose.judging import judged, with_nameless
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.search import Hypothesis, Set
 from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.model import Model
@@ -26,7 +25,7 @@ from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import joined, residual_angles
+from sim2real.servo.problem import Hypothesis, Set, joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 

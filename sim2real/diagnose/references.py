@@ -13,12 +13,12 @@ from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
 from sim2real.diagnose.joint_result import servo
-from sim2real.diagnose.search import BLOCKS, Hypothesis, with_effects
 from sim2real.model import Model
 from sim2real.noise import quantization_step
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
-from sim2real.servo.problem import minimise
+from sim2real.servo.plain import BLOCKS, with_effects
+from sim2real.servo.problem import Hypothesis, minimise
 
 Array = NDArray[np.float64]
 
