@@ -163,15 +163,17 @@ def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
         axes.plot([x], [y], "o", color=ACCENT, ms=6, label=label)
         if len(own) > 1:
             axes.annotate(
-                name, (x, y), (-7, -11), textcoords="offset points", color=ACCENT, ha="right"
-            )
+                name.removeprefix("energy-"), (x, y), (-6, -10), textcoords="offset points",
+                color=ACCENT, ha="right", fontsize=7,
+            )  # fmt: skip
 
 
 def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
     from matplotlib.ticker import FuncFormatter, LogLocator
 
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 4, 5, 6, 8)))
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        few = high / low > 12
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1, 2, 3, 4, 5, 6, 8)))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
     axes.tick_params(which="minor", length=0)
