@@ -147,7 +147,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     ]
     if told:
         notes.insert(0, Picture(svg(difference_figure(told))))
-        notes.append(Note("info", power(told)))
+        notes += [Note("info", power(told)), Note("info", floored(found))]
     if not any(row["reality"]["success"] for row in table):
         said = "No arm reached the target in reality: returns compare how far and how cheaply they "
         notes.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
@@ -200,6 +200,18 @@ def power(told: Mapping[str, Difference]) -> str:
         f"{pairs} seeds an arm. For intervals narrower than a third of the largest difference "
         f"({largest:.2f}) the spread over pairs asks for: {', '.join(parts)}."
     )
+
+
+def floored(found: Found) -> str:
+    """What is lost where no turn counts for less than that of a robot that lies still."""
+    kept = differences(found, least=STILL)
+    needed = seeds_needed(kept)
+    parts = [
+        f"{TITLES[arm]} {_ends(one)}, {needed[arm] or 'more than 200'} seeds asked for"
+        for arm, one in kept.items()
+    ]
+    said = "Where no turn counts for less than that of a robot that lies still, as one that "
+    return f"{said}thrashes about is switched off: {'; '.join(parts)}."
 
 
 def difference_figure(told: Mapping[str, Difference]) -> Figure:
