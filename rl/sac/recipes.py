@@ -29,7 +29,7 @@ class Recipe:
     """
 
     task: str = "chain"
-    energy: float = 8e-4
+    energy: float = 9e-4
     energy_start: float = 0.1
     steps: int = 1_000_000
     envs: int = 64
@@ -51,6 +51,7 @@ RECIPES: Mapping[str, Recipe] = {
         ),
     ),
     "brief": Recipe(
+        energy=8e-4,
         steps=260_000,
         envs=32,
         segment=130_000,
