@@ -47,7 +47,6 @@ def main() -> None:
     parser.add_argument("--updates-per-step", type=float, default=QUICK.settings.updates_per_step)
     parser.add_argument("--energy-start", type=float, default=QUICK.energy_start)
     parser.add_argument("--ramp", type=float, nargs=2, default=QUICK.ramp)
-    parser.add_argument("--task", default=None)
     options = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.perf_counter()

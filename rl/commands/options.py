@@ -134,8 +134,8 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         "--shared",
         type=int,
         metavar="STEPS",
-        help="agents of a seed learn so long in common, with no technique, before the arms part "
-        "(default 0; with --quick 160000)",
+        help="agents of a seed learn so long in common, in all arms' water, before the arms part "
+        "(default 0; with --quick 300000)",
     )
     _plan(command)
     _executor(command)

@@ -1,9 +1,11 @@
 """A beginning that the arms of an ablation share: what it costs to learn to swim is paid once.
 
 Most of a training goes by before an agent swims at all, and when it does is chance: the spread of
-that hides what arms differ in. Here one agent a seed learns with no technique at all, in the old
-simulator's defaults, and every arm of that seed goes on from it. No arm has then met a technique
-that it is to do without, and pairs of agents differ by their arms alone.
+that hides what arms differ in. Here one agent a seed learns first, and every arm of that seed goes
+on from it: pairs of agents differ by their arms alone. It learns in the simulators of all arms
+alike (``every``), so that none is nearer to where it begins. From the old simulator's defaults, a
+stiff drive without latency, the arm without a calibrated servo had the shortest way, and the others
+were still learning when it was judged.
 """
 
 from __future__ import annotations

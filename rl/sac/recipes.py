@@ -52,9 +52,9 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "brief": Recipe(
         energy=8e-4,
-        steps=260_000,
+        steps=200_000,
         envs=32,
-        segment=130_000,
+        segment=100_000,
         settings=Settings(batch=64, hidden=(64, 64), updates_per_step=0.085),
     ),
 }
@@ -66,7 +66,7 @@ QUICK: dict[str, Any] = {
 }  # fmt: skip
 """What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
 not swim by their mean action yet."""
-SHARED = 160_000
+SHARED = 300_000
 """Steps that agents of a seed have in common in a quick ablation, before its arms part."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",

@@ -152,7 +152,7 @@ def test_the_report_is_written(run, tmp_path):
     assert set(differences(found)) == {"no-servo"}
 
 
-def test_arms_go_on_from_one_agent_a_seed_that_met_no_technique(robot, model, tmp_path):
+def test_arms_go_on_from_one_agent_a_seed(robot, model, tmp_path):
     arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
     still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10_000))  # nothing is learned
     trainer = from_shared(arm_of("none", model, robot, RANGES), PLAN)
