@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
 from rl.make import draws_of
-from rl.sac.recipes import plan_of
+from rl.sac.recipes import RECIPES, plan_of
 from rl.sac.train import Arm, train
 from rl.task import TASKS
 from sim2real.output import provenance, write_json
@@ -101,10 +102,9 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
             for pace in PACES:
                 name = f"{kind}-{pace}"
                 controllers[name] = controller_of(name, limits, n, gains=options.gains)
-        swims = run_trials(
-            robot, model, ranges, TASKS[task], controllers, episodes=n, seed=7, **water
-        )
-        found[task] = {name: summary(one, TASKS[task]) for name, one in swims.items()}
+        own = replace(TASKS[task], energy=RECIPES["default"].energy)
+        swims = run_trials(robot, model, ranges, own, controllers, episodes=n, seed=7, **water)
+        found[task] = {name: summary(one, own) for name, one in swims.items()}
         content = {"task": task, "fidelity": options.fidelity, "randomized": True}
         content |= {"results": found[task], "provenance": provenance([], options.seed)}
         write_json(options.out / f"{task}.json", content)
@@ -163,15 +163,17 @@ def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
         axes.plot([x], [y], "o", color=ACCENT, ms=6, label=label)
         if len(own) > 1:
             axes.annotate(
-                name, (x, y), (-7, -11), textcoords="offset points", color=ACCENT, ha="right"
-            )
+                name.removeprefix("energy-"), (x, y), (-6, -10), textcoords="offset points",
+                color=ACCENT, ha="right", fontsize=7,
+            )  # fmt: skip
 
 
 def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
     from matplotlib.ticker import FuncFormatter, LogLocator
 
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 3, 4, 5, 6, 8)))
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        few = high / low > 12
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1, 2, 3, 4, 5, 6, 8)))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
     axes.tick_params(which="minor", length=0)

@@ -1,14 +1,18 @@
 """How fast agents learn: updates a second beside Stable-Baselines3's own loop, steps a second.
 
     python benchmarks/train_speed.py [--device cuda:0] [--agents 1 3 15]
+    python benchmarks/train_speed.py --device cuda:0 --whole 0.02 0.01 --agents 1 5
 
-Run in one go, so that the ratios are of one machine in one state.
+Run in one go, so that the ratios are of one machine in one state. The second form times whole
+trainings by the default recipe in the fluid, in cells of so many metres, with an update a step: two
+of unlike length, whose difference leaves out what building and compiling cost.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,13 +24,16 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
 from rl.env import action_space, observation_space
-from rl.make import make_world
+from rl.make import draws_of, make_world
 from rl.observer import PAPER
 from rl.sac.agents import PLAIN, Agents
+from rl.sac.recipes import RECIPES
 from rl.sac.sac import make_sac
+from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS
 from rl.world import Draws, World
 from sim2real.model import read_model
+from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[1] / "datasets" / "pool"
@@ -95,15 +102,64 @@ def theirs(world: World, device: str) -> float:
     return rate(lambda n: model.train(n, 256), device)
 
 
+def whole(device: str, cell_m: float, A: int, envs: int, steps: tuple[int, int]) -> float:
+    """Steps a second of each of A agents that learn side by side in the fluid, an update a step."""
+    robot, model = read_robot(POOL / "robot.toml"), read_model(POOL / "calibrated.json")
+    draws = draws_of(model, read_ranges(POOL / "ranges.json"), robot, seed=0)
+    recipe = RECIPES["default"]
+    spent = []
+    for n in (envs * 16, *steps):  # the first compiles
+        settings = replace(recipe.settings, updates_per_step=1.0, warm_up=envs * 8)
+        plan = Plan(
+            TASKS[recipe.task], steps=n, envs=envs, segment=n, seeds=tuple(range(A)),
+            fidelity="fluid", device=device, cell_m=cell_m, settings=settings, view=recipe.view,
+        )  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            wait(device)
+            start = time.perf_counter()
+            train(Path(folder) / "run", robot, [Arm("speed", draws)], plan)
+            wait(device)
+            spent.append(time.perf_counter() - start)
+    return (steps[1] - steps[0]) / (spent[2] - spent[1])
+
+
+def times(options: argparse.Namespace) -> dict[str, float]:
+    """Minutes that a million steps take, for each size of cells and number of agents."""
+    result: dict[str, float] = {}
+    for cell in options.whole:
+        first = None
+        for A in options.agents:
+            each = whole(options.device, cell, A, options.envs, tuple(options.steps))
+            name = f"{100 * cell:g} cm, {A} agents of {options.envs} robots"
+            result[f"{name}: steps/s of each"] = each
+            result[f"{name}: minutes for 1e6 steps"] = minutes = 1e6 / each / 60
+            first = first or minutes
+            result[f"{name}: times {options.agents[0]} agents"] = minutes / first
+            print({k: round(v, 3) for k, v in result.items() if k.startswith(name)}, flush=True)
+    return result
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--agents", type=int, nargs="+", default=[1])
+    parser.add_argument("--whole", type=float, nargs="+", metavar="M", default=[])
+    parser.add_argument("--envs", type=int, default=64)
+    parser.add_argument("--steps", type=int, nargs=2, default=(4096, 12288))
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    device = options.device
     torch.set_num_threads(1)
+    result = times(options) if options.whole else parts(options)
+    for name, value in result.items():
+        print(f"{name}: {value:.5g}")
+    if options.out:
+        options.out.write_text(json.dumps({"device": options.device, **result}, indent=2) + "\n")
+
+
+def parts(options: argparse.Namespace) -> dict[str, float]:
+    """Updates beside Stable-Baselines3's, and steps of the twin."""
+    device = options.device
     result: dict[str, float] = {}
     if device != "cpu":
         torch.cuda.set_stream(torch.cuda.Stream(device))
@@ -122,10 +178,7 @@ def main() -> None:
         result[f"{A} agents side by side: updates/s over theirs"] = (
             A * each / result["Stable-Baselines3: updates/s"]
         )
-    for name, value in result.items():
-        print(f"{name}: {value:.5g}")
-    if options.out:
-        options.out.write_text(json.dumps({"device": device, **result}, indent=2) + "\n")
+    return result
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ DOMAIN_M = (3.6, 3.6)
 """The pool; its middle is the origin."""
 MARGIN_M = 0.4
 """Starts and targets keep this far from its walls."""
+BEHIND = 0.4
+"""Share of the episodes of ``chain`` that begin with the target behind."""
 
 
 def observation(
@@ -141,11 +143,12 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """Three targets one after the other, each as far from the last as in ``mixed``.
 
-    What comes after a target matters too, and an episode that goes well is not over at once. A
-    quarter begins as ``turn`` does, straight and with the first target behind: the hardest start.
+    What comes after a target matters too, and an episode that goes well is not over at once. So
+    many as ``BEHIND`` begin as ``turn`` does, straight and with the first target behind: the
+    hardest start, and where agents differ most.
     """
     pose, joint, first = mixed(rng, n, J)
-    behind = rng.uniform(size=n) < 0.25
+    behind = rng.uniform(size=n) < BEHIND
     away = pose[:, :2] - first[:, 0]
     heading = np.arctan2(away[:, 1], away[:, 0]) + rng.normal(0, 0.2, n)
     pose[behind, 2], joint[behind] = heading[behind], 0.0

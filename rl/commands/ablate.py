@@ -14,7 +14,7 @@ from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.reality import RealityFile, read_reality
-from rl.experiments.shared import from_shared
+from rl.experiments.shared import every, from_shared
 from rl.experiments.testbeds import Real, Simulated, Testbed
 from rl.randomize import noise_of
 from rl.sac import recipes
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     found = ablate(
         options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=made,
-        trainer=trainer_of(options, arm_of("none", model, robot, ranges)),
+        trainer=trainer_of(options, arms),
     )  # fmt: skip
     write_report(found, plan, options.out, made)
     print(markdown(found))
@@ -81,13 +81,15 @@ def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model
     return reality if isinstance(reality, Model) else None
 
 
-def trainer_of(options: argparse.Namespace, none: Arm) -> Callable[..., list[Path]] | None:
+def trainer_of(
+    options: argparse.Namespace, arms: Sequence[Arm]
+) -> Callable[..., list[Path]] | None:
     """What trains: all in one batch where None, a process each, or from a shared beginning."""
     if not shared_steps(options):
         return None if options.executor is None else by_jobs(options)
     if options.executor is not None:
         raise InputError("ablate", "--shared", "--executor beside it", "one of the two")
-    return from_shared(none, plan_of(options, shared=True))
+    return from_shared(every(arms), plan_of(options, shared=True))
 
 
 def shared_steps(options: argparse.Namespace) -> int:

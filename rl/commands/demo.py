@@ -28,7 +28,7 @@ from rl.experiments.ablation_report import (
 )
 from rl.experiments.arms import arm_of
 from rl.experiments.differences import differences
-from rl.experiments.shared import from_shared
+from rl.experiments.shared import every, from_shared
 from rl.sac import recipes
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan
@@ -70,6 +70,7 @@ SHARED = replace(QUICK, steps=recipes.SHARED)
 """Of the ablation, cut short to what two cores do in minutes: what each arm learns, and what agents
 of a seed have in common before that."""
 SEEDS = 6
+ARMS = ("all", "no-servo", "no-density", "no-randomization")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -166,12 +167,11 @@ def _ablated(
     options: argparse.Namespace, robot: Robot, model: Model, found: Gathered
 ) -> tuple[dict[str, Any], Plan]:
     """A quick ablation in the twin: what ``ablate`` tells of it, and how it trained."""
-    names = ("all", "no-servo", "no-density", "no-randomization")
-    arms = [arm_of(name, model, robot, found.ranges) for name in names]
+    arms = [arm_of(name, model, robot, found.ranges) for name in ARMS]
     reality = read_model(options.pool / "reality.json")
     plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
     folder = options.out / "ablation"
-    trainer = from_shared(arm_of("none", model, robot, found.ranges), SHARED)
+    trainer = from_shared(every(arms), SHARED)
     torch.set_num_threads(2)  # one batch of all agents, no longer small
     steps = f"{SHARED.steps} steps in common and {plan.steps} in each"
     with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {steps}, in the twin"):
@@ -188,9 +188,10 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
     """The chain's last stage, not its result."""
     note = (
         f"The {SEEDS} agents of an arm go on from the same {SEEDS} that learned for {SHARED.steps} "
-        f"steps with no technique at all, for {plan.steps} steps more: pairs differ by their arms. "
-        "A difference whose interval leaves out zero stands out. Reality is the twin with other "
-        "numbers, friction, play and a skin here, as a pool of its own is too slow for two cores. "
+        f"steps in the simulators of all arms alike, for {plan.steps} steps more: pairs differ by "
+        "their arms. A difference whose interval leaves out zero stands out. Reality is the twin "
+        "with other numbers, friction, play and a skin here, as a pool of its own is too slow for "
+        "two cores. "
         "Agents this young are still learning, and a technique that makes learning harder looks "
         "worse than it is: learned and swum in the fluid, the servo's calibration is worth most, "
         "and nothing else tells (reports/ablation)."

@@ -58,7 +58,7 @@ def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument("--learning-rate", type=float, help="at first (default 0.001)")
     command.add_argument("--discount", type=float, help="of a decision later (default 0.99)")
     command.add_argument(
-        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0008)"
+        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0009)"
     )
     command.add_argument(
         "--energy-start",
@@ -134,8 +134,8 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         "--shared",
         type=int,
         metavar="STEPS",
-        help="agents of a seed learn so long in common, with no technique, before the arms part "
-        "(default 0; with --quick 160000)",
+        help="agents of a seed learn so long in common, in all arms' water, before the arms part "
+        "(default 0; with --quick 300000)",
     )
     _plan(command)
     _executor(command)
@@ -152,7 +152,7 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
     _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
-    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0008)")
+    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0009)")
     command.add_argument(
         "--gains",
         type=Path,

@@ -23,7 +23,8 @@ from sim2real.errors import InputError
 
 _DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim begins, else 0.
 memory (N, M): what the last call gave; anything where a swim begins. set_points (N, {period}, J):
-desired angles in rad of {joints} for the next {period} periods of 20 ms."""
+desired angles in rad of {joints} for the next {period} periods of 20 ms; where frames were lost and
+the decision comes k periods late, send from number k on and decide again {period} - k later."""
 
 
 class _Graph:

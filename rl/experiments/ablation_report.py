@@ -10,7 +10,13 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
-from rl.experiments.differences import OUTCOME, Difference, differences, seeds_needed
+from rl.experiments.differences import (
+    OUTCOME,
+    STILL,
+    Difference,
+    differences,
+    seeds_needed,
+)
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
 from sim2real.output import write_json, write_whole
@@ -72,16 +78,27 @@ def markdown(found: Found) -> str:
         )
     lines += [
         "",
-        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed |",
-        "|---|---|---|---|---|",
+        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed "
+        "| no turn counted below 0 | sd | needed |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    told = differences(found)
-    needed = seeds_needed(told)
+    told, kept = differences(found), differences(found, least=STILL)
     for arm, one in told.items():
-        ends = f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
-        many = "more than 200" if needed[arm] is None else f"{needed[arm]}"
-        lines.append(f"| {TITLES[arm]} | {ends} | {one.sd:.2f} | {one.pairs} | {many} |")
+        other = kept[arm]
+        lines.append(
+            f"| {TITLES[arm]} | {_ends(one)} | {one.sd:.2f} | {one.pairs} | {_many(told, arm)} "
+            f"| {_ends(other)} | {other.sd:.2f} | {_many(kept, arm)} |"
+        )
     return "\n".join(lines)
+
+
+def _ends(one: Difference) -> str:
+    return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
+
+
+def _many(told: Mapping[str, Difference], arm: str) -> str:
+    count = seeds_needed(told)[arm]
+    return "more than 200" if count is None else f"{count}"
 
 
 def _mean(testbed: Mapping[str, Any]) -> str:
@@ -130,7 +147,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     ]
     if told:
         notes.insert(0, Picture(svg(difference_figure(told))))
-        notes.append(Note("info", power(told)))
+        notes += [Note("info", power(told)), Note("info", floored(found))]
     if not any(row["reality"]["success"] for row in table):
         said = "No arm reached the target in reality: returns compare how far and how cheaply they "
         notes.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
@@ -183,6 +200,18 @@ def power(told: Mapping[str, Difference]) -> str:
         f"{pairs} seeds an arm. For intervals narrower than a third of the largest difference "
         f"({largest:.2f}) the spread over pairs asks for: {', '.join(parts)}."
     )
+
+
+def floored(found: Found) -> str:
+    """What is lost where no turn counts for less than that of a robot that lies still."""
+    kept = differences(found, least=STILL)
+    needed = seeds_needed(kept)
+    parts = [
+        f"{TITLES[arm]} {_ends(one)}, {needed[arm] or 'more than 200'} seeds asked for"
+        for arm, one in kept.items()
+    ]
+    said = "Where no turn counts for less than that of a robot that lies still, as one that "
+    return f"{said}thrashes about is switched off: {'; '.join(parts)}."
 
 
 def difference_figure(told: Mapping[str, Difference]) -> Figure:

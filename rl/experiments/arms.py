@@ -60,7 +60,7 @@ ARMS: Mapping[str, Techniques] = {
 }
 """The paper's four, one that the paper could not have, and the intervention: an arm that learns in
 reality's own parameters, where a model says what they are. What it does better than "all", no
-technique that was left out can explain away. "none" is where arms may begin: ``shared``."""
+technique that was left out can explain away. "none" is left out unless asked for."""
 TITLES: Mapping[str, str] = {
     "all": "all techniques",
     "no-servo": "no servo calibration",

@@ -13,6 +13,10 @@ from scipy.stats import t as student
 OUTCOME = "return"
 """What is compared: the rewards of a turn discounted as in training, which is what agents learn to
 earn. The plain reward has no price of time and pays who dawdles most."""
+STILL = 0.0
+"""Return of a robot that lies still. One agent that thrashes about for a whole turn can lose fifty
+times what arriving earns, and its mean then tells how it failed and no more that it did; where no
+turn counts for less than this, as where somebody would switch that robot off, few pairs tell."""
 SHARE = 1 / 3
 """An interval tells arms apart where it is narrower than this share of the largest difference."""
 
@@ -53,12 +57,23 @@ def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Differenc
 
 
 def differences(
-    found: Mapping[str, Any], testbed: str = "reality", key: str = OUTCOME
+    found: Mapping[str, Any],
+    testbed: str = "reality",
+    key: str = OUTCOME,
+    *,
+    least: float | None = None,
 ) -> dict[str, Difference]:
-    """Of "all" and each other arm of an ablation, by arm."""
+    """Of "all" and each other arm of an ablation, by arm.
+
+    Args:
+        found: What ``ablate`` tells.
+        testbed: ``reality`` or ``simulation``.
+        key: What is compared.
+        least: What a turn counts for at least; anything where None.
+    """
     table: dict[str, dict[int, float]] = {}
     for agent in found["agents"]:
-        mean = float(np.mean(agent[testbed][key]))
+        mean = float(np.maximum(agent[testbed][key], -np.inf if least is None else least).mean())
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
     whole = table.pop("all", {})
     out = {}

@@ -1,9 +1,11 @@
 """A beginning that the arms of an ablation share: what it costs to learn to swim is paid once.
 
 Most of a training goes by before an agent swims at all, and when it does is chance: the spread of
-that hides what arms differ in. Here one agent a seed learns with no technique at all, in the old
-simulator's defaults, and every arm of that seed goes on from it. No arm has then met a technique
-that it is to do without, and pairs of agents differ by their arms alone.
+that hides what arms differ in. Here one agent a seed learns first, and every arm of that seed goes
+on from it: pairs of agents differ by their arms alone. It learns in the simulators of all arms
+alike (``every``), so that none is nearer to where it begins. From the old simulator's defaults, a
+stiff drive without latency, the arm without a calibrated servo had the shortest way, and the others
+were still learning when it was judged.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rl.sac.train import Arm, Plan, train
+from rl.world import Draws
 from sim2real.robot import Robot
 
 
@@ -37,3 +40,14 @@ def from_shared(first: Arm, plan: Plan) -> Callable[..., list[Path]]:
         return train(folder, robot, arms, then, note, first=own)
 
     return trained
+
+
+def every(arms: Sequence[Arm]) -> Arm:
+    """An arm whose episodes are drawn from all of these alike: no arm is nearer to it than another.
+
+    Args:
+        arms: What parts after it; the noise is the first one's.
+    """
+    most = max(len(arm.draws.models) for arm in arms)
+    models = [arm.draws.models[k % len(arm.draws.models)] for k in range(most) for arm in arms]
+    return Arm("every", Draws(tuple(models), arms[0].draws.noise))

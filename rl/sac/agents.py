@@ -223,12 +223,13 @@ class Agents:
         Args:
             share: Of the training that is done: the rate falls with it.
             grown: How far each agent is on its way from exploring to swimming well, from 0 to 1:
-                its entropy falls with it.
+                its entropy falls with the training, but no farther than this.
         """
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
         first, last = s.entropy_target
-        self._entropy.copy_(self.J * (first + (last - first) * torch.tensor(grown)))
+        done = torch.tensor(grown).clamp(max=share)
+        self._entropy.copy_(self.J * (first + (last - first) * done))
 
     @contextmanager
     def averaged(self) -> Iterator[None]:

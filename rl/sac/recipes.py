@@ -29,7 +29,7 @@ class Recipe:
     """
 
     task: str = "chain"
-    energy: float = 8e-4
+    energy: float = 9e-4
     energy_start: float = 0.1
     steps: int = 1_000_000
     envs: int = 64
@@ -51,9 +51,10 @@ RECIPES: Mapping[str, Recipe] = {
         ),
     ),
     "brief": Recipe(
-        steps=260_000,
+        energy=8e-4,
+        steps=200_000,
         envs=32,
-        segment=130_000,
+        segment=100_000,
         settings=Settings(batch=64, hidden=(64, 64), updates_per_step=0.085),
     ),
 }
@@ -65,7 +66,7 @@ QUICK: dict[str, Any] = {
 }  # fmt: skip
 """What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
 not swim by their mean action yet."""
-SHARED = 160_000
+SHARED = 300_000
 """Steps that agents of a seed have in common in a quick ablation, before its arms part."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",

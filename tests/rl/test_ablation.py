@@ -17,7 +17,7 @@ from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.differences import differences, paired, seeds_needed
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import read_reality
-from rl.experiments.shared import from_shared
+from rl.experiments.shared import every, from_shared
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
 from rl.task import TASKS, shortened
@@ -152,7 +152,7 @@ def test_the_report_is_written(run, tmp_path):
     assert set(differences(found)) == {"no-servo"}
 
 
-def test_arms_go_on_from_one_agent_a_seed_that_met_no_technique(robot, model, tmp_path):
+def test_arms_go_on_from_one_agent_a_seed(robot, model, tmp_path):
     arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
     still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10_000))  # nothing is learned
     trainer = from_shared(arm_of("none", model, robot, RANGES), PLAN)
@@ -165,6 +165,15 @@ def test_arms_go_on_from_one_agent_a_seed_that_met_no_technique(robot, model, tm
     (first,) = arm_of("none", model, robot, RANGES).draws.models
     assert all(joint == STIFF for joint in first.joints.values())
     assert np.allclose(first.body["normalised_density"], one_density(robot))
+
+
+def test_what_all_arms_share_is_as_near_to_each_of_them(robot, model):
+    arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo", "no-randomization")]
+    shared = every(arms)
+    stiff = [all(j == STIFF for j in one.joints.values()) for one in shared.draws.models]
+    same = [one == arms[2].draws.models[0] for one in shared.draws.models]
+    assert np.mean(stiff) == np.mean(same) == pytest.approx(1 / 3)
+    assert shared.draws.noise == arms[0].draws.noise
 
 
 def test_a_return_is_what_agents_learn_to_earn():
@@ -192,6 +201,23 @@ def test_its_intervals_hold_the_truth_nine_times_in_ten():
         one = paired(rng.normal(1.0, 1.0, 6), np.zeros(6))
         inside += one.low < 1.0 < one.high
     assert inside / 600 == pytest.approx(0.9, abs=0.04)
+
+
+def test_one_turn_that_fails_beyond_measure_does_not_drown_the_others():
+    def agent(arm: str, seed: int, *returns: float) -> dict[str, object]:
+        return {"arm": arm, "seed": seed, "reality": {"return": list(returns)}}
+
+    found = {
+        "agents": [
+            *(agent("all", seed, 10.0 + 0.1 * seed, 9.0) for seed in range(4)),
+            *(agent("no-servo", seed, 3.0, 4.0) for seed in range(3)),
+            agent("no-servo", 3, -60.0, 4.0),
+        ]
+    }
+    plain, kept = differences(found)["no-servo"], differences(found, least=0.0)["no-servo"]
+    assert not plain.told
+    assert kept.told
+    assert kept.mean == pytest.approx(np.mean([6.0, 6.05, 6.1, 7.65]))
 
 
 def test_the_seeds_needed_are_those_that_make_intervals_narrow():

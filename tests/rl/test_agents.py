@@ -170,6 +170,9 @@ def test_schedules_reach_the_updates(world_of):
     agents.set_schedule(0.5, [0.25])
     assert agents._rate.item() == pytest.approx(5e-3)
     assert agents._entropy.item() == pytest.approx(-3 * 1.375)
+    agents.set_schedule(0.1, [0.25])  # no farther than the training has come
+    assert agents._entropy.item() == pytest.approx(-3 * 1.15)
+    agents.set_schedule(0.5, [0.25])
     before = agents.critic.flat.clone()
     agents.update(batch)
     moved = (agents.critic.flat - before).abs().max()

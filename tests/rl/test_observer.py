@@ -177,23 +177,24 @@ def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, world_of, model, tm
     assert np.abs(answered_in_c(tmp_path, gone, rows) - sent).max() < 1e-5
 
 
-def test_onnx_agrees_on_a_swim(trained, world_of, model, tmp_path):
+def test_onnx_agrees_on_a_swim_with_lost_frames(trained, world_of, model, tmp_path):
+    """Called where a decision is due; what is sent is its line, from where the lost frames left."""
     pytest.importorskip("onnx", reason="the extra 'onnx' is not installed")
     from onnx.reference import ReferenceEvaluator
 
     _, policy = trained
-    period = policy.view.period
+    rows, gone, sent = swum(policy, world_of, model)
+    assert (gone > 1).sum() > 100
     (file,) = write_policy(policy, tmp_path / "policy.npz", ("onnx",))
-    graph, controller = ReferenceEvaluator(str(file)), PolicyController(policy)
-    world = world_of(3, TASKS["chain"])
-    controller.reset(np.ones(3, dtype=bool))
-    seen, begin = world.reset(), np.ones((3, 1), np.float32)
-    memory = np.zeros((3, max(policy.view.memory, 2) * 3 + 2), np.float32)
-    for _ in range(3000 // period):  # 60 s
-        given = {"observation": seen.numpy(), "memory": memory, "begin": begin}
-        set_points, memory = graph.run(None, given)
-        begin[:] = 0.0
-        for tick in range(period):
-            action = controller.act(seen.numpy())
-            assert np.abs(set_points[:, tick] - action).max() < 1e-5
-            seen = world.step(torch.from_numpy(action), begin=False).observation
+    graph, period = ReferenceEvaluator(str(file)), policy.view.period
+    memory = np.zeros((1, max(policy.view.memory, 2) * 3 + 2), np.float32)
+    told, since = [], 0
+    for row, k in zip(rows, gone, strict=True):
+        since = 0 if k < 0 else since + int(k)
+        if k < 0 or since >= period:
+            since %= period
+            begin = np.full((1, 1), k < 0, np.float32)
+            given = {"observation": row[None], "memory": memory, "begin": begin}
+            line, memory = graph.run(None, given)
+        told.append(line[0, since])
+    assert np.abs(np.array(told) - sent).max() < 1e-5

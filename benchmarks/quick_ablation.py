@@ -1,0 +1,117 @@
+"""How often the demo's ablation tells the truth: many of them at once, in one batch of agents.
+
+    python benchmarks/quick_ablation.py --out FOLDER [--device cuda:0] [--runs 5]
+
+Trains the demo's arms for as many seeds as its ablation has, times ``--runs``, with the demo's own
+plan and shared beginning, swims the same turns in the twin with reality's numbers, and compares run
+by run: which arm loses most, whether its interval leaves out zero, whether another arm's does.
+Options change the plan, to see what a change would buy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import sim2real as s2r
+from rl.commands.ablate import tried_in
+from rl.commands.demo import ARMS, QUICK, SEEDS, SHARED
+from rl.experiments.ablation import ablate
+from rl.experiments.ablation_report import markdown
+from rl.experiments.arms import arm_of
+from rl.experiments.differences import differences
+from rl.experiments.shared import every, from_shared
+from sim2real.output import write_json
+from sim2real.ranges.entry import read_ranges
+
+POOL = Path("datasets/pool")
+
+
+def main() -> None:
+    """Train, swim, count."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--begin", choices=("none", "every", "all"), default="every")
+    parser.add_argument("--shared", type=int, default=SHARED.steps, help="steps in common")
+    parser.add_argument("--steps", type=int, default=QUICK.steps, help="steps of each arm")
+    parser.add_argument("--energy-weight", type=float, default=QUICK.task.energy)
+    parser.add_argument("--updates-per-step", type=float, default=QUICK.settings.updates_per_step)
+    parser.add_argument("--energy-start", type=float, default=QUICK.energy_start)
+    parser.add_argument("--ramp", type=float, nargs=2, default=QUICK.ramp)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    begun = time.perf_counter()
+    told = swum(options)
+    content = {"options": {k: str(v) for k, v in vars(options).items()}, **counted(told)}
+    content["seconds"] = round(time.perf_counter() - begun, 1)
+    write_json(options.out / "runs.json", content)
+    print(markdown(told))
+    for name, value in content.items():
+        print(name, value)
+
+
+def swum(options: argparse.Namespace) -> dict[str, Any]:
+    """What an ablation of all the runs' seeds tells."""
+    robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
+    ranges, reality = read_ranges(POOL / "ranges.json"), s2r.read_model(POOL / "reality.json")
+    arms = [arm_of(name, model, robot, ranges) for name in ARMS]
+    seeds = tuple(range(options.seed, options.seed + SEEDS * options.runs))
+    plan = replace(
+        QUICK, steps=options.steps, segment=options.steps, seeds=seeds, device=options.device,
+        energy_start=options.energy_start, ramp=tuple(options.ramp),
+        task=replace(QUICK.task, energy=options.energy_weight),
+        settings=replace(QUICK.settings, updates_per_step=options.updates_per_step),
+    )  # fmt: skip
+    trainer = None
+    if options.shared:
+        begin = {"every": lambda: every(arms), "all": lambda: arms[0]}
+        first = begin.get(options.begin, lambda: arm_of("none", model, robot, ranges))()
+        common = replace(
+            plan, steps=options.shared, segment=options.shared, energy_start=QUICK.energy_start,
+            ramp=QUICK.ramp,
+        )  # fmt: skip
+        trainer = from_shared(first, common)
+    testbeds = tried_in(robot, arms, plan, ranges, reality)
+    return ablate(
+        options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=8, trainer=trainer
+    )
+
+
+def counted(told: dict[str, Any]) -> dict[str, Any]:
+    """The whole's differences, each run's, and how often they say what the whole says."""
+    seeds = sorted({agent["seed"] for agent in told["agents"]})
+    runs = []
+    for first in range(0, len(seeds), SEEDS):
+        own = set(seeds[first : first + SEEDS])
+        some = {"agents": [agent for agent in told["agents"] if agent["seed"] in own]}
+        runs.append(differences(some))
+    servo = [max(run, key=lambda arm: run[arm].mean) == "no-servo" for run in runs]
+    off = [run["no-servo"].low > 0 for run in runs]
+    false = [any(one.told for arm, one in run.items() if arm != "no-servo") for run in runs]
+    return {
+        "whole": {arm: said(one) for arm, one in differences(told).items()},
+        "runs": [{arm: said(one) for arm, one in run.items()} for run in runs],
+        "servo first": int(np.sum(servo)),
+        "servo off zero": int(np.sum(off)),
+        "both": int(np.sum(np.array(servo) & np.array(off))),
+        "another arm off zero": int(np.sum(false)),
+        "of": len(runs),
+    }
+
+
+def said(one: Any) -> str:  # noqa: ANN401 - a Difference
+    """A difference in a few words."""
+    return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f}), sd {one.sd:.2f}"
+
+
+if __name__ == "__main__":
+    main()
