@@ -47,12 +47,11 @@ class Decision:
     window_cost: float  # gain that a segment of something else must earn
     window_second_cost: float  # gain that each second of it must earn
     window_share: float  # share of the time from which it is no segment
-    change_borrowed: float  # references that what all effects gain together counts for
-    change_other_motion: float  # further log odds against a change where the case moves otherwise
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came
     change_farthest: float  # prior standard deviation of a change, in multiples of its start
     nameless: float  # probability that what is missing has no name, where effects leave most of it
     change_law_error: float  # how far a straight line to a change may be from what it does
+    change_explained: float  # share of what changed that names must explain, or it has none
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
     predictor: float  # share of the error below which another model is worth having

@@ -1,271 +1,317 @@
-"""One servo for references and case: what each effect would do in each recording, and alone in one.
+"""What recordings of one joint show beyond the servo that its references tell.
 
-A parameter is shared by all recordings, or some have one of their own. To first order every effect
-is looked at so, from one launch (``linearised``, ``gains``); the likeliest are fitted for good
-(``fit_own``).
+An unchanged recording is explained as well as the references allow:
+
+- ``repeat``: where the case repeats a command of theirs, by the mean of what the servo's law leaves
+  of those; the repeatability of the servo then decides what can be told, not the law;
+- ``rest``: where the servo is sampled so slowly that it is mostly seen at rest, by where the
+  references came to rest (``servo.at_rest``);
+- ``law``: else by the law, its parameters the references' and the case's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from sim2real.effects import named
-from sim2real.inference import least_squares
-from sim2real.servo.batch import Batch, Problems
+from sim2real.inference.noise import correlation_samples
+from sim2real.noise import noise_floor
+from sim2real.robot import Servo
+from sim2real.servo.at_rest import beside_rest, is_slow
+from sim2real.servo.fit import STEPS_PER_RADIAN
+from sim2real.servo.motor_prior import motor_prior
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Fits, Servos, minimise, stacked, variants
-from sim2real.servo.repeats import freed_of_the_common
-from sim2real.servo.screen import candidates
+from sim2real.servo.repeats import ALIKE, alignment, freed_of_the_common
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
+from sim2real.servo.screen import candidate, candidates
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
+Way = Literal["repeat", "rest", "law"]
+Names = tuple[str, ...]
 
-_ROUNDS = 4
-_EVALUATIONS = 15
+_DIFFERENCE = 1e-3
+_GAINS = BASE[:3]
+_EVALUATIONS = 40
 
 
 @dataclass(frozen=True)
-class Linear:
-    """The servo that all recordings share, and inner products of innovations in each of them.
+class Explained:
+    """Recordings of a joint, the references first, and what is left of them.
 
     Attributes:
-        gram: Of the shared servo's residual (0), of its derivatives by its F free parameters
-            (1 to F) and of what each of S starts of an effect adds, shape (R, 1 + F + S,
-            1 + F + S), rad2.
-        count: Samples that count, shape (R,).
-        references: How many of the recordings are references; they come first.
-        shared: How many parameters the recordings share (F).
-        directions: For each column but the first the effect, or the plain servo's parameter.
-        signed: Which of them mean something with either sign, shape (F + S,).
-        repeated: Whether what is common to recordings of one command has been taken away.
-        traces: The recordings, less what is common to those of one command.
-        servos: The shared servo, of one row.
-        noise: Its noise model on the references, shape (1, lags).
-        rows: Parameters of each direction, shape (F + S, P).
+        way: How they are explained.
+        traces: The recordings.
+        references: How many of them are references.
+        left: Measured minus explained angles in rad, NaN where not looked at, (T,) each.
+        row: Parameters of the servo, shape (P,).
+        shared: Derivatives of the angles by what the law shares among all, (T, F) each; F is 0
+            where no law explains them.
+        precision: Of what is believed of these, shape (F, F).
+        variance: Of a sample beside that belief, what is left being correlated, rad2.
+        scale2: Mean square of what is left of the references, at least that of rounding, rad2.
     """
 
-    gram: Array
-    count: Array
-    references: int
-    shared: int
-    directions: tuple[str, ...]
-    signed: NDArray[np.bool_]
-    repeated: bool
+    way: Way
     traces: tuple[Trace, ...]
-    servos: Servos
-    noise: Array
-    rows: Array
+    references: int
+    left: tuple[Array, ...]
+    row: Array
+    shared: tuple[Array, ...]
+    precision: Array
+    variance: float
+    scale2: float
+
+    @property
+    def case(self) -> list[int]:
+        """Places of the recordings in question."""
+        return list(range(self.references, len(self.traces)))
+
+    def seen(self, r: int) -> NDArray[np.bool_]:
+        """Samples of a recording that are looked at, shape (T,)."""
+        return np.isfinite(self.left[r])
+
+    def simulated(self, rows: Array, places: Sequence[int]) -> list[Array]:
+        """Angles of servos (B, P) in some of the recordings, (B, T) each."""
+        return simulated([self.traces[r] for r in places], rows, self.row)
 
 
-def linearised(
-    references: Sequence[Trace],
-    case: Sequence[Trace],
-    servos: Sequence[Servos],
-    device: str = "cpu",
-) -> Linear:
-    """Fit one servo to all recordings of a joint and look at every effect from there.
+def simulated(traces: Sequence[Trace], rows: Array, servo: Array) -> list[Array]:
+    """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
+    simulator = Simulator(traces, threads=1)
+    effects = servo.copy()
+    effects[BASE.index("gravity_Nm")] = 1.0  # no exact solution: effects may come
+    step = simulator.substep(effects[None], STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+    if np.isinf(step):
+        step = LONGEST_SUBSTEP_S
+    return simulator.angles(rows, step)
 
-    The noise is what this servo leaves of the references: what it cannot explain there is no sign
-    of a change.
+
+def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
+    """How a case is best compared with its references."""
+    every = [*references, *case]
+    if is_slow(every):
+        return "rest"
+    again = all(any(alignment(one, other)[1] < ALIKE for other in references) for one in case)
+    return "repeat" if again else "law"
+
+
+def explained(
+    references: Sequence[Trace], case: Sequence[Trace], row: Array, servo: Servo
+) -> Explained:
+    """Explain all recordings of a joint by its servo, as the references tell it.
 
     Args:
         references: The joint's references.
         case: The joint's recordings in question.
-        servos: Where to start from, each of one row, with the same free parameters.
-        device: Warp device.
+        row: Parameters of the servo, shape (P,).
+        servo: Its data sheet.
     """
-    every = [*references, *case]
-    batch, best = fitted(every, servos, device)
-    alone = Problems(best.servos.joint, best.servos.theta[:, None], np.zeros((1, 1)))
-    left = batch.evaluate(alone, keep=True).residual
-    assert left is not None
-    freed, repeated = freed_of_the_common(every, list(left[0]), len(references))
-    same = bool(repeated[len(references) :].all())
-    if same:
-        every = freed
-        batch = Batch([every], device)
-    noise = Batch([every[: len(references)]], device).evaluate(alone).autoregression
-    directions, signed, problems = _looks(best, batch)
-    noise = np.pad(noise, ((0, 0), (0, max(0, batch.lags - noise.shape[1]))))[:, : batch.lags]
-    gram = batch.evaluate(problems, autoregression=noise).gram[0]
-    # A start from which a servo is unstable tells nothing.
-    bad = np.flatnonzero(~np.isfinite(np.einsum("rkk->rk", gram)).all(axis=0))
-    gram[:, bad] = gram[:, :, bad] = 0.0
-    shared = best.servos.columns.shape[1]
-    return Linear(
-        gram,
-        batch.samples.astype(np.float64),
-        len(references),
-        shared,
-        directions,
-        signed,
-        same,
-        tuple(every),
-        best.servos,
-        noise,
-        problems.theta[0, 1:],
-    )
+    every, R = [*references, *case], len(references)
+    way, step = way_of(references, case), servo.position_step_rad
+    shared, precision = tuple(np.zeros((trace.t.size, 0)) for trace in every), np.zeros((0, 0))
+    spread2, telling = 0.0, [True] * R
+    if way == "rest":
+        left, spread2 = beside_rest(every, R, step)
+    else:
+        pairs = zip(every, simulated(every, row[None], row), strict=True)
+        left = [_masked(t, t.position - angle[0]) for t, angle in pairs]
+    if way == "repeat":
+        freed, repeated = freed_of_the_common(every, [-np.nan_to_num(x) for x in left], R)
+        triples = zip(left, freed, every, strict=True)
+        left = [part + (f.position - t.position) for part, f, t in triples]
+        telling = repeated[:R].tolist()
+        spread2 = 0.0 if any(telling) else 4 * max(_noise(t) for t in references) ** 2
+    if way == "law":
+        shared, precision = _derivatives(every, row, servo)
+    parts = [x[np.isfinite(x)] for x, tells in zip(left, telling, strict=False) if tells]
+    known = np.concatenate([*parts, np.zeros(0)])
+    scale2 = float(np.mean(known**2)) if known.size else 0.0
+    scale2 = max(scale2, spread2, step**2 / 12, 1e-18)
+    correlated = float(np.mean([correlation_samples(x) for x in parts])) if parts else 1.0
+    variance = scale2 * (correlated if way == "law" else 1.0)
+    return Explained(way, tuple(every), R, tuple(left), row, shared, precision, variance, scale2)
 
 
-def fitted(
-    traces: Sequence[Trace], servos: Sequence[Servos], device: str = "cpu"
-) -> tuple[Batch, Fits]:
-    """Recordings of one joint, and the likeliest fit to all of them from any of these starts."""
-    batch = Batch([list(traces)], device)
-    fits = [minimise(batch, one, iterations=15) for one in servos]
-    return batch, max(fits, key=lambda fit: float(fit.loglikelihood[0]))
+def _noise(trace: Trace) -> float:
+    return noise_floor(trace.t, trace.command, trace.position)
 
 
-def _looks(fit: Fits, batch: Batch) -> tuple[tuple[str, ...], NDArray[np.bool_], Problems]:
-    """The servo, a little more of each free parameter, and every start of every other effect."""
-    own = variants(fit.servos)
-    shared = fit.servos.columns.shape[1]
-    kp, inertia = float(fit.servos.theta[0, 0]), float(batch.load[0, 0])
-    names = [COLUMNS[c].partition(".")[0] for c in fit.servos.columns[0]]
-    known = [name for name in names if name not in BASE]
-    options = [c for c in candidates(known, kp, inertia) if not c.effect.everywhere]
-    rows, effects = [], []
+def _masked(trace: Trace, values: Array) -> Array:
+    return np.where(trace.used, values, np.nan)
+
+
+def _derivatives(
+    traces: Sequence[Trace], row: Array, servo: Servo
+) -> tuple[tuple[Array, ...], Array]:
+    """Derivatives of angles by the gains and the motor's parameters, in spreads or units."""
+    prior = motor_prior(servo, traces)
+    beliefs = [b for b in prior.beliefs if b.name in _GAINS or row[COLUMNS.index(b.name)] > 0]
+    size = np.array([b.unit for b in beliefs])
+    rows = np.tile(row, (1 + len(beliefs), 1))
+    for k, belief in enumerate(beliefs):
+        column, step = COLUMNS.index(belief.name), _DIFFERENCE * belief.unit
+        now = rows[1 + k, column]
+        rows[1 + k, column] = now * np.exp(step) if belief.log else now + step
+    slopes = [(a[1:] - a[:1]).T / _DIFFERENCE for a in simulated(traces, rows, row)]
+    sd = np.array([belief.sd for belief in beliefs])
+    return tuple(slopes), np.diag((size / sd) ** 2)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Every start of every effect, and of the plain servo's parameters.
+
+    Attributes:
+        names: Effect or parameter of each, of which there are K.
+        rows: The servo with it, shape (K, P).
+        signed: Whether it means something backwards, too, shape (K,).
+        moved: How it moves the angles of each recording, (K, T) each.
+    """
+
+    names: Names
+    rows: Array
+    signed: NDArray[np.bool_]
+    moved: tuple[Array, ...]
+
+
+def directions(of: Explained) -> Directions:
+    """Simulate them all."""
+    kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
+    present = {COLUMNS[k].partition(".")[0] for k in np.flatnonzero(of.row) if "." in COLUMNS[k]}
+    options = candidates(frozenset(present - {"motor"}), kp, inertia)
+    options = [c for c in options if not c.effect.everywhere]
+    rows, names = [], []
+    if of.way != "rest":
+        for k, name in enumerate(_GAINS):
+            rows.append(of.row.copy())
+            rows[-1][k] += 0.01 if name == "latency_s" else 0.1 * of.row[k]
+            names.append(name)
     for option in options:
         for start in option.starts:
-            row = fit.servos.theta[0].copy()
-            row[option.columns] = start
-            rows.append(row)
-            effects.append(option.effect.name)
-    theta = np.concatenate([own.theta[0], np.array(rows)])
-    scale = np.concatenate([own.scale[0], np.ones(len(rows))])
-    directions = (*names, *effects)
-    signed = np.array(
-        [k < shared or d not in BASE and named(d).either_sign for k, d in enumerate(directions)]
-    )
-    return directions, signed, Problems(fit.servos.joint, theta[None], scale[None])
+            rows.append(of.row.copy())
+            rows[-1][option.columns] = start
+            names.append(option.effect.name)
+    table = np.array([of.row, *rows])
+    angles = of.simulated(table, range(len(of.traces)))
+    moved = tuple(np.nan_to_num(a[1:] - a[:1]) for a in angles)
+    signed = np.array([n in _GAINS or named(n).either_sign for n in names])
+    return Directions(tuple(names), table[1:], signed, moved)
 
 
-def gains(linear: Linear, own: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Free each direction in some recordings only, the servo's parameters shared by all.
+def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array]:
+    """Free each direction in some recordings only, what the law shares in all.
 
-    Each recording has its own variance, at its best; all is linear in the parameters, so that a
-    few rounds of weighted least squares end at the largest likelihood.
+    Least squares, linear in all parameters, one variance for all recordings.
 
     Args:
-        linear: The recordings.
+        of: The recordings.
+        by: The directions.
         own: Those in which it is free.
 
     Returns:
-        Gain in log-likelihood, change in multiples of the start, and sum of squared innovations
-        that is left in these recordings, rad2, each of shape (K,).
+        What it takes away from them, as a mean square in rad2, and its size in multiples of the
+        start, each of shape (K,).
     """
-    F, K = linear.shared, linear.gram.shape[1] - 1
-    mine = np.zeros(len(linear.gram))
-    mine[list(own)] = 1.0
-    error2 = linear.gram[:, 0, 0]
-    slope = np.zeros((len(linear.gram), K, F + 1))
-    slope[:, :, :F] = linear.gram[:, None, 1 : 1 + F, 0]
-    slope[:, :, F] = linear.gram[:, 0, 1:] * mine[:, None]
-    normal = np.zeros((len(linear.gram), K, F + 1, F + 1))
-    normal[:, :, :F, :F] = linear.gram[:, None, 1 : 1 + F, 1 : 1 + F]
-    cross = linear.gram[:, 1 : 1 + F, 1:] * mine[:, None, None]
-    normal[:, :, :F, F] = normal[:, :, F, :F] = cross.transpose(0, 2, 1)
-    normal[:, :, F, F] = np.diagonal(linear.gram, axis1=1, axis2=2)[:, 1:] * mine[:, None]
-    plain, _ = _largest(error2, slope[:, :1, :F], normal[:, :1, :F, :F], linear.count)
-    after, x = _largest(error2, slope, normal, linear.count)
-    gain = 0.5 * linear.count @ np.log(plain / after)
-    backwards = (x[:, F] < 0) & ~linear.signed
-    gain = np.where(backwards, 0.0, np.maximum(gain, 0.0))
-    return gain, x[:, F], mine @ after
+    K, F = len(by.names), of.precision.shape[0]
+    normal, slope = of.variance * of.precision, np.zeros(F)
+    cross, along, square, count = np.zeros((F, K)), np.zeros(K), np.zeros(K), 0
+    for r, left in enumerate(of.left):
+        seen = of.seen(r)
+        J, e = of.shared[r][seen], left[seen]
+        normal = normal + J.T @ J
+        slope = slope + J.T @ e
+        if r in own:
+            D = by.moved[r][:, seen]
+            cross += J.T @ D.T
+            along += D @ e
+            square += (D**2).sum(axis=1)
+            count += e.size
+    if not count:
+        return np.zeros(K), np.zeros(K)
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) if F else normal
+    along = along - cross.T @ (inverse @ slope)
+    free = square - np.einsum("fk,fg,gk->k", cross, inverse, cross)
+    told = free > 1e-6 * square + 1e-30
+    size = np.where(told, along / np.where(told, free, 1.0), 0.0)
+    size[(size < 0) & ~by.signed] = 0.0
+    return np.where(told, size * along, 0.0) / count, size
 
 
-def _largest(error2: Array, slope: Array, normal: Array, count: Array) -> tuple[Array, Array]:
-    """Squared innovations (R, K) and parameters (K, F) where the likelihood is largest."""
-    floor = 1e-9 * error2[:, None]
-    now = np.repeat(error2[:, None], slope.shape[1], axis=1)
-    x = np.zeros(slope.shape[1:])
-    size = np.sqrt(np.einsum("rkff->kf", normal))
-    size[size == 0] = 1.0
-    for _ in range(_ROUNDS):
-        weight = count[:, None] / now
-        matrix = np.einsum("rk,rkfg->kfg", weight, normal) / (size[:, :, None] * size[:, None])
-        right = -np.einsum("rk,rkf->kf", weight, slope) / size
-        inverse = np.linalg.pinv(matrix, rcond=1e-9, hermitian=True)
-        x = np.einsum("kfg,kg->kf", inverse, right) / size
-        change = 2 * np.einsum("rkf,kf->rk", slope, x)
-        change += np.einsum("kf,rkfg,kg->rk", x, normal, x)
-        now = np.maximum(error2[:, None] + change, floor)
-    return now, x
+def energy(of: Explained, places: Sequence[int]) -> float:
+    """Mean square of what is left of some recordings, rad2; 0 where nothing is looked at."""
+    every = np.concatenate([of.left[r][of.seen(r)] for r in places])
+    return float(np.mean(every**2)) if every.size else 0.0
 
 
-def fit_own(batch: Batch, linear: Linear, owns: Sequence[Servos]) -> tuple[Array, Array, Array]:
-    """Fit the shared servo together with each set of parameters that the case has to itself.
+def fitted(
+    of: Explained, effects: Sequence[str], starts: Sequence[Array]
+) -> tuple[Array, float]:
+    """The servo (P,) with these effects as they explain the case best, and what they leave, rad2.
 
-    Each recording has a variance of its own.
+    The servo itself stays; an effect may be a parameter of the plain servo.
 
     Args:
-        batch: The references as its first joint and the case as its second.
-        linear: The recordings, with the shared servo and its noise.
-        owns: The case's servo, of one row, free in what the case has to itself; a fit each.
-
-    Returns:
-        Log-likelihood up to a constant, sum of squared innovations in the case in rad2, each of
-        shape (H,), and parameters of the case, shape (H, P).
+        of: The recordings.
+        effects: Names of the effects.
+        starts: Servos to start from, shape (P,) each.
     """
-    H, F = len(owns), linear.shared
-    before = replace(linear.servos[np.zeros(H, dtype=np.intp)], joint=np.zeros(H, dtype=np.int32))
-    own = stacked(owns)
-    # Of a parameter that the case has to itself the shared value is the references' alone.
-    taken = (before.columns[:, :, None] == own.columns[:, None]).any(axis=2)
-    case = Servos(
-        np.ones(H, dtype=np.int32),
-        own.theta,
-        np.hstack([np.where(taken, -1, before.columns), own.columns]),
-        *(np.hstack([getattr(x, name) for x in (before, own)]) for name in ("unit", "low", "high")),
-    )
-    start = case.values()
-    start[:, :F] = before.values()
-    moving = case.free.copy()
-    moving[:, :F] = True
+    kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
+    columns, low, high, unit = [], [], [], []
+    for name in effects:
+        if name in _GAINS:
+            column = _GAINS.index(name)
+            value = max(float(of.row[column]), 1e-6)
+            columns += [column]
+            low, high = [*low, 0.0], [*high, 0.5 if name == "latency_s" else 30 * value]
+            unit += [0.02 if name == "latency_s" else value]
+        else:
+            option = candidate(named(name), kp, inertia)
+            columns += option.columns.tolist()
+            low, high = [*low, *option.low], [*high, *option.high]
+            unit += option.unit.tolist()
+    scale, box = np.array(unit), (np.array(low) / unit, np.array(high) / unit)
+    places = of.case
+    base = of.simulated(of.row[None], places)
 
-    def expand(x: Array, index: least_squares.Index) -> least_squares.Expansion:
-        parts = before[index].at(x[:, :F]), case[index].at(x)
-        return _expansion(batch, parts, np.repeat(linear.noise, len(index), axis=0))
+    def left(x: Array) -> Array:
+        rows = np.tile(of.row, (len(x), 1))
+        rows[:, columns] = x * scale
+        moved = [a - b for a, b in zip(of.simulated(rows, places), base, strict=True)]
+        parts = [
+            (of.left[r] - m)[:, of.seen(r)] for r, m in zip(places, moved, strict=True)
+        ]
+        return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
 
-    found = least_squares.minimise(
-        expand,
-        start,
-        case.low / case.unit,
-        case.high / case.unit,
-        free=moving,
-        evaluations=_EVALUATIONS,
-    )
-    # What the case shares stands in its row, too, but for what it has to itself.
-    shared, mine = before.at(found.x[:, :F]).theta, case.at(found.x).theta
-    alone = np.zeros(mine.shape, dtype=bool)
-    row, place = np.nonzero(own.free)
-    alone[row, own.columns[row, place]] = True
-    at = found.expansion
-    return -at.loss, at.aside["left"], np.where(alone, mine, shared)
+    def slopes(x: Array) -> Array:
+        step = np.where(x + _DIFFERENCE > box[1], -_DIFFERENCE, _DIFFERENCE)
+        every = left(np.vstack([x, x + np.diag(step)]))
+        return np.asarray((every[1:] - every[:1]).T / step)
+
+    best, least = of.row, np.inf
+    for start in starts:
+        x0 = np.clip(start[columns] / scale, *box)
+        found = least_squares(
+            lambda x: left(x[None])[0], x0, slopes, bounds=box, max_nfev=_EVALUATIONS,
+            x_scale=np.maximum(np.abs(x0), 1e-2), ftol=1e-6,
+        )  # fmt: skip
+        mean = 2 * float(found.cost) / max(found.fun.size, 1)
+        if mean < least:
+            least, best = mean, of.row.copy()
+            best[columns] = found.x * scale
+    return best, least
 
 
-def _expansion(batch: Batch, parts: tuple[Servos, Servos], model: Array) -> least_squares.Expansion:
-    """Profile likelihood of references and case, and what is left of the case."""
-    H, size = parts[1].columns.shape
-    loss, slope, normal = np.zeros(H), np.zeros((H, size)), np.zeros((H, size, size))
-    left = np.zeros(H)
-    ends = np.concatenate([[0], np.cumsum(batch.recordings)])
-    for part, servos in enumerate(parts):
-        count = batch.samples[ends[part] : ends[part + 1]].astype(np.float64)
-        seen = batch.evaluate(variants(servos), autoregression=model)
-        gram = seen.gram[:, : count.size]
-        energy = gram[:, :, 0, 0]
-        free = slice(gram.shape[2] - 1)
-        weight = count / energy
-        loss += 0.5 * np.log(energy) @ count
-        slope[:, free] += np.einsum("hr,hrf->hf", weight, gram[:, :, 1:, 0])
-        normal[:, free, free] += np.einsum("hr,hrfg->hfg", weight, gram[:, :, 1:, 1:])
-        left = energy.sum(axis=1)
-    lost = ~np.isfinite(loss)
-    loss[lost], left[lost] = np.inf, np.inf
-    slope[lost], normal[lost] = 0.0, np.eye(size)
-    return least_squares.Expansion(loss, slope, normal, {"left": left})
+def restated(of: Explained, load_of: Trace) -> Explained:
+    """The same with the case's load stated as that of another recording."""
+    case = [replace(of.traces[r], load=load_of.load) for r in of.case]
+    traces = (*of.traces[: of.references], *case)
+    angles = simulated(case, of.row[None], of.row)
+    left = [_masked(t, t.position - a[0]) for t, a in zip(case, angles, strict=True)]
+    return replace(of, traces=traces, left=(*of.left[: of.references], *left))
