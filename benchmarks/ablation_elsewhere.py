@@ -103,13 +103,13 @@ def swum(
     plan = replace(plan, device=options.device, cell_m=options.cell_m or plan.cell_m)
     reality = read_reality(options.reality, cell_m=options.reality_cell_m)
     reality = replace(reality, at_once=options.at_once or reality.at_once)
-    places = tried_in(robot, arms, plan, ranges, reality)
+    testbeds = tried_in(robot, arms, plan, ranges, reality)
 
     def known(*_: Any) -> list[Path]:  # noqa: ANN401 - as ``train`` is called
         return [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]
 
     return ablate(
-        options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
+        options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
         longest=options.longest, trainer=known,
     )  # fmt: skip
 
@@ -117,7 +117,7 @@ def swum(
 def joined(runs: list[Path]) -> dict[str, Any]:
     """What several runs tell, as one."""
     told = [json.loads((run / "ablation.json").read_text()) for run in runs]
-    whole = {key: told[0][key] for key in ("repeats", "places", "said", "targets")}
+    whole = {key: told[0][key] for key in ("repeats", "testbeds", "said", "targets")}
     order = list(dict.fromkeys(agent["arm"] for agent in told[0]["agents"]))
     agents = [agent for one in told for agent in one["agents"]]
     agents.sort(key=lambda agent: (order.index(agent["arm"]), agent["seed"]))

@@ -176,8 +176,8 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
-    from sim2real.diagnose.judging import changes, evidence
-    from sim2real.diagnose.nuisances import size_in_noise
+    from sim2real.diagnose.judging import evidence
+    from sim2real.diagnose.search import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
 
@@ -219,14 +219,14 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
             {
                 "members": group.members,
                 "p": group.probability,
-                "changes": min(changes(finding, one.unseen, group.members[0]), 1e9),
+                "changes": min(finding.changes(one.unseen, group.members[0]), 1e9),
                 "features": features,
             }
             for group, features in told.groups
         ],
         "link": link and {
             "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
-            "changes": changes(finding, one.unseen, link.effect), "features": told.link,
+            "changes": finding.changes(one.unseen, link.effect), "features": told.link,
         },
         "said": [[list(g.members), g.probability] for g in finding.groups],
         "unknown": finding.unknown,

@@ -25,7 +25,7 @@ from rl.controllers.tuned import PACES
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
-from rl.pool import draws_of
+from rl.make import draws_of
 from rl.sac.recipes import plan_of
 from rl.sac.train import Arm, train
 from rl.task import TASKS
@@ -94,14 +94,16 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
     found = {}
     for task in options.tasks:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
-        crew: dict[str, Controller] = {}
+        controllers: dict[str, Controller] = {}
         for name, path in agents.items():
-            crew[f"{name}/{path.name}"] = controller_of(str(path), limits, n)
+            controllers[f"{name}/{path.name}"] = controller_of(str(path), limits, n)
         for kind in MARKS:
             for pace in PACES:
                 name = f"{kind}-{pace}"
-                crew[name] = controller_of(name, limits, n, gains=options.gains)
-        swims = run_trials(robot, model, ranges, TASKS[task], crew, episodes=n, seed=7, **water)
+                controllers[name] = controller_of(name, limits, n, gains=options.gains)
+        swims = run_trials(
+            robot, model, ranges, TASKS[task], controllers, episodes=n, seed=7, **water
+        )
         found[task] = {name: summary(one, TASKS[task]) for name, one in swims.items()}
         content = {"task": task, "fidelity": options.fidelity, "randomized": True}
         content |= {"results": found[task], "provenance": provenance([], options.seed)}

@@ -20,8 +20,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
 from rl.env import action_space, observation_space
+from rl.make import make_world
 from rl.observer import PAPER
-from rl.pool import make_world
 from rl.sac.agents import PLAIN, Agents
 from rl.sac.sac import make_sac
 from rl.task import TASKS

@@ -35,8 +35,8 @@ from rl.controllers import Controller
 from rl.controllers.adrc import ADRCGains, DisturbanceRejection
 from rl.controllers.pnl import PNLGains, ProportionalNavigation
 from rl.controllers.tuned import PACES, TUNED
+from rl.make import make_world
 from rl.metrics import Metrics, measure
-from rl.pool import make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values

@@ -27,9 +27,9 @@ from tune_controllers import BOUNDS, KINDS, LIMITS, MODEL, PRICES, ROBOT, as_tom
 
 from rl.controllers.tuned import TUNED
 from rl.experiments.evaluate import Episodes, spent
-from rl.experiments.places import Crew, Simulated
 from rl.experiments.real_episodes import Starts
-from rl.pool import draws_of
+from rl.experiments.testbeds import Controllers, Simulated
+from rl.make import draws_of
 from rl.task import TASKS, Task
 from rl.world import Draws
 from sim2real.output import write_whole
@@ -70,18 +70,20 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     C, S = options.candidates, options.trials
     drawn = draws_of(MODEL, read_ranges("datasets/pool/ranges.json"), ROBOT, seed=seed, n=S)
     own = [Draws((model,), drawn.noise) for model in drawn.models]
-    crew, price = [], []
+    controllers, price = [], []
     for kind, (form, build) in KINDS.items():
         rows = np.concatenate([gains[kind, pace] for pace in PRICES])
         columns = np.repeat(rows, S, axis=0).T
         named = dict(zip((one.name for one in fields(form)), columns, strict=True))
-        crew.append(build(LIMITS, columns.shape[1], form(**named)))
+        controllers.append(build(LIMITS, columns.shape[1], form(**named)))
         price.append(np.repeat([*PRICES.values()], C * S))
     starts = TASK.place(np.random.default_rng(seed), S, len(LIMITS))
     n = len(SEARCHES) * C
     tiled = Starts(*(np.tile(x, (n, *[1] * (x.ndim - 1))) for x in starts))
-    place = Simulated("fluid", own * n, options.fidelity, options.cell_m, {}, options.device)
-    episodes = place.swim(Crew(crew, n * S // len(crew)), ROBOT, TASK, tiled, seed)
+    testbed = Simulated("fluid", own * n, options.fidelity, options.cell_m, {}, options.device)
+    episodes = testbed.swim(
+        Controllers(controllers, n * S // len(controllers)), ROBOT, TASK, tiled, seed
+    )
     table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
     return dict(zip(SEARCHES, table, strict=True))
 

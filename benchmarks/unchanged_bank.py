@@ -2,11 +2,11 @@
 
     python -m benchmarks.unchanged_bank
 
-A bank of real recordings that are never the case of a sealed set's tier T2: ``lift_and_drop`` of the
-XL330 at either gain, against the other three trajectories, and each stretch of the STS3215 log
-``single`` against the others. Takes the recordings from SIM2REAL_REALDATA (default
-../shared/realdata). No log of the bank repeats a command, so that repeats are judged by what their
-references leave.
+A bank of real recordings that are never the case of a sealed T2 from the third on:
+``lift_and_drop`` of the XL330 at either gain, against the other three trajectories, and each
+stretch of the STS3215 log ``single`` against the others. Takes the recordings from
+SIM2REAL_REALDATA (default ../shared/realdata). No log of the bank repeats a command, so that
+repeats are judged by what their references leave.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def main() -> None:
         }
         ratio = Steps(of).ratio()
         found[of.way].append(({n: g / of.scale2 for n, g in null.items()}, ratio))
-        print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {max(null.values()) / of.scale2:.2f}")
+        largest = max(null.values()) / of.scale2
+        print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {largest:.2f}")
     ways = {way: entry(some, way) for way, some in found.items()}
     repeats = {name: 1.0 for name in ways["law"]["null"]}
     ways["repeat"] = {"known": 2.0, "jump": JUMPS["repeat"], "null": repeats}

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from rl.env import FishEnv, FishVectorEnv
+from rl.make import Fidelity, draws_of, make_world
 from rl.observer import View
-from rl.pool import Fidelity, draws_of, make_world
 from rl.task import TASKS
 from rl.world import World
 from sim2real.errors import InputError

@@ -89,7 +89,7 @@ def test_noise_from_holds(step: float, ratio: float, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("ratio", [0, 0.25, 0.5, 1, 2])
 @pytest.mark.parametrize("step", STEPS[:2])
-def test_noise_without_quiet_stretch(step: float, ratio: float, seed: int) -> None:
+def test_noise_without_quiet_segment(step: float, ratio: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     t = times(rng)
     command = 0.5 * np.sin(2 * np.pi * t)

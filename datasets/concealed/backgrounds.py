@@ -2,7 +2,7 @@
 
 ``xl330_200`` and ``xl330_800`` (a pendulum at two firmware gains), the four swings of EMPS (metres
 read as radians, every fourth sample, each from a turning point; all have the same command, and
-repeat within 0.3 um), and each STS3215 log cut into stretches of 6 s before the tested servo steps.
+repeat within 0.3 um), and each STS3215 log cut into segments of 6 s before the tested servo steps.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def backgrounds(folder: Path) -> dict[str, list[Log]]:
         groups[f"xl330_{gain}"] = [_read(path, "xl330") for path in paths]
     for name in ("single", "nocomp2", "pgain_zero_db"):
         whole = _read(folder / "sts3215_backlash" / f"{name}.csv", "sts")
-        groups[name] = list(_stretches(whole))
+        groups[name] = list(_segments(whole))
     data = pd.read_csv(folder / "emps" / "emps.csv")
     groups["emps"] = []
     for k, (start, stop) in enumerate(zip(EMPS_TURNS[:-1], EMPS_TURNS[1:], strict=True)):
@@ -116,7 +116,7 @@ def _read(path: Path, family: str) -> Log:
     return Log(path.stem, family, t, command, position, load, supply, duty)
 
 
-def _stretches(log: Log) -> Iterator[Log]:
+def _segments(log: Log) -> Iterator[Log]:
     """Cut three samples before the tested servo steps away from 0."""
     away = np.abs(log.command[:, 0]) > 0.1
     cuts = [0, *(np.flatnonzero(away[1:] & ~away[:-1]) - 2), log.t.size]

@@ -216,9 +216,9 @@ def _windows(truth: Row, said: Row, held_out: Path) -> list[float]:
 
 
 def overlap(one: Iterable[Sequence[float]], other: Iterable[Sequence[float]]) -> float:
-    """Intersection over union of two sets of stretches."""
-    first, second = [list(map(tuple, stretches)) for stretches in (one, other)]
-    edges = np.unique([end for stretch in first + second for end in stretch])
+    """Intersection over union of two sets of segments."""
+    first, second = [list(map(tuple, segments)) for segments in (one, other)]
+    edges = np.unique([end for segment in first + second for end in segment])
     both = either = 0.0
     for start, stop in zip(edges[:-1], edges[1:], strict=True):
         inside = [any(a <= start and stop <= b for a, b in each) for each in (first, second)]

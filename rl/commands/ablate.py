@@ -13,9 +13,9 @@ from rl.executor import Job, run_jobs
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
-from rl.experiments.places import Place, Real, Simulated
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.shared import from_shared
+from rl.experiments.testbeds import Real, Simulated, Testbed
 from rl.randomize import noise_of
 from rl.sac import recipes
 from rl.sac.train import Arm, Plan
@@ -50,13 +50,13 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
     arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
     plan = plan_of(options)
-    places = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
+    testbeds = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
     files += [options.truth] if options.truth else []
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
-        options.out, robot, arms, plan, places, repeats=options.repeats, seed=options.seed,
+        options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=made,
         trainer=trainer_of(options, arm_of("none", model, robot, ranges)),
     )  # fmt: skip
@@ -112,7 +112,7 @@ def plan_of(options: argparse.Namespace, *, shared: bool = False) -> Plan:
 def tried_in(
     robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
-) -> list[Place]:  # fmt: skip
+) -> list[Testbed]:  # fmt: skip
     """Each arm's own simulator, and the reality that none of them has seen.
 
     Args:

@@ -175,9 +175,9 @@ def _ablated(
     torch.set_num_threads(2)  # one batch of all agents, no longer small
     steps = f"{SHARED.steps} steps in common and {plan.steps} in each"
     with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {steps}, in the twin"):
-        places = tried_in(robot, arms, plan, found.ranges, reality)
+        testbeds = tried_in(robot, arms, plan, found.ranges, reality)
         told = ablate(
-            folder, robot, arms, plan, places, seed=options.seed, repeats=8, trainer=trainer
+            folder, robot, arms, plan, testbeds, seed=options.seed, repeats=8, trainer=trainer
         )
     write_report(told, plan, folder, model.provenance)
     print(markdown(told))

@@ -9,7 +9,7 @@ import numpy as np
 from rl.experiments.evaluate import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
-from rl.pool import make_world
+from rl.make import make_world
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.view.video import Video

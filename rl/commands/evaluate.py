@@ -16,7 +16,7 @@ from rl.experiments.evaluate import Episodes, run_episodes, summary
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
 from rl.experiments.trials import UNSEEN, run_trials
-from rl.pool import draws_of, make_world, own_stream
+from rl.make import draws_of, make_world, own_stream
 from rl.sac.recipes import RECIPES
 from rl.task import TASKS
 from sim.view.video import Video, check_video

@@ -49,8 +49,8 @@ def run(options: argparse.Namespace) -> int:
     ):
         track = swim(link, pilot, interrupted=stop, progress=bar.update)
         if track is None:
-            heard = f", only {link.strange} strange datagrams" if link.strange else ""
-            found = f"no word from {url} in {ANSWER_S:g} s{heard}"
+            strange = f", only {link.strange} strange datagrams" if link.strange else ""
+            found = f"no word from {url} in {ANSWER_S:g} s{strange}"
             raise InputError("--port", "", found, "a robot that speaks as rl/deploy/link.py says")
     kept = "nothing written"
     if options.out is not None and len(track.t) >= FEWEST_ROWS:

@@ -21,8 +21,8 @@ from tqdm import tqdm
 
 from rl.controllers.discrete_cpg import TABLE, ActionTable
 from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.make import Fidelity, draws_of, make_world, own_stream
 from rl.observer import PAPER
-from rl.pool import Fidelity, draws_of, make_world, own_stream
 from rl.task import TASKS
 from rl.vec_env import FishVecEnv
 from sim2real.errors import InputError

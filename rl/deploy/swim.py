@@ -42,16 +42,16 @@ def swim(
     news = _contact(link, interrupted)
     if not news:
         return None
-    heard = time.monotonic()
+    answered = time.monotonic()
     try:
         while not pilot.over:
             before, now = pilot.swum_s, time.monotonic()
             command = pilot.answer(news, now)
             if command is not None:
-                heard = now
+                answered = now
                 link.send(command)
                 progress(max(pilot.swum_s, 0.0) - max(before, 0.0))
-            elif now - heard > SILENCE_S:
+            elif now - answered > SILENCE_S:
                 pilot.stopped = f"no word from the robot for {SILENCE_S:g} s"
             if interrupted():
                 pilot.stopped = "interrupted"

@@ -20,8 +20,8 @@ from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
 from rl.deploy.forward import Policy, read_npz
 from rl.experiments.evaluate import Episodes, spent
-from rl.experiments.places import Crew, Place
 from rl.experiments.real_episodes import same_starts
+from rl.experiments.testbeds import Controllers, Testbed
 from rl.sac.sampled import SampledController
 from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS, Task
@@ -36,7 +36,7 @@ def ablate(
     robot: Robot,
     arms: Sequence[Arm],
     plan: Plan,
-    places: Sequence[Place],
+    testbeds: Sequence[Testbed],
     *,
     repeats: int = 5,
     seed: int = 0,
@@ -52,8 +52,8 @@ def ablate(
         robot: Links, joints and data sheets.
         arms: What each group of agents trains in.
         plan: How to train.
-        places: Where to try the policies.
-        repeats: Episodes of each agent and place.
+        testbeds: Where to try the policies.
+        repeats: Episodes of each agent and testbed.
         seed: Of starts and noise.
         sampled: Whether policies act as in training, with their own noise.
         longest: Control periods of a trial at most; the task's own where None.
@@ -61,7 +61,7 @@ def ablate(
         trainer: What trains, called as ``rl.sac.train.train``, which it is where None.
 
     Returns:
-        ``agents``: for each, its arm, seed and, by place, return (the rewards discounted as in
+        ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
         training), reward, success, time and energy of each repeat.
     """
     trainer = trainer or train
@@ -70,9 +70,9 @@ def ablate(
     task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     found: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
-    for place in places:
-        path = folder / f"{place.name}.json"
-        asked = key(agents, robot, place, task, (repeats, seed, sampled, discount))
+    for testbed in testbeds:
+        path = folder / f"{testbed.name}.json"
+        asked = key(agents, robot, testbed, task, (repeats, seed, sampled, discount))
         known = json.loads(path.read_text()) if path.exists() else {}
         if known.get("key") != asked:
             policies = [
@@ -82,21 +82,21 @@ def ablate(
                 for k, agent in enumerate(agents)
             ]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
-            episodes = place.swim(Crew(policies, repeats), robot, task, starts, seed)
+            episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
             known = {"key": asked, **told(episodes, len(agents), task, discount)}
             write_json(path, known)
-        found[place.name] = known
+        found[testbed.name] = known
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
     return {
         "repeats": repeats,
-        "places": [place.name for place in places],
-        "said": {place.name: place.said for place in places},
+        "testbeds": [testbed.name for testbed in testbeds],
+        "said": {testbed.name: testbed.said for testbed in testbeds},
         "agents": [
             {"arm": arm, "seed": s, "folder": agents[a].name}
-            | {place: found[place]["agents"][a] for place in found}
+            | {testbed: found[testbed]["agents"][a] for testbed in found}
             for a, (arm, s) in enumerate(names)
         ],
-        "targets": {place: found[place]["targets"] for place in found},
+        "targets": {testbed: found[testbed]["targets"] for testbed in found},
     }
 
 
@@ -109,23 +109,23 @@ def policy_in(agent: Path) -> Policy:
 def key(
     agents: Sequence[Path],
     robot: Robot,
-    place: Place,
+    testbed: Testbed,
     task: Task,
     how: tuple[int, int, bool, float],
 ) -> str:
-    """SHA-256 of what decides how agents do in a place: policies, robot, place, reward, starts.
+    """SHA-256 of what decides how agents do in a testbed: policies, robot, testbed, reward, starts.
 
     Args:
         agents: Folders.
         robot: The robot.
-        place: The place.
+        testbed: The testbed.
         task: The task.
         how: Repeats, seed, whether policies act with noise, discount of a control period.
     """
     whole = hashlib.sha256()
     for agent in agents:
         whole.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    whole.update(repr((robot, place.key(), task.energy, task.steps, how)).encode())
+    whole.update(repr((robot, testbed.key(), task.energy, task.steps, how)).encode())
     return whole.hexdigest()
 
 

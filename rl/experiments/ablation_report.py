@@ -39,19 +39,19 @@ def write_report(found: Found, plan: Plan, folder: Path, made: Mapping[str, Any]
 
 
 def rows(found: Found) -> list[dict[str, Any]]:
-    """One row an arm: means and 90 % intervals of return and reward by place, success and so on."""
+    """One row an arm: means and 90 % intervals of return and reward by testbed, and so on."""
     out = []
     for arm in dict.fromkeys(agent["arm"] for agent in found["agents"]):
         own = [agent for agent in found["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
-        for place in found["places"]:
-            row[place] = {
-                name: bootstrap([a[place][name] for a in own], np.random.default_rng(0))
+        for testbed in found["testbeds"]:
+            row[testbed] = {
+                name: bootstrap([a[testbed][name] for a in own], np.random.default_rng(0))
                 for name in (OUTCOME, "reward")
             }
-            row[place]["success"] = float(np.mean([a[place]["success"] for a in own]))
+            row[testbed]["success"] = float(np.mean([a[testbed]["success"] for a in own]))
             for name in ("time_s", "energy"):
-                row[place][name] = float(np.mean([a[place][name] for a in own]))
+                row[testbed][name] = float(np.mean([a[testbed][name] for a in own]))
         out.append(row)
     return out
 
@@ -64,7 +64,7 @@ def markdown(found: Found) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows(found):
-        sim, real = (row[place] for place in found["places"])
+        sim, real = (row[testbed] for testbed in found["testbeds"])
         lines.append(
             f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
             f"| {_mean(real)} | {100 * real['success']:.0f} % | {real['time_s']:.1f} "
@@ -84,8 +84,8 @@ def markdown(found: Found) -> str:
     return "\n".join(lines)
 
 
-def _mean(place: Mapping[str, Any]) -> str:
-    mean, low, high = place[OUTCOME]
+def _mean(testbed: Mapping[str, Any]) -> str:
+    mean, low, high = testbed[OUTCOME]
     return f"{mean:.2f} ({low:.2f} to {high:.2f})"
 
 
@@ -100,11 +100,11 @@ def sections(found: Found, plan: Plan) -> list[Section]:
             TITLES[row["arm"]],
             *(
                 cell
-                for place in found["places"]
+                for testbed in found["testbeds"]
                 for cell in (
-                    f"{row[place][OUTCOME][0]:.2f}\n{row[place][OUTCOME][1]:.2f} to "
-                    f"{row[place][OUTCOME][2]:.2f}",
-                    f"{100 * row[place]['success']:.0f} %",
+                    f"{row[testbed][OUTCOME][0]:.2f}\n{row[testbed][OUTCOME][1]:.2f} to "
+                    f"{row[testbed][OUTCOME][2]:.2f}",
+                    f"{100 * row[testbed]['success']:.0f} %",
                 )
             ),
             f"{row['reality']['time_s']:.1f}",
@@ -211,7 +211,7 @@ def keeps(by: Mapping[str, Mapping[str, Any]]) -> str:
     """How much of its simulated reward the first arm keeps, in a sentence."""
     if "all" not in by:
         return ""
-    sim, real = (by["all"][place][OUTCOME][0] for place in ("simulation", "reality"))
+    sim, real = (by["all"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
     said = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
     said += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
     if "all-and-effects" in by and sim > real:
@@ -227,10 +227,10 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
     with house_style():
         figure = new_figure(60 + 46 * len(table), "Return of each arm in simulation and reality")
         axes = figure.subplots()
-        for place, colour, off in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
+        for testbed, colour, off in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
             y = np.arange(len(table)) + off
-            mean, low, high = np.array([row[place][OUTCOME] for row in table]).T
-            axes.barh(y, mean, 0.3, color=colour, label=place)
+            mean, low, high = np.array([row[testbed][OUTCOME] for row in table]).T
+            axes.barh(y, mean, 0.3, color=colour, label=testbed)
             axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
         axes.set_yticks(range(len(table)), [TITLES[row["arm"]] for row in table])
         axes.invert_yaxis()

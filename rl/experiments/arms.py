@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rl.pool import draws_of
+from rl.make import draws_of
 from rl.randomize import noise_of, with_density
 from rl.sac.train import Arm
 from rl.world import Draws

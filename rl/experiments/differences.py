@@ -53,12 +53,12 @@ def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Differenc
 
 
 def differences(
-    found: Mapping[str, Any], place: str = "reality", key: str = OUTCOME
+    found: Mapping[str, Any], testbed: str = "reality", key: str = OUTCOME
 ) -> dict[str, Difference]:
     """Of "all" and each other arm of an ablation, by arm."""
     table: dict[str, dict[int, float]] = {}
     for agent in found["agents"]:
-        mean = float(np.mean(agent[place][key]))
+        mean = float(np.mean(agent[testbed][key]))
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
     whole = table.pop("all", {})
     out = {}

@@ -75,42 +75,42 @@ def run_real_episodes(
     limits = np.array([joint.limits_rad for joint in robot.joints])
     rest = np.clip(0.0, *limits.T)
     going = np.ones(n, dtype=bool) if swims is None else swims.copy()
-    eyes = Eyes(n, J, starts.targets, name)
-    shown = eyes.look(reality.reset(starts.pose, starts.joint), going)
+    observers = Observers(n, J, starts.targets, name)
+    shown = observers.look(reality.reset(starts.pose, starts.joint), going)
     controller.reset(np.ones(n, dtype=bool))
-    pose, rate = [shown.copy()], [_rate(reality, eyes)]
+    pose, rate = [shown.copy()], [_rate(reality, observers)]
     value, steps = [np.zeros(n)], np.zeros(n, dtype=np.int64)
     for _ in tqdm(range(task.steps), desc="reality", unit="step", disable=None, leave=False):
-        before = eyes.distance.copy()
-        desired = np.clip(controller.act(eyes.observation), *limits.T)
+        before = observers.distance.copy()
+        desired = np.clip(controller.act(observers.observation), *limits.T)
         desired[~going] = rest
-        shown = eyes.look(reality.step(desired), going)
-        reached = eyes.distance < task.arrive_m
+        shown = observers.look(reality.step(desired), going)
+        reached = observers.distance < task.arrive_m
         outside = (np.abs(shown[:, :2]) > np.array(task.domain_m) / 2).any(axis=1)
-        now = _rate(reality, eyes)
-        parts = (before, eyes.distance, now, reached, outside)
+        now = _rate(reality, observers)
+        parts = (before, observers.distance, now, reached, outside)
         earned = reward(task, *(torch.as_tensor(x) for x in parts)).numpy()
         value.append(np.where(going, earned, np.nan))
         steps += going
         for kept, one in ((pose, shown), (rate, now)):
             kept.append(np.where(going[:, None], one, np.nan))
-        eyes.go_on(reached & going)
-        going &= ~(eyes.arrived | outside | eyes.blind())
+        observers.go_on(reached & going)
+        going &= ~(observers.arrived | outside | observers.blind())
         if not going.any():
             break
-    told = (np.array(pose), np.array(rate), np.array(value), eyes.reached, steps)
+    told = (np.array(pose), np.array(rate), np.array(value), observers.reached, steps)
     return Episodes(*told, starts.targets)
 
 
-def _rate(reality: Reality, eyes: Eyes) -> Array:
+def _rate(reality: Reality, observers: Observers) -> Array:
     """Joint rates in rad/s, shape (n, J): true ones where they are told."""
     told = getattr(reality, "rate", None)
     if not callable(told):
-        return eyes.rate
-    return np.nan_to_num(np.asarray(told(), dtype=np.float64)).reshape(eyes.rate.shape)
+        return observers.rate
+    return np.nan_to_num(np.asarray(told(), dtype=np.float64)).reshape(observers.rate.shape)
 
 
-class Eyes:
+class Observers:
     """What is known of n robots from what was seen of them.
 
     Attributes:

@@ -53,11 +53,13 @@ def held_out(
     agents: dict[str, Any] = {folder.name: {} for folder in folders}
     for name in HELD_OUT:
         task = replace(TASKS[name], energy=energy)
-        crew = {
+        controllers = {
             folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
             for folder in folders
         }
-        swum = run_trials(robot, model, ranges, task, crew, episodes=episodes, seed=SEED, **water)
+        swum = run_trials(
+            robot, model, ranges, task, controllers, episodes=episodes, seed=SEED, **water
+        )
         for agent, one in swum.items():
             agents[agent][name] = summary(one, task)
     for rows in agents.values():

@@ -7,9 +7,9 @@ from typing import Any
 
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes
-from rl.experiments.places import Crew, Simulated, some
 from rl.experiments.real_episodes import same_starts
-from rl.pool import Fidelity, draws_of
+from rl.experiments.testbeds import Controllers, Simulated, some
+from rl.make import Fidelity, draws_of
 from rl.task import Task
 from rl.world import Draws
 from sim2real.model import Model
@@ -58,9 +58,9 @@ def run_trials(
     models = list(drawn.models) * (episodes if ranges is None else 1)
     own = [Draws((one,), drawn.noise) for one in models[:episodes]]
     starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
-    place = Simulated(
+    testbed = Simulated(
         task.name, own * len(controllers), fidelity, cell_m, options or {}, device, threads
     )
-    crew = Crew(list(controllers.values()), episodes)
-    swum = place.swim(crew, robot, task, starts, seed)
-    return {name: some(swum, crew.own == k) for k, name in enumerate(controllers)}
+    several = Controllers(list(controllers.values()), episodes)
+    swum = testbed.swim(several, robot, task, starts, seed)
+    return {name: some(swum, several.own == k) for k, name in enumerate(controllers)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rl.pool import Fidelity, draws_of
+from rl.make import Fidelity, draws_of
 from rl.sac.recipes import QUICK, plan_of
 from rl.sac.train import Arm, train
 from sim2real.model import read_model

@@ -21,8 +21,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from rl.decisions import Decisions
+from rl.make import Fidelity, make_world, own_stream
 from rl.observer import View
-from rl.pool import Fidelity, make_world, own_stream
 from rl.sac.agents import Agents, Settings
 from rl.sac.checkpoint import Progress, load, save
 from rl.sac.sac import go_on_from, make_sac

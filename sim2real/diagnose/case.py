@@ -10,13 +10,13 @@ import numpy as np
 
 from sim2real.check import all_findings, check
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import Set
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo.motor_line import on_its_line
+from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace, traces
 
 
@@ -49,6 +49,7 @@ class Joint:
         step_rad: Step of its sensor where that is coarser than stated, or None.
         given: The model of it to start from, or None.
         before: Its references.
+        servo: Its data sheet, or None.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Joint:
     step_rad: float | None
     given: JointModel | None = None
     before: Sequence[Trace] = ()
+    servo: Servo | None = None
 
     @property
     def base(self) -> Set:
@@ -83,7 +85,7 @@ def prepared(case: Case) -> list[Joint]:
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)
-            joints.append(Joint(joint.name, given, noise, step, model, before))
+            joints.append(Joint(joint.name, given, noise, step, model, before, joint.servo))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.per_recording import (
     Directions,
     Explained,
@@ -31,11 +31,11 @@ from sim2real.diagnose.per_recording import (
     restated,
 )
 from sim2real.diagnose.posterior import Group, Posterior
-from sim2real.diagnose.search import LOG_PRIOR, Set
 from sim2real.effects import CATALOGUE
 from sim2real.inference.segments import Window
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace
 from sim2real.structured import Fields, read_json
 
@@ -146,9 +146,7 @@ def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANK
     known = unchanged.known + len(before)
     rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
     whole = energy(of, of.case)
-    return Contrast(
-        names, near[best], null / known, whole - gone[best], rows, known, of.scale2
-    )
+    return Contrast(names, near[best], null / known, whole - gone[best], rows, known, of.scale2)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,19 +10,27 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Case, gate
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.formula import guesses
+from sim2real.diagnose.formula import formula, what_is_left
+from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.knockoffs import best_knockoff, directions, false_discovery_of
-from sim2real.diagnose.next_experiment import for_rivals
-from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Ladder
+from sim2real.diagnose.next_experiment import next_experiment
+from sim2real.diagnose.posterior import Group
+from sim2real.diagnose.references import repeat
+from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
+from sim2real.inference.knockoffs import contest, false_discovery_rate
+from sim2real.robot import Robot
 from sim2real.servo.black_box import black_box
 from sim2real.servo.holdout import splits
+from sim2real.servo.knockoffs import best_knockoff, directions
 from sim2real.servo.linear import residual_torque, smooth_speed
+from sim2real.servo.problem import Set
 from sim2real.servo.screen import Candidate, Screen
+from sim2real.servo.trace import PER_INERTIA, Trace
 
 Array = NDArray[np.float64]
 
 _NINE_IN_TEN = 1.28
+_MOST_RIVALS = 3
 
 
 def with_checks(
@@ -42,10 +50,47 @@ def with_checks(
         evidence=tuple(e for one in joints for e in _evidence(one)),
         detection_limits=tuple(limit for one in joints for limit in _limits(one)),
         ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
-        hypothesis=guesses(joints),
-        false_discovery_rate=false_discovery_of(joints, rng),
-        next_experiment=for_rivals(case.robot, joints),
+        hypothesis=_guesses(joints),
+        false_discovery_rate=_false_discovery(joints, rng),
+        next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
     )
+
+
+def _for_rivals(robot: Robot, joints: Sequence[JointResult]) -> Experiment | None:
+    """The next experiment for the first group of several members."""
+    for one in joints:
+        for group in one.finding.groups:
+            rest = one.finding.best.members - {group.members[0]}
+            tried = one.finding.tried.tried
+            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
+            limits = robot.joint(one.name)
+            if len(known) > 1 and limits is not None:
+                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
+                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
+                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
+    return None
+
+
+def _guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
+    """Formulas by joint, for those that miss something that no effect explains and have one."""
+    found = {}
+    for one in joints:
+        named = any(g.probability >= DECISION.named for g in one.finding.groups)
+        if not one.finding.mismatch or (named and one.finding.unknown <= DECISION.named):
+            continue
+        given = one.joint.traces
+        moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
+        # The same terms for every recording.
+        always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
+        theta = one.rich.fit.servos.theta[0]
+        left = [
+            what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
+            for trace, row in zip(given, one.after, strict=False)
+        ]
+        text = formula(left, "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m")
+        if text:
+            found[one.name] = f"missing torque ≈ {text}"
+    return found
 
 
 def _limits(one: JointResult) -> list[DetectionLimit]:
@@ -72,6 +117,47 @@ def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
         black_box=black_box(folds, rng),
         noise=one.joint.noise,
     )
+
+
+def _false_discovery(joints: Sequence[JointResult], rng: np.random.Generator) -> float:
+    """Expected share of wrong ones among the effects that are named on a robot's joints.
+
+    Each named effect is judged against knockoffs of all effects, from the fit that lacks it and has
+    the others. What is found on the link or read off the sensor's numbers is no part of this. It
+    says how often chance would pass for an effect, not how often one effect passes for another.
+    """
+    chances, considered = [], 0
+    for one in joints:
+        finding = one.finding
+        considered += len(_judged(finding, finding.tried.base))
+        for group in finding.groups:
+            if group.probability >= DECISION.named and set(group.members) & finding.best.members:
+                chances.append(_chance(one.joint.traces, finding, group, rng))
+    return false_discovery_rate(chances, considered)
+
+
+def _chance(
+    traces: Sequence[Trace], finding: Finding, group: Group, rng: np.random.Generator
+) -> float:
+    tried = finding.tried
+    without = finding.best.members - set(group.members)
+    if without not in tried.tried:
+        without = tried.base
+    options = _judged(finding, without)
+    fit = tried.tried[without].fit
+    moved = directions(traces, fit.servos, options)
+    members = [k for k, c in enumerate(options) if c.effect.name in group.members]
+    return contest(moved, fit.autoregression[0], rng).chance(members)
+
+
+def _judged(finding: Finding, effects: Set) -> list[Candidate]:
+    """The candidates that may be named: what every servo has a little of only where it is."""
+    members = {name for group in finding.groups for name in group.members}
+    return [
+        option
+        for option in finding.search.seen(finding.tried, effects)[1]
+        if not option.effect.everywhere or option.effect.name in members
+    ]
 
 
 def _evidence(one: JointResult) -> list[Evidence]:

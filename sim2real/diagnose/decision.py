@@ -6,16 +6,20 @@ development seeds; beside each value it says what it was read from.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from sim2real.diagnose.odds import Odds
+import numpy as np
+
+from sim2real.servo.screen import FITTED
 from sim2real.structured import Fields, read_json
 
 FILE = Path(__file__).with_name("decision.json")
 SCHEMA = "sim2real.decision/1"
 CURVES = ("effect", "there", "nameless", "link")
 """What there are odds of: an effect, anything missing, what has no name, an uneven link."""
+_LARGEST = 40.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,22 @@ class Decision:
     line_room: float
 
 
+@dataclass(frozen=True)
+class Odds:
+    """A logistic curve: the log odds are the sum of features times their weights.
+
+    Attributes:
+        weights: By feature; that of one the curve does not know is 0.
+    """
+
+    weights: Mapping[str, float]
+
+    def probability(self, features: Mapping[str, float]) -> float:
+        """That it is so."""
+        odds = sum(self.weights.get(name, 0.0) * value for name, value in features.items())
+        return float(1 / (1 + np.exp(-np.clip(odds, -_LARGEST, _LARGEST))))
+
+
 def read_decision(path: Path = FILE) -> Decision:
     """The decisions of a file.
 
@@ -94,3 +114,5 @@ DECISION = read_decision()
 """Those that ship."""
 ODDS = read_odds()
 """The curves that ship."""
+LOG_PRIOR = float(np.log(DECISION.missing_share / len(FITTED)))
+"""Logarithm of the prior odds of each effect."""

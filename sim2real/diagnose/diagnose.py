@@ -13,11 +13,10 @@ from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.judging import judged, with_nameless
+from sim2real.diagnose.judging import judged
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.search import Hypothesis, Set
 from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.model import Model
@@ -26,7 +25,7 @@ from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import joined, residual_angles
+from sim2real.servo.problem import Hypothesis, Set, joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
@@ -120,7 +119,7 @@ def examined(
     found: dict[int, tuple[Case, list[JointResult]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
-        some = with_known_servos([cases[k] for k in group], rng, device)
+        some = with_known_servos([cases[k] for k in group], rng)
         some = [on_their_lines(case, rng) for case in some]
         results = _joint_results(some, rng, device, step)
         found.update(zip(group, zip(some, results, strict=True), strict=True))
@@ -164,7 +163,7 @@ def _joint_results(
     sets = [[*_all_sets(a), *_all_sets(b)] for a, b in zip(findings, changed, strict=True)]
     unseen = _unseen(joints, [list(dict.fromkeys(some)) for some in sets], changed, device)
     findings = [
-        with_nameless(now, judged(finding, known)) if joint.before else judged(finding, known)
+        now if joint.before else judged(finding, known)
         for joint, finding, now, known in zip(joints, findings, changed, unseen, strict=True)
     ]
     plain = [finding.tried.plain for finding in findings]

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.joint_result import JointResult
 from sim2real.inference.noise import RESIDUAL_WANDER, counting
 from sim2real.servo.holdout import simulated
 from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -27,28 +26,6 @@ _SEGMENTS = 4
 _GAINS = 3
 _LAGS = 3
 """Samples after a gap that do not count."""
-
-
-def guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
-    """Formulas by joint, for those that miss something that no effect explains and have one."""
-    found = {}
-    for one in joints:
-        named = any(g.probability >= DECISION.named for g in one.finding.groups)
-        if not one.finding.mismatch or (named and one.finding.unknown <= DECISION.named):
-            continue
-        given = one.joint.traces
-        moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
-        # The same terms for every recording.
-        always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
-        theta = one.rich.fit.servos.theta[0]
-        left = [
-            what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
-            for trace, row in zip(given, one.after, strict=False)
-        ]
-        text = formula(left, "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m")
-        if text:
-            found[one.name] = f"missing torque ≈ {text}"
-    return found
 
 
 def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[str, Trace]) -> Left:

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
-from sim2real.diagnose.search import Found, Hypothesis, ServoSearch, baselines, search
+from sim2real.diagnose.search import ServoSearch, search, size_in_noise
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
+from sim2real.servo.holdout import Unseen
 from sim2real.servo.linear import Residual
-from sim2real.servo.problem import joined, residual_angles
+from sim2real.servo.plain import baselines
+from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -44,7 +45,7 @@ class Finding:
         place: Of the joint among those of the link.
     """
 
-    tried: Found
+    tried: Tried
     search: ServoSearch
     posterior: Posterior
     best: Hypothesis
@@ -57,6 +58,21 @@ class Finding:
     step_rad: float | None
     link: Uneven | None = None
     place: int = 0
+
+    def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
+        """Share by which an effect lowers the held-out error beside the others; or infinity.
+
+        Infinity where that cannot be told: of rounding, and where nothing is held out. Of an
+        uneven link, which nobody can foretell, it is the share by which it raises the error.
+        """
+        if self.link is not None and self.link.effect == effect:
+            return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+        best = self.best.members
+        rich = unseen.get(best)
+        without = unseen.get(best - {effect}, unseen.get(self.tried.base))
+        if effect not in best or rich is None or without is None:
+            return float("inf")
+        return 1 - rich.rmse / without.rmse
 
 
 def investigate(
@@ -224,7 +240,7 @@ def _pass(
 
 
 def _finding(
-    tried: Found,
+    tried: Tried,
     problem: ServoSearch,
     after: Posterior,
     without: Unmodelled,
@@ -255,19 +271,3 @@ def _finding(
         excess_after,
         joint.step_rad,
     )
-
-
-def nameless_lead(tried: Found, best: Hypothesis, without: Unmodelled) -> float:
-    """Evidence of the best smooth function less that of the best set of effects."""
-    smooth = without.smooth.evidence(float(best.fit.count[0]))
-    return smooth - (best.evidence - tried.plain.evidence)
-
-
-def by_evidence(tried: Found, groups: Sequence[Group]) -> list[Group]:
-    """Groups by what their best member explains alone, most first."""
-
-    def alone(group: Group) -> float:
-        sets = [tried.base | {e} for e in group.members]
-        return max((tried.tried[s].evidence for s in sets if s in tried.tried), default=-np.inf)
-
-    return sorted(groups, key=alone, reverse=True)

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.investigate import ROUNDING, Finding
-from sim2real.diagnose.judging import changes
 from sim2real.diagnose.result import Estimate
-from sim2real.diagnose.search import Hypothesis, Set
 from sim2real.effects import named
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.holdout import Unseen
 from sim2real.servo.parameters import COLUMNS, motor_of
+from sim2real.servo.problem import Hypothesis, Set
 from sim2real.servo.trace import PER_INERTIA
 
 Array = NDArray[np.float64]
@@ -97,8 +96,8 @@ class JointResult:
         }
 
     def changes(self, effect: str) -> float:
-        """Share by which an effect changes the held-out error, see ``judging.changes``."""
-        return changes(self.finding, self.unseen, effect)
+        """Share by which an effect changes the held-out error, see ``Finding.changes``."""
+        return self.finding.changes(self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
         """The servo with what is named, or the plain one as ``identify`` fits it."""

@@ -1,26 +1,30 @@
-"""What is said of a joint, once all that speaks for it is known."""
+"""What is said of a joint, once all that speaks for it is known.
+
+What speaks for and against a finding is measured here, for the diagnosis and for
+``benchmarks/calibrate_decisions.py`` alike; how much each counts, the curves of ``decision.json``
+say, which were read off cases of known answer.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.diagnose.decision import DECISION, ODDS
-from sim2real.diagnose.investigate import ROUNDING, Finding, by_evidence, nameless_lead
-from sim2real.diagnose.odds import of_effect, of_link, of_nameless
+from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.diagnose.search import Set
 from sim2real.effects import named
 from sim2real.servo.holdout import Unseen
+from sim2real.servo.problem import Set
 
 Features = dict[str, float]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for and against all that could be said of a joint; see ``odds``.
+    """What speaks for and against all that could be said of a joint.
 
     Attributes:
         groups: Groups of effects, that which explains most first, each with what speaks for it.
@@ -33,62 +37,84 @@ class Evidence:
     link: Features | None
 
 
-def changes(finding: Finding, unseen: Mapping[Set, Unseen], effect: str) -> float:
-    """Share by which an effect lowers the held-out error beside the others; or infinity.
+def _logarithm(low: float, high: float) -> Callable[[float], float]:
+    return lambda x: float(np.log(np.clip(x, low, high)))
 
-    Infinity where that cannot be told: of rounding, and where nothing is held out. Of an uneven
-    link, which nobody can foretell, it is the share by which it raises the error.
-    """
-    link, best = finding.link, finding.best
-    if link is not None and link.effect == effect:
-        return float(1 - np.exp(-_own_share(finding) / best.fit.count[0]))
-    rich = unseen.get(best.members)
-    without = unseen.get(best.members - {effect}, unseen.get(finding.tried.base))
-    if effect not in best.members or rich is None or without is None:
-        return float("inf")
-    return 1 - rich.rmse / without.rmse
+
+def _gain(x: float) -> float:
+    return float(np.log1p(np.clip(x, 0.0, 1e5)))
+
+
+_SCALES: Mapping[str, Callable[[float], float]] = {
+    "probability": lambda p: -_logarithm(1e-3, 1e3)(1 / np.clip(p, 0.02, 0.98) - 1),
+    "changes": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
+    "change": lambda x: float(np.clip(x, -0.5, 1.0)),
+    "lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
+    "members": lambda n: float(np.log(n)),
+    "size": _logarithm(1e-2, 30.0),
+    "left": _logarithm(0.3, 30.0),
+    **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
+    **dict.fromkeys(("alone", "without", "smooth", "windows", "own", "gain"), _gain),
+}
+"""How a measure enters a curve: what is none of these as it is."""
+
+
+def scaled(**measured: float) -> Features:
+    """Measures as a curve takes them, and a constant beside them."""
+    return {"one": 1.0} | {name: _SCALES.get(name, float)(x) for name, x in measured.items()}
 
 
 def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     """What speaks for and against all that could be said of a joint."""
     tried, best, link = finding.tried, finding.best, finding.link
     groups = [g for g in finding.groups if g.members != (ROUNDING,)]
-    groups = by_evidence(tried, [g for g in groups if link is None or link.effect not in g.members])
-    lead = nameless_lead(tried, best, finding.unmodelled)
+    groups = [g for g in groups if link is None or link.effect not in g.members]
+    explains = {
+        g: [tried.tried[s].evidence for e in g.members if (s := tried.base | {e}) in tried.tried]
+        for g in groups
+    }
+    groups.sort(key=lambda g: -max(explains[g], default=-np.inf))
+    without = finding.unmodelled
+    smooth = without.smooth.evidence(float(best.fit.count[0]))
+    # Evidence by which a function without a name is ahead of the best set.
+    lead = smooth - (best.evidence - tried.plain.evidence)
     gain, limit = finding.search.left(tried, best.members)
     left = gain / max(limit, 1e-9)
     weighed = []
     for place, group in enumerate(groups):
-        head, alone = group.members[0], [tried.base | {e} for e in group.members]
+        head = group.members[0]
+        alone = max((x - tried.plain.evidence for x in explains[group]), default=0.0)
         fewer = tried.tried.get(best.members - {head})
-        features = of_effect(
-            head,
+        changes = finding.changes(unseen, head)
+        features = scaled(
             probability=group.probability,
             stability=group.stability,
-            alone=max(
-                (tried.tried[s].evidence - tried.plain.evidence for s in alone if s in tried.tried),
-                default=0.0,
-            ),
-            without=None if fewer is None else best.evidence - fewer.evidence,
-            changes=changes(finding, unseen, head),
-            place=place,
-            groups=len(groups),
+            alone=alone,
+            without=alone if fewer is None else best.evidence - fewer.evidence,
+            changes=changes,
+            untold=not changes < 1e6,
+            second=place == 1,
+            later=place > 1,
+            groups=len(groups) - 1,
             members=len(group.members),
             excess=finding.excess,
             lead=lead,
             left=left,
         )
-        weighed.append((group, features))
+        weighed.append((group, features | {f"is {head}": 1.0}))
     # What every servo has a little of, and no group says, is not missing.
     said = {effect for group in finding.groups for effect in group.members}
     small = {e for e in best.members - tried.base if named(e).everywhere and e not in said}
     servo = tried.tried.get(tried.base | small, tried.plain)
     plain, rich = unseen.get(servo.members), unseen.get(best.members)
-    whole = of_nameless(
-        excess_plain=finding.unmodelled.excess,
+    more = max(without.excess - 1, 0.0)
+    explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
+    whole = scaled(
+        excess_plain=without.excess,
         excess=finding.excess,
-        smooth=finding.unmodelled.smooth.evidence(float(best.fit.count[0])),
-        windows=finding.unmodelled.windows_evidence,
+        explained=explained,
+        smooth=smooth,
+        windows=without.windows_evidence,
         lead=lead,
         own=best.evidence - servo.evidence,
         left=left,
@@ -96,12 +122,12 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     )
     uneven = None
     if link is not None:
-        uneven = of_link(
+        uneven = scaled(
             gain=link.gain,
             showing=float(np.mean([x > DECISION.link_shows for x in link.shares])),
-            worst=finding.excess,
-            size=changes(finding, unseen, link.effect),
-            joints=len(link.shares),
+            excess=finding.excess,
+            size=finding.changes(unseen, link.effect),
+            lone=len(link.shares) == 1,
         )
     return Evidence(tuple(weighed), whole, uneven)
 
@@ -119,7 +145,7 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         sure = ODDS["link"].probability(found.link)
         groups.append(Group((finding.link.effect,), sure, 1.0))
     likely = [g for g in groups if g.probability >= DECISION.named]
-    matters = [g for g in likely if changes(finding, unseen, g.members[0]) >= DECISION.negligible]
+    matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     there = ODDS["there"].probability(found.whole) >= DECISION.there
     mismatch = bool(coarse or matters) or there or unknown > DECISION.named
     return replace(
@@ -129,20 +155,3 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         left=mismatch and (unknown > DECISION.named or (there and not likely and not coarse)),
         unknown=unknown,
     )
-
-
-def with_nameless(changed: Finding, alone: Finding) -> Finding:
-    """A finding against references, with what the recordings alone say of something nameless.
-
-    Nothing is nameless where a change has a name.
-    """
-    said = any(group.probability >= DECISION.named for group in changed.groups)
-    return changed if said else replace(changed, unknown=alone.unknown)
-
-
-def _own_share(finding: Finding) -> float:
-    """Log-likelihood that an uneven link gains at this joint; of all where it is not said."""
-    assert finding.link is not None
-    shares = finding.link.shares
-    place = finding.place
-    return float(shares[place]) if place < len(shares) else float(finding.link.gain)

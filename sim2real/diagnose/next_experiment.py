@@ -11,20 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.result import Diagnosis, Experiment
-from sim2real.diagnose.search import Hypothesis
 from sim2real.effects import named
 from sim2real.recording import Load, Recording, write_recording
-from sim2real.robot import Robot
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.problem import Servos, minimise, residual_angles
+from sim2real.servo.problem import Hypothesis, Servos, minimise, residual_angles
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
 _LEAST = 2.0
-_MOST_RIVALS = 3
 _PERIOD_S = 0.02
 _WEIGHT = (0.05, 0.1)
 """Mass in kg and arm in m of a weight that anyone can make."""
@@ -42,21 +38,6 @@ class _Plan:
     signal: str
     t: Array
     command: Array
-
-
-def for_rivals(robot: Robot, joints: Sequence[JointResult]) -> Experiment | None:
-    """The next experiment for the first group of several members."""
-    for one in joints:
-        for group in one.finding.groups:
-            rest = one.finding.best.members - {group.members[0]}
-            tried = one.finding.tried.tried
-            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
-            limits = robot.joint(one.name)
-            if len(known) > 1 and limits is not None:
-                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
-                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
-                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
-    return None
 
 
 def next_experiment(

@@ -250,9 +250,7 @@ def energy(of: Explained, places: Sequence[int]) -> float:
     return float(np.mean(every**2)) if every.size else 0.0
 
 
-def fitted(
-    of: Explained, effects: Sequence[str], starts: Sequence[Array]
-) -> tuple[Array, float]:
+def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
     """The servo (P,) with these effects as they explain the case best, and what they leave, rad2.
 
     The servo itself stays; an effect may be a parameter of the plain servo.
@@ -263,7 +261,10 @@ def fitted(
         starts: Servos to start from, shape (P,) each.
     """
     kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
-    columns, low, high, unit = [], [], [], []
+    columns: list[int] = []
+    low: list[float] = []
+    high: list[float] = []
+    unit: list[float] = []
     for name in effects:
         if name in _GAINS:
             column = _GAINS.index(name)
@@ -284,10 +285,11 @@ def fitted(
         rows = np.tile(of.row, (len(x), 1))
         rows[:, columns] = x * scale
         moved = [a - b for a, b in zip(of.simulated(rows, places), base, strict=True)]
-        parts = [
-            (of.left[r] - m)[:, of.seen(r)] for r, m in zip(places, moved, strict=True)
-        ]
+        parts = [(of.left[r] - m)[:, of.seen(r)] for r, m in zip(places, moved, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
+
+    def alone(x: Array) -> Array:
+        return np.asarray(left(x[None])[0])
 
     def slopes(x: Array) -> Array:
         step = np.where(x + _DIFFERENCE > box[1], -_DIFFERENCE, _DIFFERENCE)
@@ -297,10 +299,10 @@ def fitted(
     best, least = of.row, np.inf
     for start in starts:
         x0 = np.clip(start[columns] / scale, *box)
+        size = np.maximum(np.abs(x0), 1e-2)
         found = least_squares(
-            lambda x: left(x[None])[0], x0, slopes, bounds=box, max_nfev=_EVALUATIONS,
-            x_scale=np.maximum(np.abs(x0), 1e-2), ftol=1e-6,
-        )  # fmt: skip
+            alone, x0, slopes, bounds=box, max_nfev=_EVALUATIONS, x_scale=size, ftol=1e-6
+        )
         mean = 2 * float(found.cost) / max(found.fun.size, 1)
         if mean < least:
             least, best = mean, of.row.copy()

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import LOG_PRIOR, Found, Hypothesis, Set
-from sim2real.inference.evidence import profile_loglikelihood
-from sim2real.servo.problem import Fits
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.servo.problem import Hypothesis, Set, Tried
 from sim2real.servo.screen import FITTED
 
 Array = NDArray[np.float64]
@@ -75,7 +73,7 @@ class Posterior:
 
 
 def posteriors(
-    found: Sequence[Found], robots: Sequence[Sequence[int]], rng: np.random.Generator
+    found: Sequence[Tried], robots: Sequence[Sequence[int]], rng: np.random.Generator
 ) -> list[Posterior]:
     """Probabilities of the sets of each joint, given what the robot's other joints say.
 
@@ -107,7 +105,7 @@ def _shared_odds(others: Sequence[Posterior]) -> dict[str, float]:
 
 
 def posterior(
-    found: Found, rng: np.random.Generator, log_odds: dict[str, float] | None = None
+    found: Tried, rng: np.random.Generator, log_odds: dict[str, float] | None = None
 ) -> Posterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 
@@ -128,7 +126,7 @@ def posterior(
     draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=DRAWS)
     weights = np.zeros((DRAWS, blocks))
     weights[:, used] = draws
-    scores = np.stack([_resampled(h.fit, weights) for h in tried])
+    scores = np.stack([h.fit.resampled(weights) for h in tried])
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
     # A refit to a resampled record gains half a unit a parameter more than one to a new record.
     fixed -= 0.5 * np.array([h.fit.servos.columns.shape[1] for h in tried])
@@ -152,23 +150,3 @@ def _trust(best: Hypothesis, plain: Hypothesis) -> float:
     ratio = float(plain.fit.error2[0] / best.fit.error2[0])
     energy = 0.5 * float(best.fit.count[0]) * max(ratio - 1.0, 0.0)
     return 1.0 / (1.0 + DECISION.law_error**2 * energy)
-
-
-def _resampled(fit: Fits, weights: Array) -> Array:
-    """Log-likelihood of one fit for each set of block weights, shape (draws,)."""
-    weights = np.vstack([np.ones(weights.shape[1]), weights])
-    servos = fit.servos
-    x, unit = servos.values()[0], servos.unit[0]
-    low, high = servos.low[0] / unit, servos.high[0] / unit
-    inside = (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low))
-    kept = np.concatenate([[0], 1 + np.flatnonzero(inside)])
-    total = np.einsum("db,bij->dij", weights, fit.gram[0][:, kept[:, None], kept])
-    normal, slope = total[:, 1:, 1:], total[:, 1:, 0]
-    size = np.einsum("dff->df", normal)
-    ridge = 1e-9 * size.max(axis=1, initial=0.0) + 1e-300
-    normal = normal + ridge[:, None, None] * np.eye(normal.shape[1])
-    step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
-    error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
-    score = profile_loglikelihood(error2, np.full(error2.size, float(fit.count[0])))
-    # Where the search stopped short, a step promises what it would not keep.
-    return np.asarray(score[1:] - (score[0] - fit.loglikelihood[0]))

@@ -17,11 +17,13 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING
 from sim2real.diagnose.joint_result import fitted_effects
 from sim2real.diagnose.result import Diagnosis, NamedEffect
-from sim2real.diagnose.search import Found, Hypothesis, baselines, search
+from sim2real.diagnose.search import search
 from sim2real.model import JointModel
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.holdout import held_out
+from sim2real.servo.plain import baselines
+from sim2real.servo.problem import Hypothesis, Tried
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
@@ -87,7 +89,7 @@ def _had_effects(found: Diagnosis) -> bool:
     return any(effect.effect != ROUNDING for joint in joints for effect in joint.effects)
 
 
-def _best(tried: Found, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, float | None]]:
+def _best(tried: Tried, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, float | None]]:
     """The set of effects that predicts best, with its error on fitted and unseen recordings."""
     order = sorted(tried.tried.values(), key=lambda h: -h.evidence)
     some = order[:_MOST] + [h for h in order[_MOST:] if len(h.members) < 2]

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint
+from sim2real.diagnose.case import Case, Joint, prepared
 from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.per_recording import way_of
 from sim2real.diagnose.result import Experiment
-from sim2real.diagnose.search import BLOCKS, Hypothesis, with_effects
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.robot import Servo
@@ -21,7 +20,8 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.fit import best_of, gains
 from sim2real.servo.motor_choice import choose_motor
 from sim2real.servo.parameters import joint_row, motor_of
-from sim2real.servo.problem import minimise
+from sim2real.servo.plain import BLOCKS, with_effects
+from sim2real.servo.problem import Hypothesis, minimise
 from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
@@ -32,13 +32,17 @@ def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[C
     Args:
         cases: The cases.
         rng: For the scan for a start.
+
+    Raises:
+        InputError: If references and robot do not agree, or no joint moves in them.
     """
-    return [
-        replace(case, model=_law_of_references(case, rng))
-        if case.references and case.model is None
-        else case
-        for case in cases
-    ]
+    known = list(cases)
+    for k, case in enumerate(cases):
+        if case.references:
+            prepared(replace(case, recordings=case.references, references=()))
+            if case.model is None:
+                known[k] = replace(case, model=_law_of_references(case, rng))
+    return known
 
 
 def _law_of_references(case: Case, rng: np.random.Generator) -> Model:

@@ -193,7 +193,7 @@ def read_chain(file: Path) -> Chain:
 FREEDOM, SCALE = 5.0, 1.1
 """Degrees of freedom and size of the proposals: heavier tails than any normal distribution."""
 SHARES = (0.6, 0.2, 0.2)
-"""Share of steps that are independent proposals, stretches, and differences of walkers."""
+"""Share of steps that are independent proposals, stretch moves, and differences of walkers."""
 
 
 def moves(free: int) -> list[tuple[Any, float]]:

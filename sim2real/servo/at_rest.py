@@ -17,7 +17,7 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 SLOW_S = 0.05
-"""Sampling periods from which on a servo is mostly seen at rest: most settle within 0.1 to 0.5 s."""
+"""Sampling periods from which on a servo, which settles in 0.1 to 0.5 s, is mostly seen at rest."""
 _SETTLED = 4
 """Samples after a set-point before a servo may be at rest."""
 _STEADY = 2.5
@@ -73,7 +73,7 @@ def beside_rest(
 
 
 def _rounded(command: Array) -> list[float]:
-    return (np.round(command / _SAME_RAD) * _SAME_RAD).tolist()
+    return [float(x) for x in np.round(command / _SAME_RAD) * _SAME_RAD]
 
 
 def _alike(one: tuple[float, float], other: tuple[float, float]) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.inference import least_squares
+from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import Expansion
 from sim2real.servo.batch import Batch, Problems
@@ -17,6 +17,7 @@ from sim2real.servo.parameters import COLUMNS, LINE
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int32]
+Set = frozenset[str]
 
 _LINE = np.array([COLUMNS.index(name) for name in LINE])
 """Columns of a motor's line: stall torque, no-load speed."""
@@ -159,10 +160,41 @@ class Fits:
         rest = (self.gram, self.count, self.autoregression)
         return Fits(self.servos[index], *(value[index] for value in rest))
 
+    def one(self, n: int) -> Fits:
+        """One of them, without columns that hold no parameter."""
+        alone = self[np.array([n])]
+        return alone.wide(int(alone.servos.free.sum()))
+
+    def resampled(self, weights: Array) -> Array:
+        """Log-likelihood of a lone fit for each set of weights of its blocks (D, B), shape (D,).
+
+        Its parameters are refitted to first order.
+        """
+        weights = np.vstack([np.ones(weights.shape[1]), weights])
+        x, unit = self.servos.values()[0], self.servos.unit[0]
+        low, high = self.servos.low[0] / unit, self.servos.high[0] / unit
+        inside = (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low))
+        kept = np.concatenate([[0], 1 + np.flatnonzero(inside)])
+        total = np.einsum("db,bij->dij", weights, self.gram[0][:, kept[:, None], kept])
+        normal, slope = total[:, 1:, 1:], total[:, 1:, 0]
+        size = np.einsum("dff->df", normal)
+        ridge = 1e-9 * size.max(axis=1, initial=0.0) + 1e-300
+        normal = normal + ridge[:, None, None] * np.eye(normal.shape[1])
+        step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
+        error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
+        score = profile_loglikelihood(error2, np.full(error2.size, float(self.count[0])))
+        # Where the search stopped short, a step promises what it would not keep.
+        return np.asarray(score[1:] - (score[0] - self.loglikelihood[0]))
+
     def wide(self, width: int) -> Fits:
         """With so many places for free parameters: see ``Servos.wide``."""
         gram = _wide(self.gram, 1 + width, (2, 3))
         return Fits(self.servos.wide(width), gram, self.count, self.autoregression)
+
+
+Hypothesis = selection.Hypothesis[Fits]
+Tried = selection.Ledger[Fits]
+"""Every set of effects that was tried on one joint."""
 
 
 def joined(fits: Sequence[Fits]) -> Fits:

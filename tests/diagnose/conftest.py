@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.search import Found, ServoSearch, baselines, search
+from sim2real.diagnose.search import ServoSearch, search
 from sim2real.servo.batch import Batch
-from sim2real.servo.problem import Fits
+from sim2real.servo.plain import baselines
+from sim2real.servo.problem import Fits, Tried
 from sim2real.servo.trace import Trace
 
 
@@ -18,7 +19,7 @@ class Searched:
     traces: Sequence[Trace]
     batch: Batch
     plain: Fits
-    tried: Found
+    tried: Tried
     search: ServoSearch
 
     @property

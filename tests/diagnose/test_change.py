@@ -13,10 +13,10 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose_all
 from sim2real.diagnose.per_recording import Linear, gains, linearised
 from sim2real.diagnose.references import with_known_servos
-from sim2real.diagnose.search import baselines
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
 from sim2real.servo.problem import Servos
 from sim2real.servo.repeats import alignment, freed_of_the_common
 

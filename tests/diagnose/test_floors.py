@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose import knockoffs
-from sim2real.diagnose.knockoffs import best_knockoff, directions
 from sim2real.inference.holdout import rms
+from sim2real.servo import knockoffs
 from sim2real.servo.black_box import black_box
 from sim2real.servo.holdout import held_out, splits
+from sim2real.servo.knockoffs import best_knockoff, directions
 from sim2real.servo.screen import FITTED, candidate
 
 

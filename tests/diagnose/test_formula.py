@@ -7,8 +7,8 @@ import pytest
 from strange import position_damping, shaking, strange
 
 from sim2real.diagnose.formula import formula, what_is_left
-from sim2real.diagnose.search import baselines
 from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
 from sim2real.servo.problem import residual_angles
 from sim2real.servo.trace import traces
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.knockoffs import contest, directions, false_discovery_rate, meaningless
-from sim2real.diagnose.search import baselines
+from sim2real.inference.knockoffs import contest, false_discovery_rate, meaningless
 from sim2real.servo.batch import Batch
+from sim2real.servo.knockoffs import directions
+from sim2real.servo.plain import baselines
 from sim2real.servo.screen import FITTED, candidate
 
 T = 0.02 * np.arange(1500)
@@ -17,7 +18,7 @@ def competed(searched):
     fit = searched.tried.plain.fit
     moved = directions(searched.traces, fit.servos, given)
     rng = np.random.default_rng(0)
-    return contest(searched.traces, moved, fit.autoregression[0], rng), given
+    return contest(moved, fit.autoregression[0], rng), given
 
 
 def rate_of_the_best(searched):
@@ -54,7 +55,7 @@ def test_of_real_effects_that_are_not_there_no_more_win_than_of_knockoffs():
     for k, traces in enumerate(joints):
         fit = fits[np.array([k])]
         moved = directions(traces, fit.servos, given)
-        result = contest(traces, moved, fit.autoregression[0], rng, copies=30)
+        result = contest(moved, fit.autoregression[0], rng, copies=30)
         ahead.append(np.mean(result.real > np.quantile(result.knockoffs, 0.8)))
     assert 0.1 < np.mean(ahead) < 0.3
 

@@ -6,9 +6,9 @@ from simulated import NOISE, traced
 
 from sim2real.diagnose.checks import detection_limits
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import baselines
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
 from sim2real.servo.screen import Screen, candidate, screen
 
 NEEDED = np.sqrt(2 * DECISION.detection_gain) + 1.28

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
-from sim2real.diagnose.nuisances import size_in_noise
-from sim2real.diagnose.search import baselines, search
+from sim2real.diagnose.search import search, size_in_noise
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
 from sim2real.servo.screen import FITTED, NUISANCES
 
 WAVE = {"amplitude_rad": 4 * NOISE, "period_rad": 0.6, "phase_rad": 0.5}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim2real.diagnose.decision import CURVES, ODDS, read_odds
-from sim2real.diagnose.odds import Odds, of_effect, of_link, of_nameless
+from sim2real.diagnose.decision import CURVES, ODDS, Odds, read_odds
+from sim2real.diagnose.judging import scaled
 from sim2real.errors import InputError
 
 EFFECT = {
@@ -13,8 +13,10 @@ EFFECT = {
     "alone": 50.0,
     "without": 40.0,
     "changes": 0.3,
-    "place": 0,
-    "groups": 1,
+    "untold": False,
+    "second": False,
+    "later": False,
+    "groups": 0,
     "members": 1,
     "excess": 1.0,
     "lead": -20.0,
@@ -23,6 +25,7 @@ EFFECT = {
 WHOLE = {
     "excess_plain": 1.0,
     "excess": 1.0,
+    "explained": 0.5,
     "smooth": -5.0,
     "windows": -np.inf,
     "lead": -5.0,
@@ -41,33 +44,30 @@ def test_a_feature_without_a_weight_counts_nothing():
     assert Odds({}).probability({"one": 1.0}) == 0.5
 
 
-def test_all_features_are_finite_whatever_was_measured():
+@pytest.mark.parametrize("extreme", [np.inf, -np.inf, 1e12, 0.0])
+def test_all_features_are_finite_whatever_was_measured(extreme):
     """Also where nothing was held out, nothing tried, or nothing is left."""
-    odd = {"changes": np.inf, "without": None, "alone": -1e9, "left": 0.0, "excess": 1e9}
-    for features in (
-        of_effect("backlash", **{**EFFECT, **odd}),
-        of_nameless(**WHOLE),
-        of_nameless(**{**WHOLE, "excess_plain": 1e9, "lead": 1e9, "windows": 1e9}),
-        of_link(gain=0.0, showing=0.0, worst=1.0, size=0.0, joints=1),
-    ):
-        assert np.isfinite(list(features.values())).all()
+    names = ("changes", "alone", "without", "left", "excess", "lead", "gain", "size", "windows")
+    assert np.isfinite(list(scaled(**dict.fromkeys(names, extreme)).values())).all()
 
 
 def test_what_takes_more_of_the_error_away_says_so():
-    much, little = (of_effect("backlash", **{**EFFECT, "changes": c}) for c in (0.5, 0.05))
+    much, little = (scaled(**{**EFFECT, "changes": c}) for c in (0.5, 0.05))
     assert much["changes"] > little["changes"]
 
 
 def test_the_curves_that_ship_call_a_servo_that_fits_well():
     assert set(ODDS) == set(CURVES)
-    assert ODDS["there"].probability(of_nameless(**WHOLE)) < 0.2
-    assert ODDS["nameless"].probability(of_nameless(**WHOLE)) < 0.2
+    assert ODDS["there"].probability(scaled(**WHOLE)) < 0.2
+    assert ODDS["nameless"].probability(scaled(**WHOLE)) < 0.2
 
 
 def test_the_effect_that_explains_all_of_a_large_error_is_likely():
     sure = {**EFFECT, "probability": 0.99, "alone": 2000.0, "without": 2000.0, "changes": 0.9}
     weak = {**EFFECT, "probability": 0.6, "alone": 6.0, "without": 6.0, "changes": 0.02}
-    strong, faint = (ODDS["effect"].probability(of_effect("backlash", **x)) for x in (sure, weak))
+    strong, faint = (
+        ODDS["effect"].probability(scaled(**x) | {"is backlash": 1.0}) for x in (sure, weak)
+    )
     assert strong > 0.8
     assert faint < strong
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose.search import BREADTH, baselines
+from sim2real.diagnose.search import BREADTH
 from sim2real.effects import named
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
 from sim2real.servo.problem import joined
 from sim2real.servo.screen import FITTED, candidate
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
-from sim2real.diagnose.search import baselines
 from sim2real.diagnose.unmodelled import excess, unmodelled
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.plain import baselines
 from sim2real.servo.problem import residual_angles
 
 

@@ -57,7 +57,7 @@ def test_fit_figure_shows_all_samples_and_keeps_gaps(bench, fit):
     recorded = bench.recording.position[:, 0]
     drawn = lines(whole)["measured"].get_ydata()
     assert np.isfinite(drawn).sum() == np.isfinite(recorded).sum()
-    # one more than the missing samples: the stretch in which no row came
+    # one more than the missing samples: the segment in which no row came
     assert np.isnan(drawn).sum() == np.isnan(recorded).sum() + 1
     left = residual.get_lines()[0].get_ydata()
     expected = 1e3 * (recorded - bench.predicted[:, 0])
@@ -70,7 +70,7 @@ def test_command_is_drawn_as_steps(fit):
     assert lines(fit.axes[0])["command"].get_drawstyle() == "steps-post"
 
 
-def test_heldout_stretch_is_labelled(fit):
+def test_heldout_segment_is_labelled(fit):
     assert "held out" in [text.get_text() for text in fit.axes[0].texts]
 
 

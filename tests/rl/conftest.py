@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 
-from rl.pool import make_world  # noqa: E402
+from rl.make import make_world  # noqa: E402
 from rl.task import TASKS, Task  # noqa: E402
 from rl.world import Draws, World  # noqa: E402
 from sim2real.model import Model, read_model  # noqa: E402

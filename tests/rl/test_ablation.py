@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import rl.experiments.places
+import rl.experiments.testbeds
 from rl.commands.ablate import tried_in
 from rl.experiments.ablation import ablate, bootstrap, policy_in
 from rl.experiments.ablation_report import markdown, write_report
@@ -101,7 +101,7 @@ def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
     (tmp_path / "run" / "reality.json").unlink()
     assert run() == found
     with monkeypatch.context() as patch:
-        patch.setattr(rl.experiments.places, "run_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.experiments.testbeds, "run_episodes", None)  # nothing is left to swim
         assert run() == found
         joints = {k: replace(v, latency_s=0.2) for k, v in model.joints.items()}
         with pytest.raises(TypeError):
@@ -133,7 +133,7 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
     assert not any(agent["success"])
     assert agent["faced_s"][0] is not None, "it turns"
     with monkeypatch.context() as patch:
-        patch.setattr(rl.experiments.places, "run_real_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.experiments.testbeds, "run_real_episodes", None)  # nothing is left to swim
         assert run(read_reality(path)) == found
         path.write_text(GLIDER.format(turns=0.02))
         with pytest.raises(TypeError):

@@ -105,7 +105,7 @@ def test_set_points_go_on_a_line_from_where_the_joints_are():
 @pytest.fixture(scope="module", params=VIEWS[:2], ids=["default", "paper"])
 def trained(request, robot, model):
     """An agent that moves a lot, as a policy."""
-    from rl.pool import make_world
+    from rl.make import make_world
 
     world = make_world(robot, TASKS["near"], Draws((model,)), n_envs=1)
     agent = make_sac(world, Settings(hidden=(24, 24)), 3, view=request.param)

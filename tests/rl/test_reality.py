@@ -11,11 +11,11 @@ import pytest
 from rl.deploy.controller import PolicyController
 from rl.deploy.forward import Policy
 from rl.experiments.evaluate import run_episodes
-from rl.experiments.places import Crew, Real
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.reality import read_reality
+from rl.experiments.testbeds import Controllers, Real
+from rl.make import make_world
 from rl.metrics import energy
-from rl.pool import make_world
 from rl.task import TASKS, observation_bounds, observation_names, shortened
 from rl.world import Draws
 from sim.twin.twin import Twin
@@ -171,7 +171,7 @@ def test_robots_are_swum_in_groups(glider, robot):
         starts = Starts(
             np.zeros((5, 3)), np.zeros((5, 3)), np.linspace(0.1, 0.5, 5)[:, None, None] * [1.0, 0.0]
         )
-        found = place.swim(Crew([Still()], 5), robot, TURN, starts, seed=0)
+        found = place.swim(Controllers([Still()], 5), robot, TURN, starts, seed=0)
         assert found.success.all()
         told = (found.reward.tolist(), found.steps.tolist())
         assert wanted in (None, told)
@@ -191,10 +191,10 @@ def test_a_crew_steers_each_share_by_its_own_controller():
         def act(self, observation):
             return np.full((len(observation), 2), self.what, dtype=np.float32)
 
-    crew = Crew([Says(1), Says(2), Says(3)], 2)
-    crew.reset(np.ones(6, dtype=bool))
-    assert crew.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [1, 1, 2, 2, 3, 3]
-    some = crew.of(np.array([1, 4, 5]))
+    several = Controllers([Says(1), Says(2), Says(3)], 2)
+    several.reset(np.ones(6, dtype=bool))
+    assert several.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [1, 1, 2, 2, 3, 3]
+    some = several.of(np.array([1, 4, 5]))
     assert some.act(np.zeros((3, 9), dtype=np.float32))[:, 0].tolist() == [1, 3, 3]
 
 

@@ -216,8 +216,8 @@ def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatc
 def test_trials_are_the_same_for_all(robot, model):
     ranges = Ranges((uniform("command_latency_s", 0.03, 0.09, "s", ""),))
     limits = [joint.limits_rad for joint in robot.joints]
-    crew = {name: controller_of("pnl", limits, 4) for name in ("one", "other")}
-    swims = run_trials(robot, model, ranges, shortened(TASKS["turn"], 80), crew, episodes=4)
+    controllers = {name: controller_of("pnl", limits, 4) for name in ("one", "other")}
+    swims = run_trials(robot, model, ranges, shortened(TASKS["turn"], 80), controllers, episodes=4)
     one, other = swims["one"], swims["other"]
     assert np.allclose(one.pose, other.pose, atol=1e-6)
     assert np.ptp(one.rate[60].sum(axis=1)) > 1e-3, "robots differ from trial to trial"

@@ -1,4 +1,4 @@
-"""Where the ablation tries policies: the simulator of an arm, or a reality that none has seen."""
+"""Testbeds of the ablation: the simulator of an arm, or a reality that no policy has seen."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.reality import RealityFile
-from rl.pool import Fidelity, make_world, own_stream
+from rl.make import Fidelity, make_world, own_stream
 from rl.sac.train import digest
 from rl.task import Task
 from rl.world import Draws
@@ -23,8 +23,8 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 
-class Place(Protocol):
-    """Somewhere to swim."""
+class Testbed(Protocol):
+    """What policies are tried in."""
 
     @property
     def name(self) -> str:
@@ -38,12 +38,12 @@ class Place(Protocol):
         """SHA-256 of what decides how robots do in it."""
 
     def swim(
-        self, controller: Crew, robot: Robot, task: Task, starts: Starts, seed: int
+        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
     ) -> Episodes:
-        """One episode of each robot of the crew."""
+        """One episode of each robot."""
 
 
-class Crew:
+class Controllers:
     """Several controllers, each steering its own share of the robots: as many each, in order."""
 
     def __init__(self, controllers: Sequence[Controller], repeats: int) -> None:
@@ -51,9 +51,9 @@ class Crew:
         self.controllers = list(controllers)
         self.own = np.repeat(np.arange(len(self.controllers)), repeats)
 
-    def of(self, rows: NDArray[np.intp]) -> Crew:
+    def of(self, rows: NDArray[np.intp]) -> Controllers:
         """The same controllers for some of the robots."""
-        fewer = Crew(self.controllers, 1)
+        fewer = Controllers(self.controllers, 1)
         fewer.own = self.own[rows]
         return fewer
 
@@ -109,9 +109,9 @@ class Simulated:
         return hashlib.sha256(told.encode()).hexdigest()
 
     def swim(
-        self, controller: Crew, robot: Robot, task: Task, starts: Starts, seed: int
+        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
     ) -> Episodes:
-        """One episode of each robot of the crew, all at once."""
+        """One episode of each robot, all at once."""
 
         def place(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
             del rng, n, J
@@ -152,9 +152,9 @@ class Real:
         return hashlib.sha256(told.encode()).hexdigest()
 
     def swim(
-        self, controller: Crew, robot: Robot, task: Task, starts: Starts, seed: int
+        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
     ) -> Episodes:
-        """One episode of each robot of the crew, as many at a time as the reality has."""
+        """One episode of each robot, as many at a time as the reality has."""
         total = len(controller.own)
         groups = -(-total // (self.file.at_once or total))
         n = -(-total // groups)
