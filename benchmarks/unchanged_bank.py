@@ -56,13 +56,13 @@ def main() -> None:
 
 
 def entry(some: list[tuple[dict[str, float], float]], way: str) -> dict[str, object]:
-    """Null sizes of one way: of each effect the mean of its own and of all, with the safety."""
+    """Null sizes of one way, with the safety: of each effect its own, and at least that of all."""
     if max(ratio for _, ratio in some) > JUMPS[way]:
         raise SystemExit(f"{way}: an unchanged recording jumps by more than {JUMPS[way]:g}")
     names = dict.fromkeys(name for null, _ in some for name in null)
     own = {n: float(np.mean([null[n] for null, _ in some if n in null])) for n in names}
     common = float(np.mean(list(own.values())))
-    null = {n: round(SAFETY * 0.5 * (x + common), 4) for n, x in own.items()}
+    null = {n: round(SAFETY * max(x, common), 4) for n, x in own.items()}
     return {"known": float(len(some)), "jump": JUMPS[way], "null": null}
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -132,8 +131,9 @@ def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANK
     names = tuple(dict.fromkeys(by.names))
     place = [np.flatnonzero([n == name for n in by.names]) for name in names]
     gone, size = first_look(of, by, of.case)
-    # Of several starts that which needs no far extrapolation.
-    near = gone / np.maximum(np.abs(size) / DECISION.change_farthest, 1.0) ** 2
+    # What is not fitted for good must need no far extrapolation.
+    far = np.maximum(np.abs(size) / DECISION.change_farthest, 1.0) ** 2
+    near = gone / far if of.way == "law" else gone
     best = np.array([mine[np.argmax(near[mine])] for mine in place])
     telling = [r for r in range(of.references) if of.seen(r).any()]
     before = [first_look(of, by, [r])[0] for r in telling]
@@ -219,9 +219,7 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     if first.evidence.max() > DECISION.change_worth:
         found = refined(of, first, by)
     one = _alone(of, found)
-    best = int(np.argmin(found.left))
-    blurred = found.scale2 + DECISION.change_law_error**2 * float(found.gone[best])
-    if of.way == "repeat" and found is not first and found.left[best] > _MORE * blurred:
+    if of.way == "repeat" and found is not first and _leaves_more(of, found):
         both = _two(of, found, by)
         if both is not None:
             return both
@@ -263,21 +261,31 @@ def _group(probability: Mapping[str, float]) -> Group:
     return Group(members, sure, sure)
 
 
+def _leaves_more(of: Explained, found: Contrast) -> bool:
+    """Whether the best change leaves more than repeats do and than the error of its law."""
+    best = int(np.argmin(found.left))
+    wrong = DECISION.change_law_error**2 * found.gone[best]
+    return bool(found.left[best] > max(_MORE * of.scale2, wrong))
+
+
 def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
-    """Two changes together, where they explain what none does alone."""
+    """Two changes together, where they explain far more than any does alone."""
     order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
-    heads = order[:_PARTNERS]
-    fits = {}
-    for a, b in product(heads, order):
-        pair = frozenset((found.effects[a], found.effects[b]))
-        if a != b and pair not in fits:
-            start = found.rows[a] + found.rows[b] - of.row
-            columns = [k for k, c in enumerate(COLUMNS) if c.partition(".")[0] in pair]
-            small = of.row.copy()
-            small[columns] = found.rows[a][columns] + 0.3 * found.rows[b][columns]
-            fits[pair] = fitted(of, sorted(pair), [start, small])
-    if not fits:
-        return None
+    fits: dict[Set, tuple[Array, float]] = {}
+    for k in order[:_PARTNERS]:
+        head, row = found.effects[k], found.rows[k]
+        moved = [a[0] - b[0] for a, b in zip(*(of.simulated(x[None], of.case)
+                 for x in (row, of.row)), strict=True)]  # fmt: skip
+        pairs = zip(of.left[of.references :], moved, strict=True)
+        rest = replace(of, left=(*of.left[: of.references], *(x - m for x, m in pairs)))
+        beside = contrast(rest, by)
+        ranked = (int(p) for p in np.argsort(-beside.gone))
+        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)]
+        for p in likely[:_MOST]:
+            pair = frozenset((head, beside.effects[p]))
+            if pair not in fits:
+                start = row + beside.rows[p] - of.row
+                fits[pair] = fitted(of, sorted(pair), [start])
     best = min(fits, key=lambda pair: fits[pair][1])
     row, left = fits[best]
     whole = energy(of, of.case)
@@ -285,12 +293,14 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     strange = beyond > (1 - DECISION.change_explained) * whole and beyond > of.scale2
     if strange or _MORE * left > float(found.left.min()):
         return None
-    blurred = of.scale2 + DECISION.change_law_error**2 * whole
     probability: dict[str, float] = {}
     groups = []
     for head in sorted(best):
         (other,) = best - {head}
         rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
+        # As wrong as a law may be of what this one explains beside the other.
+        alone = {e: m for e, m in zip(found.effects, found.left, strict=True)}.get(other, whole)
+        blurred = of.scale2 + DECISION.change_law_error**2 * max(alone - left, 0.0)
         weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
         total = sum(weight.values())
         mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}

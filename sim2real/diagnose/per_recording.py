@@ -39,6 +39,9 @@ Names = tuple[str, ...]
 _DIFFERENCE = 1e-3
 _GAINS = BASE[:3]
 _EVALUATIONS = 40
+_AFTER_A_GAP_S = 0.15
+_SUBSTEPS = 8
+"""Sub-steps between two samples."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +88,11 @@ class Explained:
 def simulated(traces: Sequence[Trace], rows: Array, servo: Array) -> list[Array]:
     """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
     simulator = Simulator(traces, threads=1)
-    effects = servo.copy()
-    effects[BASE.index("gravity_Nm")] = 1.0  # no exact solution: effects may come
-    step = simulator.substep(effects[None], STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
-    if np.isinf(step):
-        step = LONGEST_SUBSTEP_S
-    return simulator.angles(rows, step)
+    # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
+    period = min(float(np.median(np.diff(trace.t))) for trace in traces)
+    longest = min(LONGEST_SUBSTEP_S, period / _SUBSTEPS)
+    step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
+    return simulator.angles(rows, min(step, longest))
 
 
 def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
@@ -144,7 +146,12 @@ def _noise(trace: Trace) -> float:
 
 
 def _masked(trace: Trace, values: Array) -> Array:
-    return np.where(trace.used, values, np.nan)
+    """The values where they count: not soon after a gap, in which nobody knows what was sent."""
+    apart = np.diff(trace.t, prepend=trace.t[0])
+    gap = apart > 1.5 * float(np.median(apart[1:]))
+    last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
+    since = np.where(last > 0, trace.t - trace.t[last], np.inf)
+    return np.where(trace.used & (since > _AFTER_A_GAP_S), values, np.nan)
 
 
 def _derivatives(
