@@ -44,6 +44,8 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
+_STAYS = 3.0
+"""How many times larger what is left is after something that stays."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -182,13 +184,15 @@ def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
     order = _likeliest(found)
     fits = [fitted(of, [found.effects[k]], _starts(found, by, int(k))) for k in order]
     left = np.array([mean for _, mean in fits])
+    if of.way == "law":  # where the servo may change along, to first order
+        left = np.minimum(left, found.left[order])
     gone = np.maximum(energy(of, of.case) - left, 0.0)
     return replace(
         found,
         effects=tuple(found.effects[k] for k in order),
-        gone=gone if of.way != "law" else found.gone[order],
+        gone=gone,
         null=found.null[order],
-        left=left if of.way != "law" else found.left[order],
+        left=left,
         rows=np.array([row for row, _ in fits]),
     )
 
@@ -223,14 +227,24 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
         both = _two(of, found, by)
         if both is not None:
             return both
-    windows = Steps(of, step_rad).windows(bank[of.way].jump)
+    told = one.groups[0].probability >= DECISION.named
+    windows = Steps(_without(of, one.row) if told else of, step_rad).windows(bank[of.way].jump)
     if windows is None:
         return one
     less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
     groups = tuple(
         replace(g, probability=(1 - DECISION.nameless) * g.probability) for g in one.groups
     )
-    return replace(one, groups=groups, probability=less, nameless=0.95, windows=windows)
+    return replace(
+        one, groups=groups, probability=less, nameless=DECISION.nameless, windows=windows
+    )
+
+
+def _without(of: Explained, row: Array) -> Explained:
+    """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
+    angles = of.simulated(np.array([of.row, row]), of.case)
+    case = (left - (a[1] - a[0]) for left, a in zip(of.left[of.references :], angles, strict=True))
+    return replace(of, left=(*of.left[: of.references], *case))
 
 
 def _alone(of: Explained, found: Contrast) -> Change:
@@ -274,10 +288,7 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     fits: dict[Set, tuple[Array, float]] = {}
     for k in order[:_PARTNERS]:
         head, row = found.effects[k], found.rows[k]
-        moved = [a[0] - b[0] for a, b in zip(*(of.simulated(x[None], of.case)
-                 for x in (row, of.row)), strict=True)]  # fmt: skip
-        pairs = zip(of.left[of.references :], moved, strict=True)
-        rest = replace(of, left=(*of.left[: of.references], *(x - m for x, m in pairs)))
+        rest = _without(of, row)
         beside = contrast(rest, by)
         ranked = (int(p) for p in np.argsort(-beside.gone))
         likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)]
@@ -334,6 +345,8 @@ class Steps:
     def windows(self, ratio: float) -> tuple[tuple[Window, ...], ...] | None:
         """From the first to the last step that is so many times the references', or to the end.
 
+        To the end where there is but one, or where what is left stays far larger than before.
+
         Returns:
             Windows of each recording of the case; None where there are none.
         """
@@ -342,9 +355,21 @@ class Steps:
             at, size = self.each[r]
             when = at[size > ratio * self.usual] if self.usual > 0 else at[:0]
             last = float(self.of.traces[r].t[-1])
-            stop = float(when[-1]) if when.size > 1 else last
-            found.append(((float(when[0]), stop),) if when.size else ())
+            stays = when.size < 2 or self._stays(r, float(when[0]), float(when[-1]))
+            found.append(
+                ((float(when[0]), last if stays else float(when[-1])),) if when.size else ()
+            )
         return tuple(found) if any(found) else None
+
+    def _stays(self, r: int, first: float, last: float) -> bool:
+        """Whether a recording is far off after the last jump, and was not before the first."""
+        t, left2 = self.of.traces[r].t, self.of.left[r] ** 2
+        seen = np.isfinite(left2)
+        before, after = left2[seen & (t < first)], left2[seen & (t > last)]
+        if before.size == 0 or after.size == 0:
+            return False
+        usual = max(float(np.mean(before)), self.of.scale2)
+        return float(np.mean(after)) > _STAYS**2 * usual
 
 
 def _steps(t: Array, left: Array) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from sim2real.robot import Servo
 from sim2real.servo.at_rest import beside_rest, is_slow
 from sim2real.servo.fit import STEPS_PER_RADIAN
 from sim2real.servo.motor_prior import motor_prior
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
 from sim2real.servo.repeats import ALIKE, alignment, freed_of_the_common
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.screen import candidate, candidates
@@ -39,7 +39,8 @@ Names = tuple[str, ...]
 _DIFFERENCE = 1e-3
 _GAINS = BASE[:3]
 _EVALUATIONS = 40
-_AFTER_A_GAP_S = 0.15
+_FORGOTTEN_S = (0.05, 0.4)
+"""Shortest and longest time after a gap for which nothing is looked at."""
 _SUBSTEPS = 8
 """Sub-steps between two samples."""
 
@@ -123,7 +124,8 @@ def explained(
         left, spread2 = beside_rest(every, R, step)
     else:
         pairs = zip(every, simulated(every, row[None], row), strict=True)
-        left = [_masked(t, t.position - angle[0]) for t, angle in pairs]
+        settles_s = _settles_s(row, every[0].load.inertia_kgm2)
+        left = [_masked(t, t.position - angle[0], settles_s) for t, angle in pairs]
     if way == "repeat":
         freed, repeated = freed_of_the_common(every, [-np.nan_to_num(x) for x in left], R)
         triples = zip(left, freed, every, strict=True)
@@ -135,7 +137,7 @@ def explained(
     parts = [x[np.isfinite(x)] for x, tells in zip(left, telling, strict=False) if tells]
     known = np.concatenate([*parts, np.zeros(0)])
     scale2 = float(np.mean(known**2)) if known.size else 0.0
-    scale2 = max(scale2, spread2, step**2 / 12, 1e-18)
+    scale2 = max(scale2, spread2, step**2 / 12 if way == "rest" else 0.0, 1e-18)
     correlated = float(np.mean([correlation_samples(x) for x in parts])) if parts else 1.0
     variance = scale2 * (correlated if way == "law" else 1.0)
     return Explained(way, tuple(every), R, tuple(left), row, shared, precision, variance, scale2)
@@ -145,13 +147,21 @@ def _noise(trace: Trace) -> float:
     return noise_floor(trace.t, trace.command, trace.position)
 
 
-def _masked(trace: Trace, values: Array) -> Array:
+def _settles_s(row: Array, inertia: float) -> float:
+    """Time in which the servo has forgotten what was sent: its latency and five time constants."""
+    total = inertia + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
+    kp, kd, latency = (float(x) for x in row[:3])
+    rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
+    return float(np.clip(latency + 5 / max(rate, 1e-9), *_FORGOTTEN_S))
+
+
+def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
     """The values where they count: not soon after a gap, in which nobody knows what was sent."""
     apart = np.diff(trace.t, prepend=trace.t[0])
     gap = apart > 1.5 * float(np.median(apart[1:]))
     last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
     since = np.where(last > 0, trace.t - trace.t[last], np.inf)
-    return np.where(trace.used & (since > _AFTER_A_GAP_S), values, np.nan)
+    return np.where(trace.used & (since > settles_s), values, np.nan)
 
 
 def _derivatives(
@@ -322,5 +332,6 @@ def restated(of: Explained, load_of: Trace) -> Explained:
     case = [replace(of.traces[r], load=load_of.load) for r in of.case]
     traces = (*of.traces[: of.references], *case)
     angles = simulated(case, of.row[None], of.row)
-    left = [_masked(t, t.position - a[0]) for t, a in zip(case, angles, strict=True)]
+    settles_s = _settles_s(of.row, load_of.load.inertia_kgm2)
+    left = [_masked(t, t.position - a[0], settles_s) for t, a in zip(case, angles, strict=True)]
     return replace(of, traces=traces, left=(*of.left[: of.references], *left))
