@@ -18,11 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.change import BANK, Steps
-from sim2real.diagnose.per_recording import Explained, directions, explained, first_look
+from sim2real.diagnose.change import BANK
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
 from sim2real.robot import Servo
+from sim2real.servo.explained import Explained, directions, explained, first_look
+from sim2real.servo.jumps import Steps
 from sim2real.servo.parameters import joint_row
 
 ROOT = Path(__file__).parents[1]

@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.per_recording import (
+from sim2real.diagnose.posterior import Group, Posterior
+from sim2real.inference.segments import Window
+from sim2real.robot import Servo
+from sim2real.servo.explained import (
     Directions,
     Explained,
     directions,
@@ -27,13 +30,10 @@ from sim2real.diagnose.per_recording import (
     explained,
     first_look,
     fitted,
-    restated,
 )
-from sim2real.diagnose.posterior import Group, Posterior
-from sim2real.effects import CATALOGUE
-from sim2real.inference.segments import Window
-from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.jumps import Steps
+from sim2real.servo.misstated import misstated
+from sim2real.servo.parameters import BASE
 from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace
 from sim2real.structured import Fields, read_json
@@ -44,8 +44,6 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
-_STAYS = 3.0
-"""How many times larger what is left is after something that stays."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -318,119 +316,6 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
         groups.append(_group(mine))
         probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
     return Change(tuple(groups), probability, row, 0.0)
-
-
-class Steps:
-    """Steps of what is left from one sample to the next.
-
-    What acts on a shaft moves it smoothly. What is left of a recording jumps where its sensor, its
-    clock or its horn does something of its own.
-
-    Args:
-        of: The recordings, explained.
-        step_rad: Step of the case's sensor, which is no jump.
-    """
-
-    def __init__(self, of: Explained, step_rad: float = 0.0) -> None:
-        self.of = of
-        self.each = [_steps(of.traces[r].t, left) for r, left in enumerate(of.left)]
-        largest = [float(size.max(initial=0.0)) for _, size in self.each]
-        self.usual = max([*largest[: of.references], step_rad])
-        self.largest = max(largest[of.references :])
-
-    def ratio(self) -> float:
-        """The case's largest over the references'."""
-        return self.largest / self.usual if self.usual > 0 else 0.0
-
-    def windows(self, ratio: float) -> tuple[tuple[Window, ...], ...] | None:
-        """From the first to the last step that is so many times the references', or to the end.
-
-        To the end where there is but one, or where what is left stays far larger than before.
-
-        Returns:
-            Windows of each recording of the case; None where there are none.
-        """
-        found: list[tuple[Window, ...]] = []
-        for r in self.of.case:
-            at, size = self.each[r]
-            when = at[size > ratio * self.usual] if self.usual > 0 else at[:0]
-            last = float(self.of.traces[r].t[-1])
-            stays = when.size < 2 or self._stays(r, float(when[0]), float(when[-1]))
-            found.append(
-                ((float(when[0]), last if stays else float(when[-1])),) if when.size else ()
-            )
-        return tuple(found) if any(found) else None
-
-    def _stays(self, r: int, first: float, last: float) -> bool:
-        """Whether a recording is far off after the last jump, and was not before the first."""
-        t, left2 = self.of.traces[r].t, self.of.left[r] ** 2
-        seen = np.isfinite(left2)
-        before, after = left2[seen & (t < first)], left2[seen & (t > last)]
-        if before.size == 0 or after.size == 0:
-            return False
-        usual = max(float(np.mean(before)), self.of.scale2)
-        return float(np.mean(after)) > _STAYS**2 * usual
-
-
-def _steps(t: Array, left: Array) -> tuple[Array, Array]:
-    """Times and sizes of steps between samples that follow each other."""
-    apart, size = np.diff(t), np.abs(np.diff(left))
-    good = (apart < 1.5 * float(np.median(apart))) & np.isfinite(size)
-    return t[1:][good], size[good]
-
-
-@dataclass(frozen=True)
-class Misstated:
-    """What speaks for the load of the references, where another is stated.
-
-    Attributes:
-        effects: The effects that stand for the difference.
-        gain: Gain in log-likelihood with the references' load.
-        row: Parameters of the servo under the stated load, with the difference, shape (P,).
-    """
-
-    effects: tuple[str, ...]
-    gain: float
-    row: Array
-
-
-def misstated(of: Explained) -> Misstated | None:
-    """Whether a servo that explains the references explains the case better with their load.
-
-    Nothing is free in this: both loads are stated, and one servo is fitted to all recordings with
-    the one or the other. So it tells more than the search for a load of any size.
-
-    Returns:
-        What speaks for the references' load; None where the loads do not differ.
-    """
-    known, stated = of.traces[0].load, of.traces[of.references].load
-    alike = all(t.load == known for t in of.traces[: of.references])
-    if not alike or any(of.traces[r].load != stated for r in of.case):
-        return None
-    differs = {
-        f"{effect.name}.{effect.parameters[0].name}": difference
-        for effect in CATALOGUE
-        if effect.load
-        and (difference := getattr(known, effect.load) - getattr(stated, effect.load)) != 0
-    }
-    if not differs:
-        return None
-    row = of.row.copy()
-    for column, value in differs.items():
-        row[COLUMNS.index(column)] += value
-    gain = _loss(of) - _loss(restated(of, of.traces[0]))
-    return Misstated(tuple(column.partition(".")[0] for column in differs), gain, row)
-
-
-def _loss(of: Explained) -> float:
-    """Negative log-likelihood of all recordings, what they share at its best."""
-    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
-    for r, left in enumerate(of.left):
-        seen = of.seen(r)
-        J, e = of.shared[r][seen], left[seen]
-        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
-    taken = float(slope @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope)
-    return 0.5 * (total - taken) / of.variance
 
 
 def what_changed(

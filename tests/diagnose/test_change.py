@@ -8,10 +8,14 @@ from simulated import INERTIA, NOISE, column, recording, row, steps, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import BANKS, Contrast, Steps, changed, misstated, what_changed
+from sim2real.diagnose.change import BANKS, Contrast, changed, what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
-from sim2real.diagnose.per_recording import (
+from sim2real.diagnose.references import law_of, with_known_servos
+from sim2real.errors import InputError
+from sim2real.recording import Load
+from sim2real.servo.at_rest import beside_rest
+from sim2real.servo.explained import (
     Directions,
     Explained,
     directions,
@@ -19,10 +23,8 @@ from sim2real.diagnose.per_recording import (
     first_look,
     way_of,
 )
-from sim2real.diagnose.references import law_of, with_known_servos
-from sim2real.errors import InputError
-from sim2real.recording import Load
-from sim2real.servo.at_rest import beside_rest
+from sim2real.servo.jumps import Steps
+from sim2real.servo.misstated import misstated
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.repeats import alignment, freed_of_the_common
 

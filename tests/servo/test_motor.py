@@ -296,3 +296,22 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
     low, high = joint.interval["latency_s"]
     assert low < LATENCY < high and high - low < 0.0051
     assert model.fit["j1.position_rad"]["heldout"] < 1.2 * 5e-4
+
+
+@pytest.mark.parametrize("odd", [False, True])
+def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
+    rng = np.random.default_rng(6)
+    t = np.arange(1500) / 50.0
+    if odd:
+        t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
+    levels = rng.uniform(-0.6, 0.6, 80)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
+    angle = rollout(row(**line)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, {"j1": Load(INERTIA)})
+    (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
+    assert "loop_period_s" not in joint.motor
+    said = [note for note in joint.notes if "looks in step with their samples" in note]
+    assert len(said) == (0 if odd else 1)
+    if said:
+        assert "at 100 Hz" in said[0]
