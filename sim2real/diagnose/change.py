@@ -44,6 +44,8 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
+_ONE_ANGLE = 0.85
+"""Most that is said of a sensor that was seen to be off at one angle: it may be bent, too."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -261,6 +263,9 @@ def _alone(of: Explained, found: Contrast) -> Change:
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
+    if of.way == "rest" and {"sensor_offset", "sensor_gain"} <= set(group.members):
+        sure = min(group.probability, _ONE_ANGLE)
+        group = replace(group, probability=sure, stability=sure)
     row = found.rows[found.effects.index(group.members[0])]
     return Change((group,), probability, row, sure * strange)
 
