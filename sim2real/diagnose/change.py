@@ -44,8 +44,8 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
-_ONE_ANGLE = 0.85
-"""Most that is said of a sensor that was seen to be off at one angle: it may be bent, too."""
+_AT_REST = 0.85
+"""Most that is said of what was seen at rest only: a sensor may also be bent at those angles."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -224,9 +224,7 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
         found = refined(of, first, by)
     one = _alone(of, found)
     if of.way == "repeat" and found is not first and _leaves_more(of, found):
-        both = _two(of, found, by)
-        if both is not None:
-            return both
+        one = _two(of, found, by) or one
     told = one.groups[0].probability >= DECISION.named
     windows = Steps(_without(of, one.row) if told else of, step_rad).windows(bank[of.way].jump)
     if windows is None:
@@ -263,8 +261,8 @@ def _alone(of: Explained, found: Contrast) -> Change:
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
-    if of.way == "rest" and {"sensor_offset", "sensor_gain"} <= set(group.members):
-        sure = min(group.probability, _ONE_ANGLE)
+    if of.way == "rest":
+        sure = min(group.probability, _AT_REST)
         group = replace(group, probability=sure, stability=sure)
     row = found.rows[found.effects.index(group.members[0])]
     return Change((group,), probability, row, sure * strange)
