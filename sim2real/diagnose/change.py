@@ -226,7 +226,10 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     if of.way == "repeat" and found is not first and _leaves_more(of, found):
         one = _two(of, found, by) or one
     told = one.groups[0].probability >= DECISION.named
-    windows = Steps(_without(of, one.row) if told else of, step_rad).windows(bank[of.way].jump)
+    rest = _without(of, one.row) if told else of
+    wrong = max(_largest_step(of.left[r] - rest.left[r]) for r in of.case)
+    usual = max(step_rad, DECISION.change_law_error * wrong)
+    windows = Steps(rest, usual).windows(bank[of.way].jump)
     if windows is None:
         return one
     less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
@@ -236,6 +239,10 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     return replace(
         one, groups=groups, probability=less, nameless=DECISION.nameless, windows=windows
     )
+
+
+def _largest_step(values: Array) -> float:
+    return float(np.nanmax(np.abs(np.diff(values)), initial=0.0))
 
 
 def _without(of: Explained, row: Array) -> Explained:
