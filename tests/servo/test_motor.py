@@ -315,3 +315,39 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     assert len(said) == (0 if odd else 1)
     if said:
         assert "at 100 Hz" in said[0]
+
+
+def test_a_loosened_prior_is_wider_for_losses_only():
+    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.servo.trace import trace
+
+    command = SQUARE[:, None]
+    made = Recording("a", "servo", ("j1",), T, command, command, {"j1": Load(INERTIA)})
+    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), [trace(made, "j1")])
+    for before, after in zip(prior.beliefs, prior.loosened(2.0).beliefs, strict=True):
+        share = not before.log and np.isfinite(before.sd)
+        assert after.sd == (2 * before.sd if share else before.sd)
+        assert after.middle == before.middle
+
+
+def test_an_average_of_fits_lies_between_them():
+    from sim2real.servo.fit import best_of, plain_row
+    from sim2real.servo.motor_fit import averaged, fit_motor
+    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.servo.parameters import LINE as COLUMNS_OF_LINE
+    from sim2real.servo.trace import trace
+
+    rng = np.random.default_rng(2)
+    angle = simulate(**LINE, coulomb_Nm=0.05)[:, None] + rng.normal(0, 1e-3, (T.size, 1))
+    made = Recording("a", "servo", ("j1",), T, SQUARE[:, None], angle, {"j1": Load(INERTIA)})
+    given = [trace(made, "j1")]
+    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), given)
+    plain, _ = best_of(given, [plain_row(KP, KD, LATENCY)], ("kp_Nm_per_rad", "kd_Nms_per_rad"))
+    names = (*COLUMNS_OF_LINE, "motor.coulomb_Nm", "motor.motor_friction")
+    fits = [fit_motor(given, plain, prior.loosened(f), names, rng) for f in (1.0, 0.02)]
+    both = averaged(fits)
+    np.testing.assert_allclose(both.x[:4], np.mean([one.x[:4] for one in fits], axis=0))
+    dry = [one.values.get("coulomb_Nm", 0.0) for one in (*fits, both)]
+    assert dry[2] == pytest.approx(0.5 * (dry[0] + dry[1]))
+    assert dry[1] < 0.9 * dry[0]  # a prior fifty times narrower allows less
+    assert both.fit.residuals[0].shape == fits[0].fit.residuals[0].shape
