@@ -16,6 +16,7 @@ import random
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,7 +150,16 @@ def measured(
         if "effects" not in answer:
             rows.append({**answer, "verdict": found.verdict})
             continue
-        rows += [{**_row(answer, one, case.robot), "verdict": found.verdict} for one in joints]
+        linked, varied = _link_gains(joints), _varied(joints)
+        rows += [
+            {
+                **_row(answer, one, case.robot),
+                "verdict": found.verdict,
+                "links": linked,
+                "varied": v,
+            }
+            for one, v in zip(joints, varied, strict=True)
+        ]
     cost = {
         "cpu_s": (time.process_time() - start) / len(answers),
         "wall_s": (time.perf_counter() - begin) / len(answers),
@@ -176,17 +186,28 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
+    import numpy as np
+
     from sim2real.diagnose.judging import evidence
-    from sim2real.diagnose.search import size_in_noise
+    from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
     from sim2real.noise import quantization_step
+    from sim2real.servo.motor_line import on_its_line
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
     outside = answer["kind"] == "outside"
+    link, tries = finding.link, tried.tried
+    servo = next(j.servo for j in robot.joints if j.name == one.name)
+    line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
     steps = [quantization_step(t.position) for t in one.joint.traces]
-    stated = next(j.servo.position_step_rad for j in robot.joints if j.name == one.name)
-    told = evidence(finding, one.unseen)
+    stated = servo.position_step_rad
+    # What was judged has the curve's probabilities; the curve looks at those before.
+    before = {g.members[0]: g.probability for g in finding.posterior.groups(tried.base)}
+    raw = tuple(
+        replace(g, probability=before.get(g.members[0], g.probability)) for g in finding.groups
+    )
+    told = evidence(replace(finding, groups=raw), one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {
         name: size_in_noise(h, name, one.joint.noise)
@@ -194,7 +215,10 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         for name in h.members
         if named(name).everywhere
     }
-    link = finding.link
+    alone = {e: float(tries[s].fit.loglikelihood[0]) for e in (h["effect"] for h in hidden)
+             if (s := tried.base | {e}) in tries}  # fmt: skip
+    found = finding.unmodelled.windows or ()
+    lengths = [t.t[-1] - t.t[0] for t in one.joint.traces]
     return {
         "case": answer["case"],
         "set": answer.get("plant", "concealed"),
@@ -204,6 +228,8 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "truth": [
             h["effect"] for h in hidden if h["component"] in (one.name, *SHARED) and not outside
         ],
+        "always": [n["effect"] for n in answer.get("nuisances", ())
+                   if n["component"] in (one.name, *SHARED)],
         "outside": outside and hidden[0]["component"] == one.name,
         "nuisances": small,
         "in_base": sorted(tried.base),
@@ -213,6 +239,12 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "excess_plain": finding.unmodelled.excess,
         "excess": finding.excess,
         "left": finding.search.left(tried, tried.base),
+        "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
+        "windows": [b - a for some in found for a, b in some],
+        "windows_evidence": finding.unmodelled.windows_evidence if found else None,
+        "length_s": float(sum(lengths)),
+        "count": float(best.fit.count[0]),
+        "error_over_noise": one.error / one.joint.noise,
         "step": min(steps) / stated if stated > 0 else 0.0,
         "whole": told.whole,
         "groups": [
@@ -224,6 +256,7 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
             }
             for group, features in told.groups
         ],
+        "line": line and [line[1], line[0].motor["stall_torque_Nm"] / servo.max_torque_Nm],
         "link": link and {
             "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
             "changes": finding.changes(one.unseen, link.effect), "features": told.link,
@@ -232,6 +265,56 @@ def _row(answer: Row, one: JointResult, robot: Robot) -> Row:
         "unknown": finding.unknown,
         "mismatch": finding.mismatch,
     }  # fmt: skip
+
+
+WIDE = 3.0
+"""How many times the data sheet's a motor's line may be, either way, to see what lines are."""
+VARIED = {"law_error": (0.0, 0.01, 0.1), "shared": (0.5, 0.99), "group_share": (0.03, 0.3)}
+"""Other values of numbers whose decisions can be taken again from the sets that were tried."""
+
+
+def _varied(joints: Sequence[JointResult]) -> list[Row]:
+    """For each joint, by number and value, the likeliest set and the groups of it."""
+    import numpy as np
+
+    from sim2real.diagnose import posterior
+    from sim2real.diagnose.decision import DECISION
+
+    found: list[Row] = [{} for _ in joints]
+    tried = [one.finding.tried for one in joints]
+    every = [("", 0.0), *((name, x) for name, values in VARIED.items() for x in values)]
+    for name, value in every:
+        posterior.DECISION = replace(DECISION, **{name: value}) if name else DECISION
+        some = posterior.posteriors(tried, [range(len(joints))], np.random.default_rng(0))
+        for row, one, probable in zip(found, tried, some, strict=True):
+            groups = [[g.members, g.probability, g.stability] for g in probable.groups(one.base)]
+            row[f"{name}={value:g}" if name else ""] = [sorted(probable.sets[0]), groups]
+    posterior.DECISION = DECISION
+    return found
+
+
+def _link_gains(joints: Sequence[JointResult]) -> Row:
+    """What an uneven link would gain on all joints and on each, plain and with what was found."""
+    import numpy as np
+
+    from sim2real.diagnose.investigate import link_data
+    from sim2real.link.uneven import links
+    from sim2real.servo.batch import Batch
+
+    batch = Batch([one.joint.traces for one in joints])
+    told = []
+    for fits in ([x.finding.tried.plain for x in joints], [x.finding.best for x in joints]):
+        at = [
+            replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=np.array([j], "i4"))))
+            for j, h in enumerate(fits)
+        ]
+        data = link_data(batch, [one.joint for one in joints], range(len(joints)), at, 0.0)
+        (found,) = links([data])
+        told.append({"effect": found.effect, "gain": found.gain, "value": found.value,
+                     "shares": found.shares})  # fmt: skip
+    own = [x.finding.best.evidence - x.finding.tried.plain.evidence for x in joints]
+    return {"plain": told[0], "best": told[1], "own": own,
+            "excess": [x.finding.excess for x in joints]}  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
 """How a package is built: files, lines, imports between its files, and how deep they stand.
 
-python benchmarks/house.py [ROOT] [FOLDER...]
+python benchmarks/house.py [ROOT] [FOLDER...] [--way]
 
 Code is what is neither blank, nor a docstring, nor an import. A floor is a step of the longest
 chain of imports inside the folder; what imports nothing of it stands on the first. Imports inside
 functions or for type checkers alone do not count.
+
+With ``--way``, a recording's way to its diagnosis, as one reads it: from ``diagnose_all`` through
+the functions that are called by name, each once, in the order in which they are written. A stop is
+a function in another file than the one before; a return is a stop in a file where one has been.
 """
 
 from __future__ import annotations
@@ -23,7 +27,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("root", type=Path, nargs="?", default=Path("."))
     parser.add_argument("folders", nargs="*", default=list(FOLDERS))
+    parser.add_argument("--way", action="store_true", help="a recording's way instead")
     options = parser.parse_args()
+    if options.way:
+        for scope in ("sim2real/diagnose", "sim2real"):
+            files = [file for file, _ in way(options.root, scope)]
+            stops = [file for k, file in enumerate(files) if k == 0 or files[k - 1] != file]
+            rooms = len(set(stops))
+            print(f"{scope}/: {len(stops)} stops in {rooms} files, {len(stops) - rooms} returns")
+        return
     print("| folder | files | lines | of them code | longest file | imports inside | floors |")
     print("|---|---|---|---|---|---|---|")
     for folder in options.folders:
@@ -83,6 +95,49 @@ def imports(path: Path, files: dict[str, Path]) -> set[str]:
     deep = found & set(files)
     # A package that is named only on the way to one of its files is no import of its own.
     return {name for name in deep if not any(other.startswith(f"{name}.") for other in deep)}
+
+
+def way(root: Path, scope: str) -> list[tuple[str, str]]:
+    """Files and functions of a folder, in the order in which one comes to them."""
+    paths = sorted((root / "sim2real").rglob("*.py"))
+    bodies = {module(root, path): ast.parse(path.read_text()).body for path in paths}
+    known = {
+        (name, one.name): one
+        for name, body in bodies.items()
+        for one in body
+        if isinstance(one, ast.FunctionDef)
+    }
+    taken = {
+        (name, alias.asname or alias.name): (one.module, alias.name)
+        for name, body in bodies.items()
+        for one in body
+        if isinstance(one, ast.ImportFrom) and one.module
+        for alias in one.names
+    }
+
+    def meant(name: str, word: str) -> tuple[str, str]:
+        """Where the function stands that a file calls by a word."""
+        while (name, word) not in known and (name, word) in taken:
+            name, word = taken[name, word]
+        return name, word
+
+    found: list[tuple[str, str]] = []
+
+    def walk(place: tuple[str, str]) -> None:
+        name, _ = place
+        if place in found or place not in known or not f"{name}.".startswith(inside):
+            return
+        found.append(place)
+        calls = [one.func for one in ast.walk(known[place]) if isinstance(one, ast.Call)]
+        for called in sorted(calls, key=lambda one: (one.lineno, one.col_offset)):
+            if isinstance(called, ast.Name):
+                walk(meant(name, called.id))
+            elif isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+                walk((".".join(taken.get((name, called.value.id), ("",))), called.attr))
+
+    inside = scope.replace("/", ".") + "."
+    walk(("sim2real.diagnose.diagnose", "diagnose_all"))
+    return found
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 Array = NDArray[np.float64]
 
 _PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
-_SHEAR = {(0, 1): 3, (1, 2): 4, (2, 0): 5}
 _VISCOSITY = 0.1
 _SPEED, _COARSEST = 0.04, 16
 """Largest speed in cells a step in the coarsest box; it falls as the cells, so that the

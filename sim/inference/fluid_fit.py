@@ -72,12 +72,6 @@ class Fitted:
         reach = float(norm.ppf(0.5 + level / 2)) * self.sd
         return np.stack([self.best - reach, self.best + reach], axis=1)
 
-    def marginal(self, names: Sequence[str]) -> Gaussian:
-        """The posterior of some parameters, as a prior of the next fit."""
-        listed = [p.name for p in self.free]
-        rows = [listed.index(name) for name in names]
-        return Gaussian(self.best[rows], self.covariance[np.ix_(rows, rows)])
-
 
 def fit(
     swims: Sequence[Swim],

@@ -17,7 +17,7 @@ from sim2real.recording import Recording
 from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo.motor_line import on_its_line
 from sim2real.servo.problem import Set
-from sim2real.servo.trace import Trace, traces
+from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,12 @@ class Joint:
     servo: Servo | None = None
 
     @property
+    def stall_Nm(self) -> float | None:
+        """Torque that its data sheet states; None where its load is unknown."""
+        known = self.servo is not None and self.traces[0].load is not PER_INERTIA
+        return self.servo.max_torque_Nm if self.servo is not None and known else None
+
+    @property
     def base(self) -> Set:
         """Effects that its given model has."""
         return frozenset(e.effect for e in self.given.effects) if self.given else frozenset()
@@ -99,15 +105,15 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
     One with references keeps what it knows, and a joint a given model that is no plain servo.
     """
     found, known = {}, case.model or Model(joints={})
-    limits = {"clear": DECISION.line_clear, "room": DECISION.line_room}
     for joint in case.robot.joints if not case.references else ():
         before = known.joints.get(joint.name)
         if before is not None and (before.law != "pd" or before.effects):
             continue
         given = traces(case.recordings, joint.name)
-        model = on_its_line(given, joint.servo, rng, **limits) if given else None
-        if model is not None:
-            found[joint.name] = model
+        line = on_its_line(given, joint.servo, rng, room=DECISION.line_room) if given else None
+        # What changes the error by less, nobody would miss.
+        if line is not None and line[1] < 1 - DECISION.negligible:
+            found[joint.name] = line[0]
     return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
 
 

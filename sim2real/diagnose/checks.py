@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Case, gate
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.formula import formula, what_is_left
 from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.next_experiment import next_experiment
@@ -20,6 +19,7 @@ from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experi
 from sim2real.inference.knockoffs import contest, false_discovery_rate
 from sim2real.robot import Robot
 from sim2real.servo.black_box import black_box
+from sim2real.servo.formula import formula, what_is_left
 from sim2real.servo.holdout import splits
 from sim2real.servo.knockoffs import best_knockoff, directions
 from sim2real.servo.linear import residual_torque, smooth_speed
@@ -87,7 +87,9 @@ def _guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
             what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
             for trace, row in zip(given, one.after, strict=False)
         ]
-        text = formula(left, "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m")
+        unit = "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m"
+        # The square of what is left, where an effect of a negligible share is taken away.
+        text = formula(left, unit, 1 - (1 - DECISION.negligible) ** 2)
         if text:
             found[one.name] = f"missing torque ≈ {text}"
     return found

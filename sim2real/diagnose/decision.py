@@ -35,6 +35,7 @@ class Decision:
     surely: float  # gain that is never left to chance, however uneven the noise
     law_error: float  # how far the law of an effect may be from what a servo does, relative to it
     most_certain: float  # no effect is more probable
+    sure: float  # probability from which 0.9 and more is said; below it 0.89 at most
     there: float  # probability from which something is missing, named or not
     shared: float  # how much of an effect of the supply or the link the other joints must show
     structured: float  # excess from which a residual is more than noise and slow wander
@@ -42,12 +43,14 @@ class Decision:
     # share of the excess that named effects must explain, or the cause is not in the catalogue
     explained: float
     ripple: float  # what every servo has a little of is a finding from so many noises on
+    crystals: float  # relative difference of two clocks up to which it is none, and is taken off
+    turn_s: float  # jitter below which a set-point only waits for the controller's next turn
+    sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     link_gain: float  # gain from which an uneven link is a finding
     link_shows: float  # gain from which it shows on a joint
     link_tie: float  # gain by which a joint's own effects must beat it to be kept
     link_masked: float  # excess of a joint from which nothing can be seen of single set-points
-    mimic: float  # probability that is left to an effect that one of the supply or the link mimics
     window_cost: float  # gain that a segment of something else must earn
     window_second_cost: float  # gain that each second of it must earn
     window_share: float  # share of the time from which it is no segment
@@ -58,12 +61,6 @@ class Decision:
     change_explained: float  # share of what changed that names must explain, or it has none
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
-    predictor: float  # share of the error below which another model is worth having
-    formula_share: float  # share of the unseen error's square that a term must take away
-    separation: float  # in noises, from which rivals are told apart at first sight
-    # a motor's torque-speed line is the baseline where it leaves at most this share of the linear
-    # servo's error
-    line_clear: float
     # how many times the data sheet's the line may be, either way; beyond that it is a finding
     line_room: float
 

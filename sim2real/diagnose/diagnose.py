@@ -10,13 +10,16 @@ import numpy as np
 
 from sim2real.diagnose.case import Case, Joint, by_robot, on_their_lines, prepared
 from sim2real.diagnose.checks import with_checks
+from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.judging import judged
+from sim2real.diagnose.nuisances import first_look
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.search import ServoSearch, ledgers_of
 from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.model import Model
@@ -25,7 +28,8 @@ from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 from sim2real.servo.fit import refitted
 from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.problem import Hypothesis, Set, joined, residual_angles
+from sim2real.servo.plain import baselines
+from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
@@ -153,11 +157,15 @@ def _joint_results(
 ) -> list[list[JointResult]]:
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
-    joints = [joint for some in ready for joint in some]
+    given = joints = [joint for some in ready for joint in some]
     robots = by_robot(ready)
+    looked = _first_look(joints, rng, device)
+    if not any(joint.before for joint in joints):
+        stamped = Batch([joint.traces for joint in joints], device)
+        joints = on_one_clock(stamped, joints, robots, [one.best for one in looked])
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
-        batch, joints, robots, rng=rng, progress=lambda share: progress(0.8 * share)
+        batch, joints, robots, rng=rng, known=looked, progress=lambda share: progress(0.8 * share)
     )
     changed = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
     sets = [[*_all_sets(a), *_all_sets(b)] for a, b in zip(findings, changed, strict=True)]
@@ -180,7 +188,7 @@ def _joint_results(
             h.fit.servos.theta[0],
             [named(e) for e in sorted(h.members) if not named(e).everywhere],
         )
-        for joint, h in zip(joints, plain, strict=True)
+        for joint, h in zip(given, plain, strict=True)
     ]
     results = [
         JointResult(joint, findings[j], rich[j], before[j], after[j], ordinary[j].row, unseen[j])
@@ -189,12 +197,23 @@ def _joint_results(
     return [[results[j] for j in robot] for robot in robots]
 
 
+def _first_look(joints: Sequence[Joint], rng: np.random.Generator, device: str) -> list[Tried]:
+    batch = Batch([joint.traces for joint in joints], device)
+    plain = baselines(batch, [joint.given for joint in joints])
+    ledgers = ledgers_of(plain, [joint.base for joint in joints])
+    large = [DECISION.ripple * joint.noise for joint in joints]
+    first_look(ServoSearch(batch, DECISION.false_alarms, rng), ledgers, large)
+    return ledgers
+
+
 def _enriched(finding: Finding) -> Hypothesis:
-    """The servo with what is named on the joint, or the plain one."""
-    tried = finding.tried
+    """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
+    tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
-    wanted = tried.base | (heads & finding.best.members)
-    return tried.tried.get(wanted, finding.best if heads else tried.plain)
+    wanted = heads if finding.link is not None else best.members - (finding.said - heads)
+    wanted = tried.base | (wanted & best.members)
+    found = tried.tried.get(wanted, best if heads else tried.plain)
+    return finding.search.freed(tried, found)
 
 
 def _all_sets(finding: Finding) -> list[Set]:

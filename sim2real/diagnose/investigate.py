@@ -9,8 +9,9 @@ import numpy as np
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.posterior import Group, Posterior, posteriors
-from sim2real.diagnose.search import ServoSearch, search, size_in_noise
+from sim2real.diagnose.search import ServoSearch, search
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
@@ -18,11 +19,19 @@ from sim2real.link.uneven import LinkData, links
 from sim2real.servo.batch import Batch
 from sim2real.servo.holdout import Unseen
 from sim2real.servo.linear import Residual
-from sim2real.servo.plain import baselines
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.plain import baselines, plain_again
 from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
+
+
+_DRY = "coulomb_friction"
+_PRESLIDING = [
+    COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
+]
+_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 
 
 @dataclass(frozen=True)
@@ -59,14 +68,27 @@ class Finding:
     link: Uneven | None = None
     place: int = 0
 
+    @property
+    def said(self) -> Set:
+        """Effects of its groups."""
+        return frozenset(effect for group in self.groups for effect in group.members)
+
+    @property
+    def uneven(self) -> float:
+        """Share by which an uneven link raises the error of the joint."""
+        assert self.link is not None
+        return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+
     def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
         """Share by which an effect lowers the held-out error beside the others; or infinity.
 
         Infinity where that cannot be told: of rounding, and where nothing is held out. Of an
-        uneven link, which nobody can foretell, it is the share by which it raises the error.
+        uneven link, which nobody can foretell, it is the share by which it raises the error; none
+        where set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and self.link.effect == effect:
-            return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+            waits = effect == "latency_jitter" and self.link.value < DECISION.turn_s
+            return 0.0 if waits else self.uneven
         best = self.best.members
         rich = unseen.get(best)
         without = unseen.get(best - {effect}, unseen.get(self.tried.base))
@@ -81,6 +103,7 @@ def investigate(
     robots: Sequence[Sequence[int]],
     *,
     rng: np.random.Generator,
+    known: Sequence[Tried] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Finding]:
     """Find what each joint is missing.
@@ -90,9 +113,10 @@ def investigate(
         joints: The joints of the batch.
         robots: Which of them share a supply and a link.
         rng: For bootstraps.
+        known: What a first look at each joint said, where there was one.
         progress: Called with the share that is done.
     """
-    findings = _pass(batch, joints, robots, rng, lambda share: progress(0.7 * share))
+    findings = _pass(batch, joints, robots, rng, lambda share: progress(0.7 * share), known)
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured]
     if again:
@@ -106,7 +130,8 @@ def investigate(
         )
         groups = [[again.index(j) for j in robot if j in again] for robot in robots]
         groups = [group for group in groups if group]
-        second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share))
+        seen = [findings[j].tried for j in again]
+        second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share), seen)
         for j, finding in zip(again, second, strict=True):
             mismatch = finding.mismatch or findings[j].mismatch
             findings[j] = replace(_placed(finding, j), mismatch=mismatch)
@@ -215,8 +240,13 @@ def _pass(
     robots: Sequence[Sequence[int]],
     rng: np.random.Generator,
     progress: Callable[[float], None],
+    known: Sequence[Tried] | None,
 ) -> list[Finding]:
-    plain = baselines(batch, [joint.given for joint in joints])
+    bases = [joint.base for joint in joints]
+    if known is None:
+        plain = baselines(batch, [joint.given for joint in joints])
+    else:
+        plain = plain_again(batch, known, bases)
     progress(0.1)
     found, problem = search(
         batch,
@@ -224,7 +254,8 @@ def _pass(
         level=DECISION.false_alarms / max(len(robot) for robot in robots),
         rng=rng,
         noise=[joint.noise for joint in joints],
-        bases=[joint.base for joint in joints],
+        bases=bases,
+        best=None if known is None else [one.best for one in known],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(found, robots, rng)
@@ -248,12 +279,10 @@ def _finding(
     joint: Joint,
 ) -> Finding:
     best = tried.tried[after.sets[0]]
-    # What every servo has a little of is none of it.
     groups = tuple(
-        group
+        _as_seen(best, group, joint)
         for group in after.groups(tried.base)
-        if not named(group.members[0]).everywhere
-        or size_in_noise(best, group.members[0], joint.noise) >= DECISION.ripple
+        if not _no_finding(best, group.members[0], joint)
     )
     if joint.step_rad is not None:
         groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
@@ -271,3 +300,21 @@ def _finding(
         excess_after,
         joint.step_rad,
     )
+
+
+def _as_seen(best: Hypothesis, group: Group, joint: Joint) -> Group:
+    """The group, with plain dry friction where a shaft yields by less than the sensor's noise."""
+    torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
+    yields = group.members[0] == "presliding_friction" and torque > joint.noise * stiffness
+    if yields or group.members[0] != "presliding_friction" or _DRY in group.members:
+        return group
+    return replace(group, members=(*group.members, _DRY))
+
+
+def _no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:
+    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
+    if named(effect).everywhere:
+        return size_in_noise(best, effect, joint.noise) < DECISION.ripple
+    limit = float(best.fit.servos.theta[0, _LIMIT])
+    stated = effect == "torque_saturation" and joint.stall_Nm is not None
+    return stated and limit > DECISION.sheet * (joint.stall_Nm or 0.0)

@@ -59,6 +59,11 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
 """How a measure enters a curve: what is none of these as it is."""
 
 
+_ALMOST = 0.89
+_BESIDE = ("excess_plain", "explained", "smooth", "windows", "change")
+"""Measures of the whole joint that count for each effect as well."""
+
+
 def scaled(**measured: float) -> Features:
     """Measures as a curve takes them, and a constant beside them."""
     return {"one": 1.0} | {name: _SCALES.get(name, float)(x) for name, x in measured.items()}
@@ -80,6 +85,23 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     lead = smooth - (best.evidence - tried.plain.evidence)
     gain, limit = finding.search.left(tried, best.members)
     left = gain / max(limit, 1e-9)
+    # What no group says is no finding, and not missing.
+    small = best.members - tried.base - finding.said
+    servo = tried.tried.get(tried.base | small, tried.plain)
+    plain, rich = unseen.get(servo.members), unseen.get(best.members)
+    more = max(without.excess - 1, 0.0)
+    explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
+    whole = scaled(
+        excess_plain=without.excess,
+        excess=finding.excess,
+        explained=explained,
+        smooth=smooth,
+        windows=without.windows_evidence,
+        lead=lead,
+        own=best.evidence - servo.evidence,
+        left=left,
+        change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
+    )
     weighed = []
     for place, group in enumerate(groups):
         head = group.members[0]
@@ -101,32 +123,15 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
             lead=lead,
             left=left,
         )
-        weighed.append((group, features | {f"is {head}": 1.0}))
-    # What every servo has a little of, and no group says, is not missing.
-    said = {effect for group in finding.groups for effect in group.members}
-    small = {e for e in best.members - tried.base if named(e).everywhere and e not in said}
-    servo = tried.tried.get(tried.base | small, tried.plain)
-    plain, rich = unseen.get(servo.members), unseen.get(best.members)
-    more = max(without.excess - 1, 0.0)
-    explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
-    whole = scaled(
-        excess_plain=without.excess,
-        excess=finding.excess,
-        explained=explained,
-        smooth=smooth,
-        windows=without.windows_evidence,
-        lead=lead,
-        own=best.evidence - servo.evidence,
-        left=left,
-        change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
-    )
+        beside = {f"all {name}": whole[name] for name in _BESIDE}
+        weighed.append((group, features | beside | {f"is {head}": 1.0}))
     uneven = None
     if link is not None:
         uneven = scaled(
             gain=link.gain,
             showing=float(np.mean([x > DECISION.link_shows for x in link.shares])),
             excess=finding.excess,
-            size=finding.changes(unseen, link.effect),
+            size=finding.uneven,
             lone=len(link.shares) == 1,
         )
     return Evidence(tuple(weighed), whole, uneven)
@@ -137,12 +142,14 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     found = evidence(finding, unseen)
     unknown = ODDS["nameless"].probability(found.whole)
     groups = [
-        replace(group, probability=ODDS["effect"].probability(features))
+        replace(group, probability=_stated(ODDS["effect"].probability(features)))
         for group, features in found.groups
+        # Beside something nameless, what every servo has a little of is no finding.
+        if unknown <= DECISION.named or not named(group.members[0]).everywhere
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:
-        sure = ODDS["link"].probability(found.link)
+        sure = _stated(ODDS["link"].probability(found.link))
         groups.append(Group((finding.link.effect,), sure, 1.0))
     likely = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
@@ -155,3 +162,8 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         left=mismatch and (unknown > DECISION.named or (there and not likely and not coarse)),
         unknown=unknown,
     )
+
+
+def _stated(probability: float) -> float:
+    """A probability, below 0.9 where those that are said with 0.9 would too often be wrong."""
+    return probability if probability >= DECISION.sure else min(probability, _ALMOST)

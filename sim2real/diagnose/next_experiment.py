@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import Diagnosis, Experiment
@@ -21,6 +22,8 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 _LEAST = 2.0
+_CLEAR = float(2 * norm.isf(DECISION.false_alarms))
+"""Distance in noises at which one rival is seldom taken for the other."""
 _PERIOD_S = 0.02
 _WEIGHT = (0.05, 0.1)
 """Mass in kg and arm in m of a weight that anyone can make."""
@@ -69,7 +72,7 @@ def next_experiment(
     scores = np.min([_separations(staged, plans, *pair) for pair in pairs], axis=0)
     plain = np.array([plan.context == "none" for plan in plans])
     usual = np.where(plain, scores, -1.0)
-    best = int(usual.argmax() if usual.max() >= DECISION.separation else scores.argmax())
+    best = int(usual.argmax() if usual.max() >= _CLEAR else scores.argmax())
     plan, score = plans[best], float(scores[best])
     return Experiment(
         component=component,

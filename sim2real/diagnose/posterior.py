@@ -119,7 +119,7 @@ def posterior(
         log_odds: Additions to the log prior odds of effects, from what else is known.
     """
     tried = sorted(found.tried.values(), key=lambda h: -h.evidence)
-    tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0 or h.members == found.base]
+    tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0]
     extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.members) for h in tried])
     blocks = tried[0].fit.gram.shape[1]
     used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)

@@ -76,7 +76,7 @@ def predicting(
     for name, one, data in zip(names, tried, given, strict=True):
         signal = f"{name}.position_rad"
         best, figures = _best(one, data)
-        if _error(figures) < DECISION.predictor * _error(fit[signal]):
+        if _error(figures) < (1 - DECISION.negligible) * _error(fit[signal]):
             joints[name] = _joint(joints[name], best)
             fit[signal] = figures
     progress(1.0)

@@ -1,29 +1,30 @@
-"""Which effects does each joint need? The servo's side of the search of ``inference.selection``.
-
-First what every servo has a little of: cogging and the sensor's eccentricity are common to all
-recordings, and nobody acts on a little of them. Left out, their waves pass for anything. They are
-fitted beside whatever else explains most, so that they do not stand in for it, and belong to the
-plain servo while they are small in noises.
-"""
+"""Which effects does each joint need? The servo's side of the search of ``inference.selection``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.effects import named
+from sim2real.diagnose.nuisances import first_look, with_nuisances
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.plain import BLOCKS, own_parameters, with_effects
-from sim2real.servo.problem import Fits, Hypothesis, Set, Tried, joined, minimise, stacked
-from sim2real.servo.screen import NUISANCES, Candidate, Screen, candidate, candidates, screen
+from sim2real.servo.problem import (
+    Fits,
+    Hypothesis,
+    Set,
+    Tried,
+    descended,
+    joined,
+    minimise,
+    stacked,
+)
+from sim2real.servo.screen import Candidate, Screen, candidates, screen
 
 Array = NDArray[np.float64]
 Job = tuple[Tried, Set, Array]
@@ -33,11 +34,6 @@ BREADTH = selection.Breadth()
 _BETTER = 1.0
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
-_BESIDE = 4
-"""Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
-_STARTS = 2
-_WORTH = 5.0
-"""Evidence that nuisances must earn."""
 
 
 def search(
@@ -48,6 +44,7 @@ def search(
     rng: np.random.Generator,
     noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
+    best: Sequence[Hypothesis] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -60,20 +57,19 @@ def search(
         noise: Standard deviation of each joint's sensor, rad; where it is not known, nothing is
             taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
+        best: What explained each joint best before; looked for where None.
         progress: Called with the share that is done.
 
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
-    ledgers: list[Tried] = []
-    for j in range(plain.count.size):
-        base: Set = bases[j] if bases else frozenset()
-        fit = plain.one(j)
-        ledgers.append(Tried(j, base))
-        ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
+    ledgers = ledgers_of(plain, bases)
     problem = ServoSearch(batch, level, rng)
     if noise is not None:
-        ledgers = _with_nuisances(problem, ledgers, noise)
+        large = [DECISION.ripple * sd for sd in noise]
+        if best is None:
+            first_look(problem, ledgers, large)
+        ledgers = with_nuisances(problem, ledgers, large, best or [one.best for one in ledgers])
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
@@ -83,6 +79,22 @@ def search(
     problem.singles = False
     selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.6 * share))
     return ledgers, problem
+
+
+def ledgers_of(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
+    """What was tried on each joint before a search: its plain servo.
+
+    Args:
+        plain: The fits, one a joint.
+        bases: Effects that each joint's given model has.
+    """
+    ledgers = []
+    for j in range(plain.count.size):
+        base: Set = bases[j] if bases else frozenset()
+        fit = plain.one(j)
+        ledgers.append(Tried(j, base))
+        ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
+    return ledgers
 
 
 class ServoSearch:
@@ -167,19 +179,36 @@ class ServoSearch:
             )
             for one, members, theta in jobs
         ]
-        rough = minimise(self.batch, stacked(servos), iterations=5)
+        rough, settled = descended(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
         best: dict[tuple[int, Set], int] = {}
         for k, (ledger, members, _) in enumerate(jobs):
             key = (ledger.case, members)
             if key not in best or rough.error2[k] < rough.error2[best[key]]:
                 best[key] = k
-        index = np.array(list(best.values()))
-        fine = minimise(self.batch, rough.servos[index], iterations=15, blocks=BLOCKS)
-        fits = {key: fine.one(n) for n, key in enumerate(best)}
+        fits = {key: rough.one(k) for key, k in best.items()}
+        keys = [key for key, k in best.items() if not settled[k]]
+        if keys:
+            index = np.array([best[key] for key in keys])
+            fine = minimise(self.batch, rough.servos[index], iterations=15, blocks=BLOCKS)
+            fits.update((key, fine.one(n)) for n, key in enumerate(keys))
         return [
             Hypothesis(s, fits[one.case, s], _evidence(fits[one.case, s], s - one.base))
             for one, s, _ in jobs
         ]
+
+    def freed(self, ledger: Tried, found: Hypothesis) -> Hypothesis:
+        """A set with all of its parameters free, those that were held as well."""
+        held = self.held.get(ledger.case, frozenset()) & found.members
+        if not held or not found.members - ledger.base:
+            return found
+        theta, fit = np.array(found.fit.servos.theta[0]), found.fit
+        servos = with_effects(ledger.plain.fit.servos, found.members, theta, *self.strength(ledger))
+        servos = replace(servos, joint=np.array([ledger.case], dtype=np.int32))
+        free = minimise(self.batch, servos, iterations=8, blocks=BLOCKS)
+        if free.loglikelihood[0] < fit.loglikelihood[0]:
+            return found
+        free = replace(free, servos=replace(free.servos, joint=fit.servos.joint))
+        return replace(found, fit=free.one(0))
 
     def remains(self, ledger: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
@@ -212,96 +241,6 @@ class ServoSearch:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
-
-
-def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
-    """An effect's size as the angle that it turns the servo by, in noises of the sensor."""
-    theta = best.fit.servos.theta[0]
-    first = named(effect).parameters[0].name
-    size = theta[COLUMNS.index(f"{effect}.{first}")]
-    return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
-
-
-def _with_nuisances(
-    problem: ServoSearch, ledgers: Sequence[Tried], noise: Sequence[float]
-) -> list[Tried]:
-    """The ledgers, each plain servo with the nuisances that show and are small.
-
-    ``noise`` is the standard deviation of each joint's sensor in rad.
-    """
-    problem.look([(one, one.base) for one in ledgers])
-    jobs = [
-        (one, one.base | {name}, start)
-        for one in ledgers
-        for name, start in problem.additions(one, one.base, _BESIDE)
-    ]
-    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-        one.keep(found)
-    beside = {one.case: one.best for one in ledgers}
-    wanted = [one for one in ledgers if any(_missing(beside[one.case].members))]
-    tried: dict[int, list[Hypothesis]] = {one.case: [] for one in wanted}
-    jobs = _beside(problem, wanted) if wanted else []
-    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-        tried[one.case].append(found)
-    jobs = []
-    for one in wanted:
-        best = _best(beside[one.case], tried[one.case], noise[one.case])
-        if best is not None and (more := _small(best, noise[one.case]) - one.base):
-            # As fitted beside the best effect, and so they stay.
-            problem.held[one.case] = more
-            jobs.append((one, one.base | more, np.array(best.fit.servos.theta[0])))
-    based = {}
-    for (one, members, _), found in zip(jobs, problem.refit(jobs), strict=True):
-        based[one.case] = Tried(one.case, members)
-        based[one.case].keep(found)
-    return [based.get(one.case, one) for one in ledgers]
-
-
-def _missing(members: Set) -> list[str]:
-    return [e.name for e in NUISANCES if e.name not in members]
-
-
-def _beside(problem: ServoSearch, ledgers: Sequence[Tried]) -> list[Job]:
-    """Every set of nuisances beside the best effect of each, from the likeliest waves."""
-    places = [(one, one.best) for one in ledgers]
-    lists = [
-        [candidate(named(n), *problem.strength(one)) for n in _missing(best.members)]
-        for one, best in places
-    ]
-    jobs = []
-    for (one, best), given, seen in zip(
-        places, lists, problem.screened(places, lists), strict=True
-    ):
-        starts: dict[str, list[Array]] = {}
-        for k, option in enumerate(given):
-            mine = np.flatnonzero(seen.candidate == k)
-            likeliest = mine[np.argsort(-seen.gain[mine])][:_STARTS]
-            starts[option.effect.name] = [option.starts[seen.start[i]] for i in likeliest]
-        columns = {option.effect.name: option.columns for option in given}
-        for count in range(1, len(given) + 1):
-            for names in combinations(starts, count):
-                for turn in range(_STARTS):
-                    theta = np.array(best.fit.servos.theta[0])
-                    for name in names:
-                        theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
-                    jobs.append((one, best.members | set(names), theta))
-    return jobs
-
-
-def _best(beside: Hypothesis, tried: Sequence[Hypothesis], noise_rad: float) -> Hypothesis | None:
-    """The likeliest set whose nuisances are all small; None where none is worth it."""
-    nuisances = {e.name for e in NUISANCES}
-    small = [h for h in tried if _small(h, noise_rad) == h.members & nuisances]
-    best = max([beside, *small], key=lambda h: h.evidence)
-    return best if best.evidence > beside.evidence + _WORTH or best is beside else None
-
-
-def _small(found: Hypothesis, noise_rad: float) -> Set:
-    """Those of its nuisances that are small."""
-    given = [e.name for e in NUISANCES if e.name in found.members]
-    return frozenset(
-        name for name in given if size_in_noise(found, name, noise_rad) < DECISION.ripple
-    )
 
 
 def _evidence(fit: Fits, added: Set) -> float:

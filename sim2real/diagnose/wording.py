@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -146,15 +146,9 @@ def gathered(results: Mapping[str, JointResult]) -> list[Said]:
         said.append(Said(likeliest, joints, place))
     several = [effect for effect, where in shared.items() if len(where) > 1]
     mimicked = {like for effect in several for like in named(effect).mimics}
-    said = [_doubted(one) if one.group.members[0] in mimicked else one for one in said]
-    said = [one for one in said if one.group.probability >= DECISION.named]
+    # What something of the supply or the link, seen on several joints, looks like on one.
+    said = [one for one in said if one.group.members[0] not in mimicked]
     return sorted(said, key=lambda one: -one.group.probability)
-
-
-def _doubted(one: Said) -> Said:
-    """What something of the supply or the link, seen on several joints, looks like on one."""
-    probability = min(one.group.probability, DECISION.mimic)
-    return replace(one, group=replace(one.group, probability=probability))
 
 
 def named_effect(results: Mapping[str, JointResult], one: Said) -> NamedEffect:

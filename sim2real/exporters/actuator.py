@@ -131,7 +131,9 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     if limit is not None:
         back_emf = limit / speed if speed else joint.kd_Nms_per_rad
     else:
-        limit = effects.pop("torque_saturation", {}).get("limit_Nm")
+        saturation = effects.pop("torque_saturation", {})
+        limit = saturation.get("limit_Nm")
+        back_emf = saturation.get("free_damping", 0.0) * joint.kd_Nms_per_rad
     load = None if joint.per_inertia else joint.load
     return Actuator(
         joint=name,

@@ -154,10 +154,14 @@ def _shaft(given: Actuator, world: Element, tendons: Element) -> None:
 
 
 def _within_a_pid(given: Actuator) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF within the limit, where a ``pid`` needs it there."""
-    if given.kd >= 0 or not given.effects.keys() & {"integral_action", "rate_limit"}:
+    """The actuator with its back-EMF within the limit, where a ``pid`` or a spring needs it."""
+    if given.back_emf > 0 and given.value("compliance", "compliance_rad_per_Nm") > 0:
+        why = "the spring passes on what the motor makes, its damping included"
+    elif given.kd >= 0 or not given.effects.keys() & {"integral_action", "rate_limit"}:
         return given, []
-    why = "a pid's velocity gain is not negative: the limit holds for drive and back-EMF together"
+    else:
+        why = "a pid's velocity gain is not negative"
+    why += ": the limit holds for drive and back-EMF together"
     moved = replace(given, kd=given.kd + given.back_emf, back_emf=0.0)
     return moved, [LeftOut(given.joint, "a drive that clips before the back-EMF", why)]
 

@@ -80,6 +80,7 @@ friction_bound = _chain("friction")
 other_inertia = _chain("inertia")
 measured_angle = _chain("sensor")
 
+_LIMIT = FIRST_COLUMN["torque_saturation"]
 SENSOR_BITS = _at("sensor")[-1]
 """Bits of the effects on the sensor, which must follow every sub-step."""
 
@@ -180,11 +181,24 @@ def substep_of(effects: bool) -> wp.Function:
             if kp > still:
                 made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
                 if made != torque:
-                    after = v + impulse * (made + load)
+                    beyond = p[wp.static(_LIMIT + 1)] * p[1]
+                    drive = made + beyond * middle
+                    if wp.abs(wp.abs(drive) - p[wp.static(_LIMIT)]) <= wp.float64(1e-12):
+                        # At the limit only this share of the damping is left.
+                        stiff = wp.float64(1.0) / (wp.float64(1.0) + damp * beyond)
+                        after = (
+                            (wp.float64(1.0) - damp * beyond) * v + impulse * (drive + load)
+                        ) * stiff
+                        made = drive - beyond * wp.float64(0.5) * (v + after)
+                    else:
+                        after += impulse * stiff * (made - torque)
                 torque = made
             if (active & wp.static(MOTOR_BIT)) != 0:
                 dry = gear_friction(speed, torque, weight, m)
-            dry = friction_bound(dry, q, speed, torque, time, h, p, z, active)
+            way = speed
+            if v == still:
+                way = wp.float64(1e-9) * wp.sign(after)  # held against where it would go
+            dry = friction_bound(dry, q, way, torque, time, h, p, z, active)
         stop = impulse * stiff * dry
         if stop > still:
             if (active & wp.static(MOTOR_BIT)) != 0 and softness(m) > still:

@@ -20,15 +20,16 @@ from sim2real.servo.trace import PER_INERTIA, Trace
 
 
 def on_its_line(
-    given: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, clear: float, room: float
-) -> JointModel | None:
-    """The servo with its motor's line, where that explains recordings which it does not.
+    given: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, room: float
+) -> tuple[JointModel, float] | None:
+    """The servo with its motor's line, and the share of the linear servo's error that it leaves.
+
+    None where the linear servo leaves nothing but noise.
 
     Args:
         given: Recordings of one joint.
         servo: Its data sheet.
         rng: For the scan for a start.
-        clear: Largest share of the linear servo's error that may be left.
         room: How many times the data sheet's the line may be, either way.
     """
     noise = max(noise_floor(t.t, t.command, t.position) for t in given)
@@ -39,11 +40,9 @@ def on_its_line(
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
     motor = fit_motor(given, plain, _near_the_sheet(servo, given, room), LINE, rng)
-    if rms(motor.fit.residuals) > clear * rms(plain.residuals):
-        return None
     kp, kd, latency = (float(x) for x in motor.fit.row[:3])
     known = given[0].load is not PER_INERTIA
-    return JointModel(
+    model = JointModel(
         kp,
         kd,
         latency,
@@ -53,6 +52,7 @@ def on_its_line(
         motor=motor.values,
         load=given[0].load if known else None,
     )
+    return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
 def _near_the_sheet(servo: Servo, given: Sequence[Trace], room: float) -> Prior:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from sim2real.effects import named
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
-from sim2real.servo.problem import Fits, Servos, Set, minimise, plain_servos
+from sim2real.servo.problem import Fits, Servos, Set, Tried, minimise, plain_servos, stacked
 from sim2real.servo.screen import candidate
 from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 
@@ -65,6 +66,23 @@ def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
     fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
     best = fine.error2.reshape(J, -1).argmin(axis=1)
     return fine[np.arange(J) * order.shape[1] + best]
+
+
+def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> Fits:
+    """Fit the plain servos that are known of such a batch to this one.
+
+    Args:
+        batch: The recordings.
+        known: What was tried on each joint.
+        bases: Effects that each joint's given model has.
+    """
+    servos = []
+    for j, (one, base) in enumerate(zip(known, bases, strict=True)):
+        theta = one.plain.fit.servos.theta[0]
+        inertia = float(batch.load[batch.first_signal[j], 0])
+        plain = with_effects(one.plain.fit.servos, base, theta, float(theta[0]), inertia, base)
+        servos.append(replace(plain, joint=np.array([j], dtype=np.int32)))
+    return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 
 
 def with_effects(

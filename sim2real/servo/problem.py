@@ -215,6 +215,21 @@ def minimise(
     white: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Fits:
+    """As ``descended``, without telling where more could be gained."""
+    return descended(
+        batch, servos, iterations=iterations, blocks=blocks, white=white, progress=progress
+    )[0]
+
+
+def descended(
+    batch: Batch,
+    servos: Servos,
+    *,
+    iterations: int,
+    blocks: int = 1,
+    white: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[Fits, NDArray[np.bool_]]:
     """Fit all servos in step (``inference.least_squares``), one launch a round.
 
     The noise model of each servo is refitted at every point, which makes the sum of squared
@@ -227,6 +242,9 @@ def minimise(
         blocks: Blocks of each recording for ``Fits.gram``.
         white: Whether to take the noise for white.
         progress: Called with the share that is done.
+
+    Returns:
+        The fits, and which of them have nothing more to gain, shape (N,).
     """
 
     def expand(x: Array, index: NDArray[np.intp]) -> Expansion:
@@ -251,7 +269,8 @@ def minimise(
         progress=progress,
     )
     aside = found.expansion.aside
-    return Fits(servos.at(found.x), aside["gram"], aside["count"], aside["noise"])
+    fits = Fits(servos.at(found.x), aside["gram"], aside["count"], aside["noise"])
+    return fits, found.converged
 
 
 def variants(servos: Servos) -> Problems:

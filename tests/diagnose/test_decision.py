@@ -20,6 +20,12 @@ def script(monkeypatch):
     return importlib.import_module("benchmarks.calibrate_decisions")
 
 
+@pytest.fixture
+def curves(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.decision_curves")
+
+
 def test_every_number_says_what_it_was_read_from():
     values = json.loads(FILE.read_text())["values"]
     assert set(values) == {field.name for field in fields(Decision)}
@@ -44,27 +50,30 @@ def row(**more):
     return usual | more
 
 
-def test_a_logistic_curve_comes_back(script):
+def test_a_logistic_curve_comes_back(curves):
     rng = np.random.default_rng(0)
     x = np.stack([np.ones(4000), rng.normal(0, 2, 4000)], axis=1)
     y = (rng.random(4000) < 1 / (1 + np.exp(-(-1 + 0.8 * x[:, 1])))).astype(float)
-    assert script.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
+    assert curves.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
 
 
-def test_a_curve_is_judged_on_cases_left_out(script):
+def test_a_curve_is_judged_on_plants_left_out(curves):
     """What says nothing gets no weight worth having, and half of all is stated as half."""
     rng = np.random.default_rng(0)
-    given = [(str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2)) for k in range(400)]
-    weights, report = script.curve(given)
-    assert abs(weights["noise"]) < 0.2
-    assert report["calibration_error"] < 0.08
+    given = [
+        curves.Sample(f"plant {k % 3}", str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2))
+        for k in range(400)
+    ]
+    found = curves.curve(given)
+    assert abs(found.weights["noise"]) < 0.2
+    assert found.report()["calibration_error"] < 0.08
 
 
 def test_a_quantile_is_that_of_what_misses_nothing(script):
     rng = np.random.default_rng(0)
     rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
     rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _ = script.quantiles(rows)["structured"]
+    value, count, _ = script.values_of(rows)["structured"]
     assert count == 400
     assert value == pytest.approx(1.1, abs=0.003)
 
@@ -73,7 +82,7 @@ def test_an_effect_that_a_nuisance_is_counts_as_there(script):
     group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"one": 1.0}}
     there = row(groups=[group], nuisances={"cogging": 3.0})
     told = script.samples([there, row(groups=[group])], 0.05)["effect"]
-    assert [right for _, _, right in told] == [True, False]
+    assert [one.right for one in told] == [True, False]
 
 
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
@@ -90,3 +99,54 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
     assert report["values"]["structured"]["count"] == 60
     assert set(report["odds"]) == set(CURVES)
+
+
+def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
+    fine = [row(case=str(k), step=1.0) for k in range(60)]
+    coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
+    found = script.values_of(fine + coarse)
+    assert 1.2 < found["coarser"][0] < 2.0
+    assert found["most_certain"][0] == pytest.approx(10 / 11)
+
+
+def test_the_room_of_a_line_is_that_of_motors_that_hide_nothing(script):
+    rng = np.random.default_rng(0)
+    rows = [row(case=str(k), line=[0.3, float(rng.uniform(0.9, 1.1))]) for k in range(100)]
+    weak = [row(case=f"x{k}", line=[0.3, 0.5], truth=["torque_saturation"]) for k in range(20)]
+    linear = [row(case=f"y{k}", line=[1.0, 3.0]) for k in range(20)]
+    room, count, _ = script.values_of(rows + weak + linear)["line_room"]
+    assert count == 100
+    assert 1.05 < room < 1.12
+
+
+def test_the_detection_gain_is_that_from_which_most_are_named(script):
+    """An eighth of those below are named by chance, and as many of those above are not."""
+    rows = []
+    for k in range(200):
+        gain = 0.2 * k
+        named = (gain > 15) != (k % 8 == 0)
+        said = [[["backlash"], 0.9 if named else 0.1]]
+        more = {"kind": "single", "truth": ["backlash"], "said": said, "alone": {"backlash": gain}}
+        rows.append(row(case=str(k), **more))
+    assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
+
+
+def uneven(gain, shares):
+    return {"effect": "packet_loss", "gain": gain, "value": 0.02, "shares": shares}
+
+
+def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
+    from benchmarks.decision_sensitivity import sensitivity
+
+    values = json.loads(FILE.read_text())
+    now = {name: entry["value"] for name, entry in values["values"].items()}
+    now |= {"link_gain": 10.0, "link_shows": 4.0, "link_tie": 5.0, "link_masked": 20.0}
+    links = {"plain": uneven(30.0, [30.0]), "best": uneven(30.0, [30.0]), "own": [0.0]}
+    usual = {
+        "links": links | {"excess": [1.0]}, "varied": {"": [[], []]}, "windows": [],
+        "windows_evidence": None, "length_s": 20.0, "count": 100.0, "left": [0.0, 9.0],
+    }  # fmt: skip
+    told = sensitivity([row(case=str(k), **usual) for k in range(5)], now, values["odds"])
+    assert told["joints"] == 5
+    assert told["link_gain"]["40"] == 5, "from 40 on a gain of 30 is none"
+    assert told["link_gain"]["5"] == 0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from strange import position_damping, shaking, strange
 
-from sim2real.diagnose.formula import formula, what_is_left
 from sim2real.servo.batch import Batch
+from sim2real.servo.formula import formula, what_is_left
 from sim2real.servo.plain import baselines
 from sim2real.servo.problem import residual_angles
 from sim2real.servo.trace import traces
@@ -27,7 +27,7 @@ def guessed(torque, seeds=(1, 2), unit="N m"):
     residual = residual_angles(batch, fit)[0]
     theta = fit.servos.theta[0]
     left = [what_is_left(t, r, theta, {}) for t, r in zip(given, residual, strict=True)]
-    return formula(left, unit)
+    return formula(left, unit, 0.1)
 
 
 def factor(text):

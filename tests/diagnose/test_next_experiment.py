@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from simulated import INERTIA
 
-from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.next_experiment import next_experiment, write_commands
+from sim2real.diagnose.next_experiment import _CLEAR, next_experiment, write_commands
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load, read_recording
@@ -34,7 +33,7 @@ def apart(rubbing):
 
 
 def test_rivals_that_differ_are_told_apart(apart):
-    assert apart.separation > DECISION.separation
+    assert apart.separation > _CLEAR
     assert apart.context == "none", "no change of context is asked for without need"
     assert apart.separates == ("coulomb_friction", "unmodelled_inertia")
     assert "j1" in apart.statement

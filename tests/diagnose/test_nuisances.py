@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
-from sim2real.diagnose.search import search, size_in_noise
+from sim2real.diagnose.nuisances import size_in_noise
+from sim2real.diagnose.search import search
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
 from sim2real.servo.plain import baselines

@@ -92,9 +92,16 @@ def test_rough_friction_is_mostly_there_and_said_to_be_rough() -> None:
     ],
 )
 def test_several_effects_together(effects: tuple[str, ...]) -> None:
-    model = servo(Load(0.004, 0.1, 0.1), **{name: TYPICAL[name] for name in effects})
+    current = {"torque_saturation": TYPICAL["torque_saturation"] | {"free_damping": 0.0}}
+    values = TYPICAL | current
+    model = servo(Load(0.004, 0.1, 0.1), **{name: values[name] for name in effects})
     assert not mujoco(model).left_out
     assert apart(model) < WITHIN_RAD
+
+
+def test_a_spring_behind_a_drive_that_clips_is_said_to_be_approximate() -> None:
+    model = servo(**{name: TYPICAL[name] for name in ("compliance", "torque_saturation")})
+    assert "spring" in str(*mujoco(model).left_out)
 
 
 def test_inertia_that_the_load_overstates() -> None:

@@ -23,6 +23,7 @@ from sim2real.recording import Load
 from sim2real.robot import Robot, read_robot
 
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
+TYPICAL["torque_saturation"]["free_damping"] = 0.0
 TEXTS = (isaaclab, genesis, urdf, plain, mujoco)
 
 

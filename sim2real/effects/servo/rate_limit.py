@@ -31,7 +31,8 @@ def ramp(
     most = p[c] * h
     move = wp.clamp(x - z[s], -most, most)
     z[s] += move
-    return z[s] - wp.float64(0.5) * move  # its mean over the sub-step
+    share = wp.abs(move) / wp.max(most, wp.float64(1e-12))  # of the sub-step in which it moves
+    return z[s] - wp.float64(0.5) * share * move  # its mean over the sub-step
 
 
 EFFECT = Effect(

@@ -1,7 +1,9 @@
 """Sensor eccentricity: the measured angle errs by a wave of the angle itself.
 
-``measured = q + amplitude_rad sin(2 pi q / period + phase)``, as a magnet off its axis, the teeth
-of a gear before the sensor or its interpolation make it (any text on magnetic encoders). Every
+``measured = q + amplitude_rad (sin(2 pi q / period + phase) - zero - slope q)``, as a magnet off
+its axis, the teeth of a gear before the sensor or its interpolation make it (any text on magnetic
+encoders). ``zero`` and ``slope`` are those of the straight line through the wave over 0.8 rad
+either way: what a calibration takes off, and what an offset or a gain of the sensor would be. Every
 sensor has a little of it, so that it belongs to the plain servo and is no finding.
 
 Leaves a wave over the angle, the same in both directions and at all speeds. Taken for: cogging.
@@ -10,6 +12,9 @@ Leaves a wave over the angle, the same in both directions and at all speeds. Tak
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+
+_RANGE_RAD = 0.8
+"""Angles, either way, over which the sensor is calibrated."""
 
 
 @wp.func
@@ -28,7 +33,15 @@ def wave(
     """Measured angle in rad."""
     if p[c + 1] == wp.float64(0.0):
         return x
-    return x + p[c] * wp.sin(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
+    turn = wp.float64(6.283185307179586) / p[c + 1]
+    if z[s] == wp.float64(0.0):
+        z[s] = wp.float64(1.0)
+        r = turn * wp.static(wp.float64(_RANGE_RAD))
+        z[s + 1] = wp.sin(p[c + 2]) * wp.sin(r) / r
+        z[s + 2] = (
+            wp.float64(3.0) * turn * wp.cos(p[c + 2]) * (wp.sin(r) - r * wp.cos(r)) / (r * r * r)
+        )
+    return x + p[c] * (wp.sin(turn * q + p[c + 2]) - z[s + 1] - z[s + 2] * q)
 
 
 _PERIODS = tuple(3.2 / (1.0 + 0.5 * k) for k in range(18))
@@ -46,6 +59,7 @@ EFFECT = Effect(
         Parameter("period_rad", low=0.2, high=7.0, typical=0.5, starts=_PERIODS),
         Parameter("phase_rad", low=-3.15, high=3.15, typical=1.0, starts=_PHASES),
     ),
+    memory=3,
     order=2,
     everywhere=True,
     never_named=True,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sim2real.diagnose.decision import DECISION
 from sim2real.inference.noise import RESIDUAL_WANDER, counting
 from sim2real.servo.holdout import simulated
 from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
@@ -162,7 +161,7 @@ class Left:
     response: Filter
 
 
-def formula(given: Sequence[Left], torque_unit: str) -> str:
+def formula(given: Sequence[Left], torque_unit: str, least: float) -> str:
     """The one or two terms that explain most of what is left, or nothing where none generalises.
 
     With the measured motion, the servo's own equation gives ``measured - simulated`` as the
@@ -176,6 +175,7 @@ def formula(given: Sequence[Left], torque_unit: str) -> str:
     Args:
         given: The joint's recordings.
         torque_unit: ``"N m"``.
+        least: Share of the squared error on what was left out that a term must take away.
 
     Returns:
         ``"−0.031 N m · sgn(speed) + 0.2 N m/rad³ · position³"``, or nothing.
@@ -190,7 +190,7 @@ def formula(given: Sequence[Left], torque_unit: str) -> str:
         better = scores[best] < error2
         # A term that helps in one recording and harms in the rest is chance.
         removed = error2.sum() - scores[best].sum()
-        if removed < DECISION.formula_share * whole.sum() or better.mean() <= 0.5:
+        if removed < least * whole.sum() or better.mean() <= 0.5:
             break
         chosen.append(left[best])
         error2 = scores[best]

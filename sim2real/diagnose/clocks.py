@@ -1,0 +1,90 @@
+"""Clocks that run apart as crystals do: what that adds to each recording is taken off.
+
+Set-points and angles are stamped by two clocks. Those of crystals differ by some 20 ppm, by another
+amount in each recording: after half a minute that is a millisecond, which shows wherever the sensor
+is good, and which nobody acts on. What runs apart farther is an effect, and left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.case import Joint
+from sim2real.diagnose.decision import DECISION
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.holdout import simulated
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Hypothesis, variants
+
+Array = NDArray[np.float64]
+
+_DRIFT = COLUMNS.index("clock_drift.s_per_s")
+_STEP = 1e-4
+"""Drift whose response stands for that of any."""
+
+
+def on_one_clock(
+    batch: Batch,
+    joints: Sequence[Joint],
+    robots: Sequence[Sequence[int]],
+    best: Sequence[Hypothesis],
+) -> list[Joint]:
+    """The joints, their angles as the clock of the set-points would have stamped them.
+
+    Args:
+        batch: The recordings.
+        joints: The joints.
+        robots: Which of them were recorded together.
+        best: What explains each best as yet.
+    """
+    found = list(joints)
+    for robot in robots:
+        files = sorted({trace.file for j in robot for trace in joints[j].traces})
+        information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
+        for j in robot:
+            place = [files.index(trace.file) for trace in joints[j].traces]
+            known, pull = _known(batch, best[j], len(place))
+            information[np.ix_(place, place)] += known
+            slope[place] += pull
+        inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
+        sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        if (np.abs(inverse @ slope) > DECISION.crystals + 2 * sd).any():
+            continue
+        likely = np.eye(len(files)) * (2 / DECISION.crystals) ** 2
+        drift = dict(zip(files, np.linalg.solve(information + likely, slope), strict=True))
+        for j in robot:
+            theta = best[j].fit.servos.theta
+            moved = []
+            for trace in joints[j].traces:
+                angle = simulated(trace, theta)[0]
+                late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
+                moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
+            found[j] = replace(joints[j], traces=moved)
+    return found
+
+
+def _known(batch: Batch, best: Hypothesis, recordings: int) -> tuple[Array, Array]:
+    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,).
+
+    After the parameters that all recordings share have taken up what they can.
+    """
+    servos = best.fit.servos
+    own = variants(servos)
+    free = np.flatnonzero(servos.columns[0] != _DRIFT)
+    theta = np.concatenate([own.theta[:, :1], own.theta[:, 1 + free], own.theta[:, :1]], axis=1)
+    theta[0, -1, _DRIFT] += _STEP
+    scale = np.concatenate([own.scale[:, :1], own.scale[:, 1 + free], [[1 / _STEP]]], axis=1)
+    given = best.fit.autoregression
+    gram = batch.evaluate(Problems(servos.joint, theta, scale), autoregression=given).gram[0]
+    gram = gram[:recordings] * float(best.fit.count[0] / best.fit.error2[0])
+    shared = gram[:, 1:-1, 1:-1].sum(axis=0)
+    across = gram[:, 1:-1, -1].T  # shape (F, R)
+    taken = across.T @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
+    information = np.diag(gram[:, -1, -1]) - taken @ across
+    slope = -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))
+    already = best.fit.servos.theta[0, _DRIFT]
+    return information, slope + information.sum(axis=1) * already

@@ -1,0 +1,151 @@
+"""What every servo has a little of: part of the plain servo, before anything is looked for.
+
+Cogging and the sensor's eccentricity are common to all recordings, and nobody acts on a little of
+them. Left out, their waves pass for anything. They are fitted beside whatever else explains most,
+so that they do not stand in for it, and kept while they are small in noises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim2real.effects import named
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.problem import Hypothesis, Set, Tried
+from sim2real.servo.screen import NUISANCES, candidate
+
+if TYPE_CHECKING:
+    from sim2real.diagnose.search import Job, ServoSearch
+
+_BESIDE = 4
+"""Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
+_STARTS = 2
+_WORTH = 5.0
+"""Evidence that nuisances must earn."""
+
+
+def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
+    """An effect's size as the angle that it turns the servo by, in noises of the sensor."""
+    theta = best.fit.servos.theta[0]
+    first = named(effect).parameters[0].name
+    size = theta[COLUMNS.index(f"{effect}.{first}")]
+    return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
+
+
+def first_look(problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float]) -> None:
+    """Try what explains each joint best at first sight, with the small nuisances that show beside.
+
+    Args:
+        problem: The search to come.
+        ledgers: One a joint, of plain servos.
+        large: Angle from which a joint's nuisance is a finding, rad.
+    """
+    problem.look([(one, one.base) for one in ledgers])
+    jobs = [
+        (one, one.base | {name}, start)
+        for one in ledgers
+        for name, start in problem.additions(one, one.base, _BESIDE)
+    ]
+    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+        one.keep(found)
+    beside = {one.case: one.best for one in ledgers}
+    wanted = [one for one in ledgers if _missing(beside[one.case].members)]
+    if not wanted:
+        return
+    jobs = _jobs(problem, wanted, beside)
+    tried: dict[int, list[Hypothesis]] = {one.case: [] for one in wanted}
+    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+        tried[one.case].append(found)
+    for one in wanted:
+        one.keep(_best(beside[one.case], tried[one.case], large[one.case]))
+
+
+def with_nuisances(
+    problem: ServoSearch,
+    ledgers: Sequence[Tried],
+    large: Sequence[float],
+    best: Sequence[Hypothesis],
+) -> list[Tried]:
+    """The ledgers, each plain servo with the nuisances that are small.
+
+    Args:
+        problem: The search to come.
+        ledgers: One a joint, of plain servos.
+        large: Angle from which a joint's nuisance is a finding, rad.
+        best: What explained each best before, of these recordings or of such a batch: the nuisances
+            are fitted beside it.
+    """
+    small = [
+        _small(h, angle) - one.base for one, h, angle in zip(ledgers, best, large, strict=True)
+    ]
+    wanted = [k for k, some in enumerate(small) if some]
+    if not wanted:
+        return list(ledgers)
+    jobs = [
+        (ledgers[k], best[k].members | ledgers[k].base, np.array(best[k].fit.servos.theta[0]))
+        for k in wanted
+    ]
+    beside = problem.refit(jobs)
+    jobs = [
+        (ledgers[k], ledgers[k].base | small[k], np.array(h.fit.servos.theta[0]))
+        for k, h in zip(wanted, beside, strict=True)
+    ]
+    for one, members, _ in jobs:
+        # As fitted beside what explains most, and so they stay.
+        problem.held[one.case] = members - one.base
+    based = list(ledgers)
+    for k, (one, members, _), found in zip(wanted, jobs, problem.refit(jobs), strict=True):
+        based[k] = Tried(one.case, members)
+        based[k].keep(found)
+    return based
+
+
+def _missing(members: Set) -> list[str]:
+    return [e.name for e in NUISANCES if e.name not in members]
+
+
+def _jobs(
+    problem: ServoSearch, ledgers: Sequence[Tried], beside: dict[int, Hypothesis]
+) -> list[Job]:
+    """Every set of nuisances beside the best effect, from the likeliest waves."""
+    lists = [
+        [candidate(named(n), *problem.strength(one)) for n in _missing(beside[one.case].members)]
+        for one in ledgers
+    ]
+    jobs = []
+    for one, given, seen in zip(
+        ledgers, lists, problem.screened([(x, beside[x.case]) for x in ledgers], lists), strict=True
+    ):
+        base = beside[one.case]
+        starts: dict[str, list[np.ndarray]] = {}
+        for k, option in enumerate(given):
+            mine = np.flatnonzero(seen.candidate == k)
+            best = mine[np.argsort(-seen.gain[mine])][:_STARTS]
+            starts[option.effect.name] = [option.starts[seen.start[i]] for i in best]
+        columns = {option.effect.name: option.columns for option in given}
+        for count in range(1, len(given) + 1):
+            for names in combinations(starts, count):
+                for turn in range(_STARTS):
+                    theta = np.array(base.fit.servos.theta[0])
+                    for name in names:
+                        theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
+                    jobs.append((one, base.members | set(names), theta))
+    return jobs
+
+
+def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
+    """The likeliest set whose nuisances are all small, if they are worth it."""
+    nuisances = {e.name for e in NUISANCES}
+    small = [h for h in tried if _small(h, large_rad) == h.members & nuisances]
+    best = max([beside, *small], key=lambda h: h.evidence)
+    return best if best.evidence > beside.evidence + _WORTH else beside
+
+
+def _small(found: Hypothesis, large_rad: float) -> Set:
+    """Those of its nuisances that are small."""
+    given = [e.name for e in NUISANCES if e.name in found.members]
+    return frozenset(name for name in given if size_in_noise(found, name, large_rad) < 1)
