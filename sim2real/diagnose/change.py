@@ -229,6 +229,8 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     rest = _without(of, one.row) if told else of
     wrong = max(_largest_step(of.left[r] - rest.left[r]) for r in of.case)
     usual = max(step_rad, DECISION.change_law_error * wrong)
+    if of.way == "rest":  # what is left may be nothing but a step of the sensor
+        usual = max(usual, float(np.sqrt(12 * of.scale2)))
     windows = Steps(rest, usual).windows(bank[of.way].jump)
     if windows is None:
         return one
@@ -269,8 +271,8 @@ def _alone(of: Explained, found: Contrast) -> Change:
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
     if of.way == "rest":
-        sure = min(group.probability, _AT_REST)
-        group = replace(group, probability=sure, stability=sure)
+        most = min(group.probability, _AT_REST)
+        group = replace(group, probability=most, stability=most)
     row = found.rows[found.effects.index(group.members[0])]
     return Change((group,), probability, row, sure * strange)
 

@@ -240,6 +240,22 @@ def test_a_slow_recording_shows_what_changed_at_rest(more, effect):
     assert same.nameless < 0.5
 
 
+def test_a_slow_recording_that_slips_between_two_rests_has_no_name():
+    before = [slow(LEVELS, seed=k) for k in range(2)]
+    one = slow(LEVELS, seed=3)
+    slipped = replace(one, position=one.position + np.where(one.t > 3.6, 0.06, 0.0))
+    found = what_changed(before, [slipped], row(), replace_step(servo(), 0.0015))
+    assert found.nameless > 0.5
+    assert found.groups[0].probability < 0.5
+
+
+def test_a_count_where_references_never_moved_is_no_jump():
+    before = [replace(slow(LEVELS), position=np.round(slow(LEVELS).command, 1)) for _ in range(2)]
+    moved = replace(before[0], position=before[0].position + 0.0015 * (before[0].t > 4))
+    found = what_changed(before, [moved], row(), replace_step(servo(), 0.0015))
+    assert found.nameless < 0.5
+
+
 def replace_step(sheet, step_rad):
     return type(sheet)(sheet.name, sheet.max_torque_Nm, sheet.no_load_speed_rad_s, step_rad)
 
