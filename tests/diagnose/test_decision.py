@@ -91,10 +91,10 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     target = tmp_path / "sim2real" / "diagnose" / "decision.json"
     target.write_text(FILE.read_text())
     monkeypatch.setattr(script, "ROOT", tmp_path)
-    script.write([row()], dry=False)
+    script.write([row()], dry=False, measures=True)
     assert read_decision(target) == read_decision()
     assert read_odds(target) == read_odds()
-    script.write([row(case=str(k), excess_plain=1.2) for k in range(60)], dry=False)
+    script.write([row(case=str(k), excess_plain=1.2) for k in range(60)], dry=False, measures=True)
     assert read_decision(target).structured == pytest.approx(1.2)
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
     assert report["values"]["structured"]["count"] == 60

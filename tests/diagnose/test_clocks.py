@@ -1,0 +1,46 @@
+"""Clocks that differ as crystals do are no finding; those that run apart farther are left alone."""
+
+import numpy as np
+import pytest
+from simulated import traced
+
+from sim2real.diagnose.case import Joint
+from sim2real.diagnose.clocks import on_one_clock
+from sim2real.diagnose.search import ledgers_of
+from sim2real.servo.batch import Batch
+from sim2real.servo.plain import baselines
+
+QUIET = 1e-5
+
+
+def moved(drifts):
+    """By how much recordings whose clocks run apart so much were moved, and should be, rad."""
+    given = [
+        traced(k, f"r{k}", seconds=30.0, noise=QUIET, clock_drift={"s_per_s": drift})
+        for k, drift in enumerate(drifts)
+    ]
+    still = [traced(k, f"r{k}", seconds=30.0, noise=QUIET) for k, _ in enumerate(drifts)]
+    batch = Batch([given])
+    best = [one.best for one in ledgers_of(baselines(batch))]
+    (joint,) = on_one_clock(batch, [Joint("j1", given, QUIET, None)], [[0]], best)
+    now = [
+        after.position - before.position for after, before in zip(joint.traces, given, strict=True)
+    ]
+    right = [a.position - b.position for a, b in zip(still, given, strict=True)]
+    return np.concatenate(now), np.concatenate(right)
+
+
+def test_each_recording_has_a_drift_of_its_own():
+    now, right = moved((20e-6, -15e-6))
+    assert np.std(right) > 10 * QUIET
+    assert np.std(now - right) < 0.3 * np.std(right)
+
+
+def test_clocks_that_run_apart_are_left_alone():
+    now, _ = moved((3e-4, 3e-4))
+    assert not now.any()
+
+
+def test_clocks_that_agree_stay():
+    now, _ = moved((0.0, 0.0))
+    assert np.std(now) == pytest.approx(0.0, abs=QUIET)
