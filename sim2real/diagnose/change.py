@@ -44,8 +44,9 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
-_AT_REST = 0.85
-"""Most that is said of what was seen at rest only: a sensor may also be bent at those angles."""
+_UNSURE = 0.85
+"""Most that is said of what was seen at rest only, as a sensor may be bent just there, and where the
+law leaves far more of the case than of the references."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -198,10 +199,11 @@ def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
 
 
 def _likeliest(found: Contrast) -> NDArray[np.intp]:
-    """Places of those that are fitted: at least one effect, whatever the plain servo explains."""
-    order = np.argsort(-found.gone)
+    """Places of those that are fitted: at least one effect, and whatever may be set anew."""
+    order = [int(k) for k in np.argsort(-found.gone)]
     first = next(k for k in order if found.effects[k] not in BASE)
-    return np.array([first, *(k for k in order[:_MOST] if k != first)])
+    anew = [k for k in order[_MOST:] if found.effects[k] in BASE]
+    return np.array([first, *(k for k in order[:_MOST] if k != first), *anew])
 
 
 def _starts(found: Contrast, by: Directions, k: int) -> list[Array]:
@@ -270,11 +272,13 @@ def _alone(of: Explained, found: Contrast) -> Change:
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
-    if of.way == "rest":
-        most = min(group.probability, _AT_REST)
+    foreign = of.way == "law" and found.left[best] > _MORE * of.scale2
+    if of.way == "rest" or foreign:
+        most = min(group.probability, _UNSURE)
         group = replace(group, probability=most, stability=most)
     row = found.rows[found.effects.index(group.members[0])]
-    return Change((group,), probability, row, sure * strange)
+    retuned = sum(p for n, p in probability.items() if n in BASE)  # a change, and no effect
+    return Change((group,), probability, row, sure * strange + retuned)
 
 
 def _group(probability: Mapping[str, float]) -> Group:
