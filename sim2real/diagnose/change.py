@@ -45,7 +45,7 @@ _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
 _UNSURE = 0.85
-"""Most that is said of what was seen at rest only, as a sensor may be bent just there, and where the
+"""Most that is said of what was seen at rest only, as a sensor may be bent there, and where the
 law leaves far more of the case than of the references."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
