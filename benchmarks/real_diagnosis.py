@@ -126,7 +126,8 @@ law as it was before its friction was evaluated a little earlier in the sub-step
 The fourth ships: it chooses nothing on the scored errors, and is one servo. Averages of angles
 follow the one fit of three that foretells 61 mrad; a choice by one gain cannot see what it does at
 the other. How far small things matter here: that friction is evaluated earlier moved the first row
-to 28.7 and 27.3, since one fold then stops softly.
+to 28.7 and 27.3, since one fold then stops softly. Where fits with the three spreads end in
+different minima, as on a lone recording, their mean may fit worse than each.
 {findings}
 """
 

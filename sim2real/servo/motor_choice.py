@@ -53,7 +53,8 @@ def choose_motor(
         rng: For starts.
         known: What is known of servos of its type.
         average: Whether losses that leave something are averaged over how wide their prior may be,
-            which nothing on the recordings says: half and twice as wide as well.
+            which nothing on the recordings says: half and twice as wide as well, if the load is
+            known.
     """
     prior = motor_prior(servo, fitted)
     if known is not None:
@@ -67,7 +68,8 @@ def choose_motor(
     if looped is not None and rms(looped.fit.residuals) <= _NEARLY * noise:
         return _better(chosen, looped, _OF_A_LOOP)
     names = [prior.names[k] for k in chosen.problem.free[3:]]
-    if not average or known is not None or left < EXPLAINED or LOSSES[0] not in names:
+    stated = fitted[0].load is not PER_INERTIA  # else minima lie too far apart to be averaged
+    if not (average and stated) or known is not None or left < EXPLAINED or LOSSES[0] not in names:
         return chosen
     others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
     return averaged([chosen, *others])
