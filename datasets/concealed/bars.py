@@ -17,10 +17,10 @@ BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
         (0.01, 0.02, ONE_CASE, 0.01),
     ),
     ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90, 0.96)),
-    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.90, 0.85, 0.93)),
+    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.70, 0.80, 0.93)),
     ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None, None)),
     ("Right component", "component", "≥", (0.98, 0.95, 0.90, None)),
-    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.02, ONE_CASE, 0.02)),
+    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.05, ONE_CASE, 0.02)),
     ("Expected calibration error", "ece", "≤", (0.05, 0.07, None, 0.05)),
     (
         "Says unlisted of what the catalogue lacks",
@@ -37,11 +37,12 @@ BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
     ),
     ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25, None)),
     ("Over 1 % worse where nothing is missing", "harm", "≤", (0.01, 0.01, None, None)),
-    ("Consistent where nothing is missing", "nulls_quiet", "≥", (None, None, None, 0.95)),
+    ("Nothing said where there is nothing", "nulls_quiet", "≥", (None, 0.90, 0.90, 0.95)),
     ("Held-out error at the noise, in the catalogue", "at_noise", "≥", (None, None, None, 0.95)),
-    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.70, None, 0.80)),
+    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.50, None, 0.80)),
 )
-"""What is measured, and the bars of the tiers; None is only reported."""
+"""What is measured, and the bars of the tiers, of T2 and T3 from the third sets on; None is only
+reported. In T2 what counts as detectable is what the oracle could see (``real_oracle.py``)."""
 ALSO = (
     ("Nulls with any verdict but consistent", "nulls_flagged"),
     ("Noticed, the undetectable too", "detection_all"),

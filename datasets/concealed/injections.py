@@ -8,8 +8,11 @@ Traps are nulls with gaps in the clock; a tenth of the other cases has them too.
 
 ``strength`` is the root mean square change of ``change_of`` (angle or set-point) over
 ``noise_rad``, what an autoregression (STS3215: the last value) leaves of the untouched ``a``.
-That is the least noise there can be: a reference model misses 3 to 80 mrad on the XL330. There is
-no oracle.
+That is the least noise there can be: a reference model misses 3 to 80 mrad on the XL330.
+``real_oracle.py`` says what could be seen.
+
+The stretches of the STS3215 log ``single`` are the library's bank of unchanged recordings and in no
+case.
 """
 
 from __future__ import annotations
@@ -25,6 +28,8 @@ from real_outside import OUTSIDERS, Window, draw_window
 COUNTS = {"null": 46, "single": 50, "double": 10, "outside": 24}
 TRAP_SHARE = 0.2  # of the nulls
 DISORDERED = 0.1  # of the others
+BANK = ("single",)
+"""Recordings that say how large changes look where there are none; beside ``lift_and_drop``."""
 
 
 class Unseen(Exception):
@@ -152,8 +157,9 @@ def _put(
 def _takes(groups: dict[str, list[Log]], rng: Rng) -> tuple[dict[str, Log], str]:
     """References, a, sometimes b, and c from one group; and whether c is also a reference."""
     weights = {"xl330_200": 0.35, "xl330_800": 0.35, "emps": 0.12}
-    shares = np.array([weights.get(name, 0.06) for name in groups])
-    logs = groups[str(rng.choice(list(groups), p=shares / shares.sum()))]
+    names = [name for name in groups if name not in BANK]
+    shares = np.array([weights.get(name, 0.09) for name in names])
+    logs = groups[str(rng.choice(names, p=shares / shares.sum()))]
     order = [logs[k] for k in rng.permutation(3 if logs[0].family == "xl330" else len(logs))]
     if logs[0].family == "xl330":
         a, c = order[:2]

@@ -14,7 +14,7 @@ from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot, Servo, match_joints
 from sim2real.servo.motor_line import on_its_line
 from sim2real.servo.problem import Set
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
@@ -49,8 +49,7 @@ class Joint:
         step_rad: Step of its sensor where that is coarser than stated, or None.
         given: The model of it to start from, or None.
         before: Its references.
-        stall_Nm: Torque that its data sheet states, in the units of its parameters; None where its
-            load is unknown.
+        servo: Its data sheet, or None.
     """
 
     name: str
@@ -59,7 +58,13 @@ class Joint:
     step_rad: float | None
     given: JointModel | None = None
     before: Sequence[Trace] = ()
-    stall_Nm: float | None = None
+    servo: Servo | None = None
+
+    @property
+    def stall_Nm(self) -> float | None:
+        """Torque that its data sheet states; None where its load is unknown."""
+        known = self.servo is not None and self.traces[0].load is not PER_INERTIA
+        return self.servo.max_torque_Nm if self.servo is not None and known else None
 
     @property
     def base(self) -> Set:
@@ -86,9 +91,7 @@ def prepared(case: Case) -> list[Joint]:
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)
-            known = given[0].load is not PER_INERTIA
-            stall = joint.servo.max_torque_Nm if known else None
-            joints.append(Joint(joint.name, given, noise, step, model, before, stall))
+            joints.append(Joint(joint.name, given, noise, step, model, before, joint.servo))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"

@@ -1,38 +1,89 @@
 """What has changed, given how recordings of an unchanged servo differ among themselves.
 
 Every servo lacks some physics, and what it lacks looks different in each recording: an effect that
-is freed in one reference alone gains something there, though nothing has changed. What it gains in
-each of the references is the scale by which its gain in the case is judged (the dispersion of
-quasi-likelihood: McCullagh, Nelder, Generalized Linear Models, 2nd ed., Chapman & Hall, 1989, ch.
-9). There are few references, so each effect borrows from the others, and its score has Student's
-tails.
+is freed in one reference alone explains something there, though nothing has changed. How large each
+effect looks in unchanged recordings is its *null size*: the mean square of the angles that it takes
+away, over what the references leave. It is read off a bank of unchanged recordings of other servos
+(``unchanged.json``) and off the case's own references, and the case is judged by it with Student's
+tails, references being few.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.per_recording import Linear, fit_own, fitted, gains, linearised
 from sim2real.diagnose.posterior import Group, Posterior
-from sim2real.effects import CATALOGUE, named
-from sim2real.effects.effect import is_limit
-from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Servos, Set
-from sim2real.servo.screen import candidate
+from sim2real.inference.segments import Window
+from sim2real.robot import Servo
+from sim2real.servo.explained import (
+    Directions,
+    Explained,
+    directions,
+    energy,
+    explained,
+    first_look,
+    fitted,
+)
+from sim2real.servo.jumps import Steps
+from sim2real.servo.misstated import misstated
+from sim2real.servo.parameters import BASE
+from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace
+from sim2real.structured import Fields, read_json
 
 Array = NDArray[np.float64]
 
-_BEHIND, _MOST = 6.0, 8
-"""How far behind the first, and how many, are fitted for good."""
-_FREE = ("columns", "unit", "low", "high")
+BANK = Path(__file__).with_name("unchanged.json")
+_SCHEMA = "sim2real.unchanged/1"
+_MOST, _PARTNERS = 10, 2
+"""Changes that are fitted for good; those of them that a second one is looked for beside."""
+_UNSURE = 0.85
+"""Most that is said of what was seen at rest only, as a sensor may be bent there, and where the
+law leaves far more of the case than of the references."""
+_MORE = 4.0
+"""How many times less two changes must leave than one, which must leave so much to be told."""
+
+
+@dataclass(frozen=True)
+class Unchanged:
+    """What recordings look like in which nothing has changed, by the way they are explained.
+
+    Attributes:
+        known: How many of them there are.
+        null: Null size of each effect, mean squares over what references leave.
+        jump: Largest step of what is left, over the references', that is no sign of anything.
+    """
+
+    known: float
+    null: Mapping[str, float]
+    jump: float
+
+
+def read_bank(path: Path = BANK) -> dict[str, Unchanged]:
+    """The bank of a file, made by ``benchmarks/unchanged_bank.py``.
+
+    Raises:
+        InputError: If an entry is missing or no number.
+    """
+    ways = Fields(path, "", read_json(path, _SCHEMA)).table("ways")
+    found = {}
+    for way in ways.content:
+        one = ways.table(way)
+        null = one.table("null")
+        sizes = {name: null.number(name) for name in null.content}
+        found[way] = Unchanged(one.number("known"), sizes, one.number("jump"))
+    return found
+
+
+BANKS = read_bank()
+"""What ships."""
 
 
 @dataclass(frozen=True)
@@ -41,64 +92,64 @@ class Contrast:
 
     Attributes:
         effects: The effects, and parameters of the plain servo, of which there are N.
-        column: Direction that shows each best, shape (N,).
-        size: Change in multiples of that direction, shape (N,).
-        gain: Gain in log-likelihood when it is freed in the case alone, shape (N,).
-        before: The same for each reference, shape (N, references).
-        spread2: Twice the gain of each in an unchanged recording, at least that of noise, (N,).
-        left: Energy of the case's innovations that it leaves, in variances of the loudest
-            reference's, shape (N,).
-        energy: The same with no change.
-        count: Samples of the case.
-        repeated: Whether the case repeats what its references do.
-        theta: Parameters of the case with each change, shape (N, P), once they are fitted.
+        gone: Mean square that each takes away from the case, rad2, shape (N,).
+        null: The same where nothing has changed, shape (N,).
+        left: Mean square that each leaves, shape (N,).
+        rows: The case's servo with each, shape (N, P).
+        known: Unchanged recordings behind the null sizes, the bank's included.
+        scale2: Mean square that is left of the references.
     """
 
     effects: tuple[str, ...]
-    column: NDArray[np.intp]
-    size: Array
-    gain: Array
-    before: Array
-    spread2: Array
+    gone: Array
+    null: Array
     left: Array
-    energy: float
-    count: float
-    repeated: bool
-    theta: Array | None = None
-
-    @property
-    def known(self) -> float:
-        """Recordings that are known to be unchanged, borrowed ones included."""
-        return DECISION.change_borrowed + float(self.before.shape[1])
-
-    @property
-    def common(self) -> float:
-        """Twice the gain of any effect in an unchanged recording, at least that of noise."""
-        return max(float(np.mean(2 * self.before)), 1.0)
+    rows: Array
+    known: float
+    scale2: float
 
     @property
     def evidence(self) -> Array:
-        """Log odds of each change against none, without the prior, shape (N,)."""
-        return _evidence(2 * self.gain / self.spread2, self.size, self.known)
+        """Log odds of each change, of unknown size, against none, without the prior, (N,).
+
+        The score follows Student's law where there is no change; Laplace's integral over the size.
+        """
+        score2 = self.gone / self.null
+        more = 0.5 * (self.known + 1) * np.log1p(score2 / self.known)
+        return np.asarray(more - 0.5 * np.log1p(score2))
 
     @property
     def misfit(self) -> Array:
-        """What each leaves beyond what the best leaves, shape (N,).
+        """What each leaves beyond what the best leaves, in nats, shape (N,).
 
-        In nats, tempered by what references leave and by the error of the change's law.
+        A law is not quite what a servo does: it may be wrong by a share of what it explains.
         """
-        best = float(self.left.min())
-        whole = 0.5 * self.count * (self.energy - best) / self.spread2
-        more = 0.5 * self.count * (self.left - best) / self.spread2
-        return np.asarray(more / (1 + DECISION.change_law_error**2 * np.maximum(whole, 0.0)))
+        best = int(np.argmin(self.left))
+        blurred = self.null[best] + DECISION.change_law_error**2 * self.gone[best]
+        return np.asarray(0.5 * (self.left - self.left[best]) / blurred)
 
-    @property
-    def explained(self) -> Array:
-        """Share that each takes of what the case has beyond its references, shape (N,)."""
-        beyond = self.energy - 1
-        if beyond <= 0:
-            return np.full(len(self.effects), np.inf)
-        return (self.energy - self.left) / beyond
+
+def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
+    """Weigh a change of each effect against none, at first sight."""
+    names = tuple(dict.fromkeys(by.names))
+    place = [np.flatnonzero([n == name for n in by.names]) for name in names]
+    gone, size = first_look(of, by, of.case)
+    # What is not fitted for good must need no far extrapolation.
+    far = np.maximum(np.abs(size) / DECISION.change_farthest, 1.0) ** 2
+    near = gone / far if of.way == "law" else gone
+    best = np.array([mine[np.argmax(near[mine])] for mine in place])
+    telling = [r for r in range(of.references) if of.seen(r).any()]
+    before = [first_look(of, by, [r])[0] for r in telling]
+    unchanged = bank[of.way]
+    usual = float(np.median(list(unchanged.null.values())))
+    null = np.array([unchanged.null.get(name, usual) for name in names]) * unchanged.known
+    null = null * of.scale2
+    for one in before:
+        null = null + [one[mine].max() for mine in place]
+    known = unchanged.known + len(before)
+    rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
+    whole = energy(of, of.case)
+    return Contrast(names, near[best], null / known, whole - gone[best], rows, known, of.scale2)
 
 
 @dataclass(frozen=True)
@@ -106,15 +157,19 @@ class Change:
     """What has changed on a joint.
 
     Attributes:
-        group: The likeliest effect and those that it can't be told from. Nothing is resampled: its
-            stability repeats its probability.
+        groups: What it is, likeliest first; an effect and those that it can't be told from. There
+            is at least one. Nothing is resampled: stability repeats probability.
         probability: Of each effect, and of each parameter of the plain servo.
-        theta: Parameters of the case with the likeliest effect, shape (P,), where it was fitted.
+        row: Parameters of the case with what is likeliest, shape (P,).
+        nameless: Probability that there is something that no effect explains.
+        windows: Where that is, for each recording, if it has an end or a beginning.
     """
 
-    group: Group
+    groups: tuple[Group, ...]
     probability: Mapping[str, float]
-    theta: Array | None = None
+    row: Array
+    nameless: float
+    windows: tuple[tuple[Window, ...], ...] | None = None
 
     def posterior(self, base: Set) -> Posterior:
         """The probabilities as those of sets of effects, nothing more than ``base`` among them."""
@@ -125,224 +180,181 @@ class Change:
         return Posterior(sets, probability, probability)
 
 
-def change(found: Contrast) -> Change:
-    """Probabilities of what has changed: each effect alone, or nothing."""
-    best = int(np.argmax(found.evidence - found.misfit))
-    odds = LOG_PRIOR + (0.0 if found.repeated else DECISION.change_other_motion)
-    changed = float(expit(found.evidence[best] + odds))
-    lonely = found.explained[best] < DECISION.explained
-    strange = DECISION.nameless if lonely else 0.0
-    weight = np.exp(np.minimum(found.evidence - found.evidence[best], 0.0) - found.misfit)
-    weight *= [np.exp(DECISION.change_retuned) if n in BASE else 1.0 for n in found.effects]
-    share = changed * (1 - strange) * weight / weight.sum()
-    probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
-    order = sorted((n for n in found.effects if n not in BASE), key=lambda n: -probability[n])
-    members = tuple(
-        n for n in order if probability[n] >= DECISION.group_share * probability[order[0]]
-    )
-    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
-    theta = None if found.theta is None else found.theta[found.effects.index(members[0])]
-    return Change(Group(members, sure, sure), probability, theta)
-
-
-def contrast(linear: Linear) -> Contrast:
-    """Weigh a change of each effect against none, to first order."""
-    R = linear.gram.shape[0]
-    names = tuple(
-        n for n in dict.fromkeys(linear.directions) if n in BASE or not named(n).everywhere
-    )
-    place = [np.flatnonzero([d == n for d in linear.directions]) for n in names]
-    alone = [gains(linear, [r])[0] for r in range(linear.references)]
-    gain, size, left = gains(linear, range(linear.references, R))
-    before = np.array([[one[mine].max() for one in alone] for mine in place])
-    column = np.array([mine[np.argmax(gain[mine])] for mine in place])
-    loudest = float((linear.gram[:, 0, 0] / linear.count)[: linear.references].max())
-    own, count = (
-        linear.gram[linear.references :, 0, 0],
-        float(linear.count[linear.references :].sum()),
-    )
-    unit = loudest * count
-    known = DECISION.change_borrowed + linear.references
-    common = DECISION.change_borrowed * float(np.mean(2 * before))
-    spread2 = np.maximum((common + 2 * before.sum(axis=1)) / known, 1.0)
-    whole = Contrast(
-        names,
-        column,
-        size[column],
-        gain[column],
-        before,
-        spread2,
-        left[column] / unit,
-        float(own.sum()) / unit,
-        count,
-        linear.repeated,
-    )
-    # Of several starts that which needs the least extrapolation to gain as much.
-    score2 = [2 * gain[m] / s for m, s in zip(place, spread2, strict=True)]
-    odds = [_evidence(t2, size[m], known) for t2, m in zip(score2, place, strict=True)]
-    best = np.array([m[np.argmax(o)] for m, o in zip(place, odds, strict=True)])
-    return replace(whole, column=best, size=size[best], gain=gain[best], left=left[best] / unit)
-
-
-def _evidence(score2: Array, size: Array, known: float) -> Array:
-    """Log odds of a change of unknown size, its score following Student's law where there is none.
-
-    The integral over the size is Laplace's; a start that has to be extrapolated far is discounted.
-    """
-    far = np.maximum(np.abs(size) / DECISION.change_farthest, 1.0) ** 2
-    nothing, rest = np.log1p(score2 / known), np.log1p(score2 * (1 - 1 / far) / known)
-    return np.asarray(0.5 * (known + 1) * (nothing - rest) - 0.5 * np.log1p(score2))
-
-
-def refined(found: Contrast, linear: Linear, device: str = "cpu") -> Contrast:
-    """The contrast with its likeliest changes fitted, references and case together.
-
-    Args:
-        found: What it is to first order.
-        linear: What it is of.
-        device: Warp device.
-
-    Returns:
-        It of these changes alone, where any is worth fitting.
-    """
-    evidence = found.evidence
-    if evidence.max() < DECISION.change_worth:
-        return found
-    order = _likeliest(found.effects, evidence)
-    nothing = replace(linear.servos, **{n: getattr(linear.servos, n)[:, :0] for n in _FREE})
-    owns, label = [nothing], [-1]
-    for k in order:
-        for own in _starts(found, int(k), linear):
-            owns.append(own)
-            label.append(int(k))
-    parts = linear.traces[: linear.references], linear.traces[linear.references :]
-    likelihood, left, theta = fit_own(Batch(parts, device), linear, owns)
-    gain = likelihood - likelihood[0]
-    best = [max(np.flatnonzero(np.array(label) == k), key=lambda h: gain[h]) for k in order]
-    loudest = found.energy / float(linear.gram[linear.references :, 0, 0].sum())
+def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
+    """The contrast of its likeliest changes, each fitted to the case for good."""
+    order = _likeliest(found)
+    fits = [fitted(of, [found.effects[k]], _starts(found, by, int(k))) for k in order]
+    left = np.array([mean for _, mean in fits])
+    if of.way == "law":  # where the servo may change along, to first order
+        left = np.minimum(left, found.left[order])
+    gone = np.maximum(energy(of, of.case) - left, 0.0)
     return replace(
         found,
         effects=tuple(found.effects[k] for k in order),
-        column=found.column[order],
-        size=np.ones(order.size),
-        gain=np.maximum(gain[best], 0.0),
-        before=found.before[order],
-        spread2=found.spread2[order],
-        left=left[best] * loudest,
-        theta=theta[best],
+        gone=gone,
+        null=found.null[order],
+        left=left,
+        rows=np.array([row for row, _ in fits]),
     )
 
 
-def _likeliest(effects: Sequence[str], evidence: Array) -> NDArray[np.intp]:
-    """Places of those that are fitted: at least one effect, whatever the plain servo explains."""
-    order = np.argsort(-evidence)
-    first = next(k for k in order if effects[k] not in BASE)
-    near = [k for k in order[:_MOST] if evidence[k] > evidence.max() - _BEHIND and k != first]
-    return np.array([first, *near])
+def _likeliest(found: Contrast) -> NDArray[np.intp]:
+    """Places of those that are fitted: at least one effect, and whatever may be set anew."""
+    order = [int(k) for k in np.argsort(-found.gone)]
+    first = next(k for k in order if found.effects[k] not in BASE)
+    anew = [k for k in order[_MOST:] if found.effects[k] in BASE]
+    return np.array([first, *(k for k in order[:_MOST] if k != first), *anew])
 
 
-def _starts(found: Contrast, k: int, linear: Linear) -> list[Servos]:
-    """Where the fit of a change begins: as it was looked at, and as large as it seemed to be."""
-    name, column, size = found.effects[k], int(found.column[k]), float(found.size[k])
-    servos = linear.servos
-    if column < linear.shared:
-        here = slice(column, column + 1)
-        columns, unit = servos.columns[:, here], servos.unit[:, here]
-        low, high = servos.low[:, here], servos.high[:, here]
-        values = [servos.theta[0, columns[0]] + size * unit[0]]
-    else:
-        load = linear.traces[0].load.inertia_kgm2
-        option = candidate(named(name), float(servos.theta[0, 0]), load)
-        columns, unit = option.columns[None], option.unit[None]
-        low, high = option.low[None], option.high[None]
-        values = [linear.rows[column, option.columns]]
-        if not is_limit(option.effect.parameters[0]):
-            values.append(values[0].copy())
-            values[1][0] = size * values[0][0]
-    starts = []
-    for value in values:
-        theta = servos.theta.copy()
-        theta[0, columns[0]] = np.clip(value, low[0], high[0])
-        starts.append(Servos(servos.joint, theta, columns, unit, low, high))
-    return starts
+def _starts(found: Contrast, by: Directions, k: int) -> list[Array]:
+    every = [row for row, name in zip(by.rows, by.names, strict=True) if name == found.effects[k]]
+    return [found.rows[k], every[0], every[-1]]
 
 
-@dataclass(frozen=True)
-class Misstated:
-    """What speaks for the load of the references, where another is stated.
-
-    Attributes:
-        effects: The effects that stand for the difference.
-        gain: Gain in log-likelihood with the references' load.
-        theta: Parameters of the servo under the stated load, with the difference, shape (P,).
-    """
-
-    effects: tuple[str, ...]
-    gain: float
-    theta: Array
-
-
-def misstated(
-    references: Sequence[Trace],
-    case: Sequence[Trace],
-    servos: Sequence[Servos],
-    device: str = "cpu",
-) -> Misstated | None:
-    """Whether a servo that explains the references explains the case better with their load.
-
-    Nothing is free in this: both loads are stated, and one servo is fitted to all recordings with
-    the one or the other. So it tells more than the search for a load of any size.
+def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] = BANKS) -> Change:
+    """What has changed in the case: each effect alone, two where a repeat shows two, or nothing.
 
     Args:
-        references: The joint's references.
-        case: Its recordings in question.
-        servos: Where the servo starts from.
-        device: Warp device.
-
-    Returns:
-        What speaks for the references' load; None where the loads do not differ.
+        of: The recordings, explained.
+        step_rad: Step of the case's sensor, which is no jump.
+        bank: How large changes look where there are none.
     """
-    known, stated = references[0].load, case[0].load
-    if any(t.load != known for t in references) or any(t.load != stated for t in case):
+    by = directions(of)
+    first = contrast(of, by, bank)
+    found = first
+    if first.evidence.max() > DECISION.change_worth:
+        found = refined(of, first, by)
+    one = _alone(of, found)
+    if of.way == "repeat" and found is not first and _leaves_more(of, found):
+        one = _two(of, found, by) or one
+    told = one.groups[0].probability >= DECISION.named
+    rest = _without(of, one.row) if told else of
+    wrong = max(_largest_step(of.left[r] - rest.left[r]) for r in of.case)
+    usual = max(step_rad, DECISION.change_law_error * wrong)
+    if of.way == "rest":  # what is left may be nothing but a step of the sensor
+        usual = max(usual, float(np.sqrt(12 * of.scale2)))
+    windows = Steps(rest, usual).windows(bank[of.way].jump)
+    if windows is None:
+        return one
+    less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
+    groups = tuple(
+        replace(g, probability=(1 - DECISION.nameless) * g.probability) for g in one.groups
+    )
+    return replace(
+        one, groups=groups, probability=less, nameless=DECISION.nameless, windows=windows
+    )
+
+
+def _largest_step(values: Array) -> float:
+    return float(np.nanmax(np.abs(np.diff(values)), initial=0.0))
+
+
+def _without(of: Explained, row: Array) -> Explained:
+    """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
+    angles = of.simulated(np.array([of.row, row]), of.case)
+    case = (left - (a[1] - a[0]) for left, a in zip(of.left[of.references :], angles, strict=True))
+    return replace(of, left=(*of.left[: of.references], *case))
+
+
+def _alone(of: Explained, found: Contrast) -> Change:
+    """One change, or none, or one that has no name."""
+    weight = found.evidence - found.misfit
+    best = int(np.argmax(weight))
+    sure = float(expit(found.evidence[best] + LOG_PRIOR))
+    strange = 0.0
+    if of.way != "law":
+        excess = max(float(found.gone[best] + found.left[best]) - found.scale2, 0.0)
+        beyond = max(float(found.left[best]) - found.scale2, 0.0)
+        if beyond > (1 - DECISION.change_explained) * excess and beyond > found.scale2:
+            strange = DECISION.nameless
+    share = np.exp(weight - weight[best])
+    share *= [np.exp(DECISION.change_retuned) if n in BASE else 1.0 for n in found.effects]
+    share *= sure * (1 - strange) / share.sum()
+    probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
+    group = _group(probability)
+    foreign = of.way == "law" and found.left[best] > _MORE * of.scale2
+    if of.way == "rest" or foreign:
+        most = min(group.probability, _UNSURE)
+        group = replace(group, probability=most, stability=most)
+    row = found.rows[found.effects.index(group.members[0])]
+    retuned = sum(p for n, p in probability.items() if n in BASE)  # a change, and no effect
+    return Change((group,), probability, row, sure * strange + retuned)
+
+
+def _group(probability: Mapping[str, float]) -> Group:
+    order = sorted((n for n in probability if n not in BASE), key=lambda n: -probability[n])
+    least = DECISION.group_share * probability[order[0]]
+    members = tuple(n for n in order if probability[n] >= least)
+    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
+    return Group(members, sure, sure)
+
+
+def _leaves_more(of: Explained, found: Contrast) -> bool:
+    """Whether the best change leaves more than repeats do and than the error of its law."""
+    best = int(np.argmin(found.left))
+    wrong = DECISION.change_law_error**2 * found.gone[best]
+    return bool(found.left[best] > max(_MORE * of.scale2, wrong))
+
+
+def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
+    """Two changes together, where they explain far more than any does alone."""
+    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
+    fits: dict[Set, tuple[Array, float]] = {}
+    for k in order[:_PARTNERS]:
+        head, row = found.effects[k], found.rows[k]
+        rest = _without(of, row)
+        beside = contrast(rest, by)
+        ranked = (int(p) for p in np.argsort(-beside.gone))
+        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)]
+        for p in likely[:_MOST]:
+            pair = frozenset((head, beside.effects[p]))
+            if pair not in fits:
+                start = row + beside.rows[p] - of.row
+                fits[pair] = fitted(of, sorted(pair), [start])
+    best = min(fits, key=lambda pair: fits[pair][1])
+    row, left = fits[best]
+    whole = energy(of, of.case)
+    beyond = max(left - of.scale2, 0.0)
+    strange = beyond > (1 - DECISION.change_explained) * whole and beyond > of.scale2
+    if strange or _MORE * left > float(found.left.min()):
         return None
-    differs = {
-        f"{effect.name}.{effect.parameters[0].name}": difference
-        for effect in CATALOGUE
-        if effect.load
-        and (difference := getattr(known, effect.load) - getattr(stated, effect.load)) != 0
-    }
-    if not differs:
-        return None
-    restated = [replace(t, load=known) for t in case]
-    _, as_before = fitted([*references, *restated], servos, device)
-    _, as_stated = fitted([*references, *case], servos, device)
-    theta = as_before.servos.theta[0].copy()
-    for column, value in differs.items():
-        theta[COLUMNS.index(column)] += value
-    gain = float(as_before.loglikelihood[0] - as_stated.loglikelihood[0])
-    return Misstated(tuple(column.partition(".")[0] for column in differs), gain, theta)
+    probability: dict[str, float] = {}
+    groups = []
+    for head in sorted(best):
+        (other,) = best - {head}
+        rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
+        # As wrong as a law may be of what this one explains beside the other.
+        alone = {e: m for e, m in zip(found.effects, found.left, strict=True)}.get(other, whole)
+        blurred = of.scale2 + DECISION.change_law_error**2 * max(alone - left, 0.0)
+        weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
+        total = sum(weight.values())
+        mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
+        groups.append(_group(mine))
+        probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
+    return Change(tuple(groups), probability, row, 0.0)
 
 
 def what_changed(
-    before: Sequence[Trace], case: Sequence[Trace], servos: Sequence[Servos], device: str = "cpu"
-) -> tuple[tuple[Group, ...], Change, Array | None]:
+    before: Sequence[Trace],
+    case: Sequence[Trace],
+    row: Array,
+    servo: Servo,
+    step_rad: float = 0.0,
+) -> Change:
     """What of a joint differs from its references.
 
     Args:
         before: The joint's references.
         case: Its recordings in question.
-        servos: Where the servo that they share starts from.
-        device: Warp device.
-
-    Returns:
-        What is likeliest, at least one group; the weighing of all effects; and the parameters of
-        the case with what is likeliest, shape (P,), where that was fitted.
+        row: Parameters of the servo as the references tell it, shape (P,).
+        servo: Its data sheet.
+        step_rad: Step of the case's sensor.
     """
-    linear = linearised(before, case, servos, device)
-    first = contrast(linear)
-    found = change(refined(first, linear, device))
-    load = misstated(before, case, servos, device)
-    wrong = min(float(expit(load.gain / first.common)), DECISION.most_certain) if load else 0.0
-    if load and wrong >= DECISION.named:  # a change seen through a wrong load is none
-        return tuple(Group((effect,), wrong, wrong) for effect in load.effects), found, load.theta
-    return (found.group,), found, found.theta
+    of = explained(before, case, row, servo)
+    load = misstated(of)
+    if load is not None:
+        sure = min(float(expit(load.gain)), DECISION.most_certain)
+        if sure >= DECISION.named:  # a change seen through a wrong load is none
+            groups = tuple(Group((effect,), sure, sure) for effect in load.effects)
+            return Change(groups, dict.fromkeys(load.effects, sure), load.row, 0.0)
+    return changed(of, step_rad)

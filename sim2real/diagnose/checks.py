@@ -14,6 +14,7 @@ from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.next_experiment import next_experiment
 from sim2real.diagnose.posterior import Group
+from sim2real.diagnose.references import repeat
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
 from sim2real.inference.knockoffs import contest, false_discovery_rate
 from sim2real.robot import Robot
@@ -51,7 +52,7 @@ def with_checks(
         ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
         hypothesis=_guesses(joints),
         false_discovery_rate=_false_discovery(joints, rng),
-        next_experiment=_for_rivals(case.robot, joints),
+        next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
     )
 
 

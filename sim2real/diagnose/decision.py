@@ -39,20 +39,17 @@ class Decision:
     there: float  # probability from which something is missing, named or not
     structured: float  # excess from which a residual is more than noise and slow wander
     clean: float  # excess below which nothing is left, and nothing without a name is looked for
-    # share of the excess that named effects must explain, or the cause is not in the catalogue
-    explained: float
     ripple: float  # what every servo has a little of is a finding from so many noises on
     crystals: float  # relative difference of two clocks up to which it is none, and is taken off
     turn_s: float  # jitter below which a set-point only waits for the controller's next turn
     sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     link_masked: float  # excess of a joint from which nothing can be seen of single set-points
-    change_borrowed: float  # references that what all effects gain together counts for
-    change_other_motion: float  # further log odds against a change where the case moves otherwise
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came
     change_farthest: float  # prior standard deviation of a change, in multiples of its start
     nameless: float  # probability that what is missing has no name, where effects leave most of it
     change_law_error: float  # how far a straight line to a change may be from what it does
+    change_explained: float  # share of what changed that names must explain, or it has none
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
     # how many times the data sheet's the line may be, either way; beyond that it is a finding

@@ -14,7 +14,7 @@ from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import Finding, investigate
 from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.judging import judged, with_nameless
+from sim2real.diagnose.judging import judged
 from sim2real.diagnose.nuisances import first_look
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
@@ -123,7 +123,7 @@ def examined(
     found: dict[int, tuple[Case, list[JointResult]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
-        some = with_known_servos([cases[k] for k in group], rng, device)
+        some = with_known_servos([cases[k] for k in group], rng)
         some = [on_their_lines(case, rng) for case in some]
         results = _joint_results(some, rng, device, step)
         found.update(zip(group, zip(some, results, strict=True), strict=True))
@@ -171,7 +171,7 @@ def _joint_results(
     sets = [[*_all_sets(a), *_all_sets(b)] for a, b in zip(findings, changed, strict=True)]
     unseen = _unseen(joints, [list(dict.fromkeys(some)) for some in sets], changed, device)
     findings = [
-        with_nameless(now, judged(finding, known)) if joint.before else judged(finding, known)
+        now if joint.before else judged(finding, known)
         for joint, finding, now, known in zip(joints, findings, changed, unseen, strict=True)
     ]
     plain = [finding.tried.plain for finding in findings]

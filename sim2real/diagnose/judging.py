@@ -170,12 +170,3 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
 def _stated(probability: float) -> float:
     """A probability, below 0.9 where those that are said with 0.9 would too often be wrong."""
     return probability if probability >= DECISION.sure else min(probability, _ALMOST)
-
-
-def with_nameless(changed: Finding, alone: Finding) -> Finding:
-    """A finding against references, with what the recordings alone say of something nameless.
-
-    Nothing is nameless where a change has a name.
-    """
-    said = any(group.probability >= DECISION.named for group in changed.groups)
-    return changed if said else replace(changed, unknown=alone.unknown)

@@ -6,57 +6,87 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, Joint, by_robot, prepared
+from sim2real.diagnose.case import Case, Joint, prepared
 from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import ROUNDING, Finding, investigate
-from sim2real.diagnose.joint_result import servo
-from sim2real.model import Model
-from sim2real.noise import quantization_step
+from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.result import Experiment
+from sim2real.model import JointModel, Model
+from sim2real.noise import noise_floor, quantization_step
+from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import joint_row
+from sim2real.servo.explained import way_of
+from sim2real.servo.fit import best_of, gains
+from sim2real.servo.motor_choice import choose_motor
+from sim2real.servo.parameters import joint_row, motor_of
 from sim2real.servo.plain import BLOCKS, with_effects
 from sim2real.servo.problem import Hypothesis, minimise
+from sim2real.servo.start import first_guess
+from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
-Array = NDArray[np.float64]
 
-
-def with_known_servos(
-    cases: Sequence[Case], rng: np.random.Generator, device: str = "cpu"
-) -> list[Case]:
-    """Cases whose model is the likeliest servo of their references, where none is given.
+def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
+    """Cases whose model is the law of the servos that made their references, where none is given.
 
     Args:
         cases: The cases.
-        rng: For bootstraps.
-        device: Warp device.
+        rng: For the scan for a start.
 
     Raises:
         InputError: If references and robot do not agree, or no joint moves in them.
     """
-    before = {
-        k: prepared(replace(case, recordings=case.references, references=()))
-        for k, case in enumerate(cases)
-        if case.references
-    }
-    some = [k for k in before if cases[k].model is None]
     known = list(cases)
-    if not some:
-        return known
-    joints = [joint for k in some for joint in before[k]]
-    robots = by_robot([before[k] for k in some])
-    batch = Batch([joint.traces for joint in joints], device)
-    found = investigate(batch, joints, robots, rng=rng)
-    for k, robot in zip(some, robots, strict=True):
-        servos = {}
-        for j in robot:
-            # How finely a sensor reads, each recording says itself.
-            best, joint = found[j].best, replace(joints[j], step_rad=None)
-            servos[joint.name] = servo(joint, best.fit.servos.theta[0], best)
-        known[k] = replace(cases[k], model=Model(joints=servos))
+    for k, case in enumerate(cases):
+        if case.references:
+            prepared(replace(case, recordings=case.references, references=()))
+            if case.model is None:
+                known[k] = replace(case, model=_law_of_references(case, rng))
     return known
+
+
+def _law_of_references(case: Case, rng: np.random.Generator) -> Model:
+    found = {}
+    for joint in case.robot.joints:
+        before, now = (traces(some, joint.name) for some in (case.references, case.recordings))
+        if before and now:
+            found[joint.name] = law_of(before, now, joint.servo, rng)
+    return Model(joints=found)
+
+
+def law_of(
+    references: Sequence[Trace], case: Sequence[Trace], servo: Servo, rng: np.random.Generator
+) -> JointModel:
+    """The law of the servo that made the references.
+
+    The motor's, where what it leaves decides; the linear one where repeats or rests explain more.
+
+    Args:
+        references: The joint's references.
+        case: Its recordings in question.
+        servo: Its data sheet.
+        rng: For the scan for a start.
+    """
+    given = list(references)
+    start, others = first_guess(given, rng)
+    names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
+    plain, _ = best_of(given, [start, *others], names)
+    row = plain.row
+    if way_of(references, case) == "law":
+        noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+        row = choose_motor(given, plain, servo, noise, rng).fit.row
+    motor, load = motor_of(row), given[0].load
+    kp, kd, latency = (float(x) for x in row[:3])
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=load is PER_INERTIA,
+        law="motor" if motor else "pd",
+        motor=motor,
+        load=None if load is PER_INERTIA else load,
+    )
 
 
 def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
@@ -68,37 +98,55 @@ def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
         finding: What is missing.
     """
     before = joint.before
-    if not before:
+    if not before or joint.given is None or joint.servo is None:
         return finding
     grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
     coarser = joint.step_rad is not None and joint.step_rad > DECISION.coarser * max(grids)
-    tried = finding.tried
-    plain = tried.plain.fit.servos
-    starts = [plain.theta[0]]
-    if joint.given is not None:
-        starts.append(joint_row(joint.given, None, joint.name))
-    inertia = before[0].load.inertia_kgm2
-    kp, first = float(plain.theta[0, 0]), np.zeros(1, dtype=np.int32)
-    servos = [
-        replace(with_effects(plain, tried.base, theta, kp, inertia), joint=first, theta=theta[None])
-        for theta in starts
-    ]
-    groups, found, theta = what_changed(before, joint.traces, servos, batch.device)
-    named = groups[0].probability >= DECISION.named
-    rich = tried.base | {group.members[0] for group in groups if named}
-    if rich != tried.base and theta is not None:
-        # As fitted to references and case together: the case alone says less of its servo.
-        one = replace(with_effects(plain, rich, theta, kp, inertia), theta=theta[None].copy())
+    row = joint_row(joint.given, before[0].load, joint.name)
+    found = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    tried, plain = finding.tried, finding.tried.plain.fit.servos
+    named = [group for group in found.groups if group.probability >= DECISION.named]
+    rich = tried.base | {group.members[0] for group in named}
+    if rich != tried.base:
+        # As fitted beside the servo of the references: the case alone says less of its servo.
+        kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
+        one = replace(with_effects(plain, rich, found.row, kp, inertia), theta=found.row[None])
         fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
+    nameless = found.nameless > DECISION.named
     return replace(
         finding,
-        mismatch=finding.mismatch or named,
+        mismatch=bool(named or nameless or (coarse and coarser)),
         best=tried.tried.get(rich, tried.plain),
         posterior=found.posterior(tried.base),
-        groups=(*coarse, *groups) if coarser else groups,
-        left=finding.left and not named,
-        unknown=0.0 if named else finding.unknown,
+        groups=(*coarse, *found.groups) if coarser else found.groups,
+        left=nameless,
+        unknown=found.nameless,
+        unmodelled=replace(finding.unmodelled, windows=found.windows),
         link=None,
     )
+
+
+def repeat(joints: Sequence[Joint]) -> Experiment | None:
+    """The command to send again, where it would tell more than the references can: the case's own.
+
+    A recording of the same command as before knows of no missing physics that is in both.
+    """
+    for joint in joints:
+        if joint.before and way_of(joint.before, joint.traces) == "law":
+            one = max(joint.traces, key=Trace.activity)
+            return Experiment(
+                component=joint.name,
+                separates=(),
+                command=f"the command of {one.name}",
+                context="none",
+                separation=0.0,
+                duration_s=float(one.t[-1] - one.t[0]),
+                statement=f"Repeat the command of {one.name} on {joint.name} in the state of the "
+                "references: beside a repeat what the model lacks cancels, and far smaller "
+                "changes show.",
+                t=one.t - one.t[0],
+                signal=one.command,
+            )
+    return None

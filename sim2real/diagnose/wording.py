@@ -70,7 +70,8 @@ def diagnosis(case: Case, joints: Sequence[JointResult], negligible: float, seed
     small = tuple(
         effect
         for effect, one in zip(effects, said, strict=True)
-        if all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
+        if not case.references  # what has changed since is worth saying, whatever its size
+        and all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
     )
     large = tuple(effect for effect in effects if effect not in small)
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]

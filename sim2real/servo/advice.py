@@ -11,6 +11,7 @@ from sim2real.inference.holdout import rms
 from sim2real.recording import Load, Recording
 from sim2real.robot import Servo
 from sim2real.servo.fit import Fit, residuals
+from sim2real.servo.loop_fit import hidden
 from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import PER_INERTIA, Trace
@@ -85,6 +86,15 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     notes = []
     if kept:
         notes.append(f"these recordings do not tell {', '.join(kept)}: they stay as believed")
+    unseen = hidden(motor)
+    if unseen is not None:
+        kp, kd = (float(x) for x in motor.fit.row[:2])
+        notes.append(
+            "these recordings do not tell a controller that looks in step with their samples from "
+            "one that looks all the time, as is believed: looking at "
+            f"{1 / unseen.period_s:.0f} Hz it would have kp {unseen.kp:.3g} and not {kp:.3g}, "
+            f"kd {unseen.kd:.3g} and not {kd:.3g}; set-points sent at odd times would tell"
+        )
     if motor.problem.traces[0].load is PER_INERTIA:
         return notes
     for name, stated in (

@@ -188,7 +188,7 @@ def _identify_joint(
     notes: list[str] = []
     motor = None
     if servo is not None and not unseen:
-        motor = choose_motor(fitted, best, servo, noise, rng, known)
+        motor = choose_motor(fitted, best, servo, noise, rng, known, average=True)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)

@@ -168,11 +168,15 @@ def substep_of(effects: bool) -> wp.Function:
                 weaker = wp.float64(1.0) / rise
                 damping = damp * push.damping
                 per = wp.float64(1.0) / (rise + damping)
-                after = ((rise - damping) * v + impulse * (push.torque + rise * load)) * per
-                stiff = rise * per
+                # (rise - damping) v + impulse (push + rise load), over rise + damping
+                lost = wp.float64(2.0) * v + impulse * load
+                after = v + impulse * load + per * (impulse * push.torque - damping * lost)
+                stiff = wp.float64(1.0) - damping * per
                 middle = wp.float64(0.5) * (v + after)
                 torque = (push.torque - push.damping * middle) * weaker
-            dry = gear_friction(speed, torque, weight, m)
+                dry = gear_friction(speed, (push.torque - push.damping * speed) * weaker, weight, m)
+            else:
+                dry = gear_friction(speed, torque, weight, m)
         if others != 0:
             if kp > still:
                 made = motor_torque(torque, q, middle, torque, time, h, p, z, active)

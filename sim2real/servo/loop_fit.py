@@ -9,7 +9,7 @@ lattice, whose period a periodogram shows (as of pulsars: Buccheri and others, A
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ _DELAY_S = 1e-3
 """Delay by which it is measured what one does."""
 _DELAY_SD_S = 0.004
 """Spread of the delays beside their mean."""
+_IN_STEP = 0.95
+"""Length of the mean phase of set-points from which on they keep step with a loop."""
 _FEWEST = 12
 """Steps from which a period can be told."""
 _CANDIDATES, _LATENCIES, _STEPS, _FINE, _BEST, _ROUNDS = 6, 16, 8, 64, 2, 3
@@ -59,6 +61,49 @@ def sampled(motor: MotorFit) -> MotorFit | None:
         fine = np.concatenate([found.x[None], _nearby(found)])
         found = refitted(found, fine[np.argsort(found.losses(fine))[:_BEST]])[0]
     return found
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A loop that would show nowhere, and the gains that it would have to have.
+
+    Attributes:
+        period_s: Time between two looks.
+        kp: Proportional gain in N m/rad, or per unit of inertia.
+        kd: Derivative gain in N m s/rad, likewise.
+    """
+
+    period_s: float
+    kp: float
+    kd: float
+
+
+def hidden(motor: MotorFit) -> Hidden | None:
+    """The slowest sampled loop that the recordings cannot tell from none.
+
+    One whose looks keep step with the set-points: each then waits as long as any other, which is as
+    good as latency, and what it sees late as good as other gains.
+
+    Args:
+        motor: A fit without a loop.
+
+    Returns:
+        None where set-points come at odd times, or where the fit has a loop.
+    """
+    if motor.fit.row[COLUMNS.index(LOOP[0])] > 0:
+        return None
+    moved = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
+    times = np.concatenate(moved)
+    if times.size < 2:
+        return None
+    sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
+    for n in range(1, 1 + int(RATES_HZ[1] * sampling)):
+        period = sampling / n
+        if 1 / period < RATES_HZ[0]:
+            continue
+        if abs(np.exp(2j * np.pi * times / period).mean()) > _IN_STEP:
+            return Hidden(period, *_held_gains(motor, period))
+    return None
 
 
 def arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:

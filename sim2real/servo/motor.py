@@ -177,8 +177,8 @@ def resistance(push: Push, v: wp.float64, m: Motor) -> wp.float64:
     """
     if m.rise == wp.float64(0.0):
         return wp.float64(1.0)
-    size = wp.abs(push.torque - push.damping * v) * m.per_stall
-    return wp.float64(0.5) + wp.sqrt(wp.float64(0.25) + m.rise * size)
+    size = wp.abs(push.torque - push.damping * v)
+    return wp.float64(0.5) + wp.sqrt(wp.float64(0.25) + m.rise * m.per_stall * size)
 
 
 @wp.func

@@ -9,7 +9,7 @@ from sim2real.inference.noise import whiteness
 from sim2real.robot import Servo
 from sim2real.servo.fit import Fit
 from sim2real.servo.loop_fit import sampled
-from sim2real.servo.motor_fit import EXPLAINED, MotorFit, fit_motor, softer
+from sim2real.servo.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
 from sim2real.servo.motor_prior import Prior, motor_prior
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.servo_type import ServoType
@@ -19,6 +19,8 @@ _CLEAR = 6.0
 """What a choice must gain beyond chance."""
 _OF_A_LOOP = 12
 """What a sampled loop counts for: the best of a thousand periods and phases."""
+FACTORS = (0.5, 2.0)
+"""How much narrower and wider the prior of losses may be as well."""
 _WHITE = 0.1
 """Lag-1 autocorrelation of a residual in which nothing is left."""
 _TOO_MUCH, _NEARLY = 15.0, 1.5
@@ -32,6 +34,8 @@ def choose_motor(
     noise: float,
     rng: np.random.Generator,
     known: ServoType | None = None,
+    *,
+    average: bool = False,
 ) -> MotorFit:
     """The motor's line alone where that explains the recordings, else its losses as well.
 
@@ -40,6 +44,17 @@ def choose_motor(
     twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more. So are, while
     something is left, friction that stops softly and a sampled loop. A servo of a known type has
     the losses of its type.
+
+    Args:
+        fitted: The joint's recordings.
+        plain: The fit of the linear servo.
+        servo: Its data sheet.
+        noise: Of its sensor, rad.
+        rng: For starts.
+        known: What is known of servos of its type.
+        average: Whether losses that leave something are averaged over how wide their prior may be,
+            which nothing on the recordings says: half and twice as wide as well, if the load is
+            known.
     """
     prior = motor_prior(servo, fitted)
     if known is not None:
@@ -50,9 +65,14 @@ def choose_motor(
     left = rms(chosen.fit.residuals) / noise
     explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
     looped = None if explained or left > _TOO_MUCH else sampled(chosen)
-    if looped is None or rms(looped.fit.residuals) > _NEARLY * noise:
+    if looped is not None and rms(looped.fit.residuals) <= _NEARLY * noise:
+        return _better(chosen, looped, _OF_A_LOOP)
+    names = [prior.names[k] for k in chosen.problem.free[3:]]
+    stated = fitted[0].load is not PER_INERTIA  # else minima lie too far apart to be averaged
+    if not (average and stated) or known is not None or left < EXPLAINED or LOSSES[0] not in names:
         return chosen
-    return _better(chosen, looped, _OF_A_LOOP)
+    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
+    return averaged([chosen, *others])
 
 
 def _continuous(

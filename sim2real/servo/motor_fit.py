@@ -247,6 +247,17 @@ def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
     return [_result(problem, x[k], scale, inflation[k], loss[k : k + 1]) for k in order]
 
 
+def averaged(fits: Sequence[MotorFit]) -> MotorFit:
+    """The servo in the middle of some fits with the same free parameters, with the first's prior.
+
+    Means of what was searched: of the logarithms of gains, torque and speed.
+    """
+    first = fits[0]
+    x = np.mean([one.x for one in fits], axis=0)
+    loss = first.losses(x[None])
+    return _result(first.problem, x, first.fit.scale_rad, first.inflation, loss)
+
+
 def softer(motor: MotorFit) -> Array:
     """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
     x = np.tile(motor.x, (len(_SOFT_S), 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,14 @@ class Prior:
     def index(self, name: str) -> int:
         """Place of a parameter."""
         return self.names.index(name)
+
+    def loosened(self, factor: float) -> Prior:
+        """The prior with spreads of losses and friction so many times as wide."""
+        beliefs = tuple(
+            b if b.log or not np.isfinite(b.sd) else replace(b, sd=factor * b.sd)
+            for b in self.beliefs
+        )
+        return replace(self, beliefs=beliefs)
 
     def values(self, x: Array) -> Array:
         """Parameters in their own units from those searched, shape (..., F)."""

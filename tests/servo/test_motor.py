@@ -296,3 +296,58 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
     low, high = joint.interval["latency_s"]
     assert low < LATENCY < high and high - low < 0.0051
     assert model.fit["j1.position_rad"]["heldout"] < 1.2 * 5e-4
+
+
+@pytest.mark.parametrize("odd", [False, True])
+def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
+    rng = np.random.default_rng(6)
+    t = np.arange(1500) / 50.0
+    if odd:
+        t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
+    levels = rng.uniform(-0.6, 0.6, 80)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
+    angle = rollout(row(**line)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, {"j1": Load(INERTIA)})
+    (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
+    assert "loop_period_s" not in joint.motor
+    said = [note for note in joint.notes if "looks in step with their samples" in note]
+    assert len(said) == (0 if odd else 1)
+    if said:
+        assert "at 100 Hz" in said[0]
+
+
+def test_a_loosened_prior_is_wider_for_losses_only():
+    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.servo.trace import trace
+
+    command = SQUARE[:, None]
+    made = Recording("a", "servo", ("j1",), T, command, command, {"j1": Load(INERTIA)})
+    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), [trace(made, "j1")])
+    for before, after in zip(prior.beliefs, prior.loosened(2.0).beliefs, strict=True):
+        share = not before.log and np.isfinite(before.sd)
+        assert after.sd == (2 * before.sd if share else before.sd)
+        assert after.middle == before.middle
+
+
+def test_an_average_of_fits_lies_between_them():
+    from sim2real.servo.fit import best_of, plain_row
+    from sim2real.servo.motor_fit import averaged, fit_motor
+    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.servo.parameters import LINE as COLUMNS_OF_LINE
+    from sim2real.servo.trace import trace
+
+    rng = np.random.default_rng(2)
+    angle = simulate(**LINE, coulomb_Nm=0.05)[:, None] + rng.normal(0, 1e-3, (T.size, 1))
+    made = Recording("a", "servo", ("j1",), T, SQUARE[:, None], angle, {"j1": Load(INERTIA)})
+    given = [trace(made, "j1")]
+    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), given)
+    plain, _ = best_of(given, [plain_row(KP, KD, LATENCY)], ("kp_Nm_per_rad", "kd_Nms_per_rad"))
+    names = (*COLUMNS_OF_LINE, "motor.coulomb_Nm", "motor.motor_friction")
+    fits = [fit_motor(given, plain, prior.loosened(f), names, rng) for f in (1.0, 0.02)]
+    both = averaged(fits)
+    np.testing.assert_allclose(both.x[:4], np.mean([one.x[:4] for one in fits], axis=0))
+    dry = [one.values.get("coulomb_Nm", 0.0) for one in (*fits, both)]
+    assert dry[2] == pytest.approx(0.5 * (dry[0] + dry[1]))
+    assert dry[1] < 0.9 * dry[0]  # a prior fifty times narrower allows less
+    assert both.fit.residuals[0].shape == fits[0].fit.residuals[0].shape

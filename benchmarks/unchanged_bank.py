@@ -1,0 +1,96 @@
+"""How large changes look where nothing has changed: writes ``sim2real/diagnose/unchanged.json``.
+
+    python -m benchmarks.unchanged_bank
+
+A bank of real recordings that are never the case of a sealed T2 from the third on:
+``lift_and_drop`` of the XL330 at either gain, against the other three trajectories, and each
+stretch of the STS3215 log ``single`` against the others. Takes the recordings from
+SIM2REAL_REALDATA (default ../shared/realdata). No log of the bank repeats a command, so that
+repeats are judged by what their references leave.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from sim2real.diagnose.change import BANK
+from sim2real.diagnose.references import law_of
+from sim2real.output import write_json
+from sim2real.robot import Servo
+from sim2real.servo.explained import Explained, directions, explained, first_look
+from sim2real.servo.jumps import Steps
+from sim2real.servo.parameters import joint_row
+
+ROOT = Path(__file__).parents[1]
+REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
+SAFETY = 4.0
+"""On mean squares: banks are small, and the next servo is another."""
+JUMPS = {"law": 4.0, "rest": 4.0, "repeat": 25.0}
+"""Times the references' largest step; chosen, and above all that the bank shows."""
+
+
+def main() -> None:
+    """Look at every recording of the bank as if it were a case."""
+    found: dict[str, list[tuple[dict[str, float], float]]] = {"law": [], "rest": []}
+    for name, of in bank():
+        by = directions(of)
+        gone, _ = first_look(of, by, of.case)
+        null = {
+            effect: max(float(g) for g, n in zip(gone, by.names, strict=True) if n == effect)
+            for effect in dict.fromkeys(by.names)
+        }
+        ratio = Steps(of).ratio()
+        found[of.way].append(({n: g / of.scale2 for n, g in null.items()}, ratio))
+        largest = max(null.values()) / of.scale2
+        print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {largest:.2f}")
+    ways = {way: entry(some, way) for way, some in found.items()}
+    repeats = {name: 1.0 for name in ways["law"]["null"]}
+    ways["repeat"] = {"known": 2.0, "jump": JUMPS["repeat"], "null": repeats}
+    write_json(BANK, {"schema": "sim2real.unchanged/1", "made_by": "benchmarks/unchanged_bank.py",
+                      "ways": ways})  # fmt: skip
+    print(f"written: {BANK}")
+
+
+def entry(some: list[tuple[dict[str, float], float]], way: str) -> dict[str, object]:
+    """Null sizes of one way, with the safety: of each effect its own, and at least that of all."""
+    if max(ratio for _, ratio in some) > JUMPS[way]:
+        raise SystemExit(f"{way}: an unchanged recording jumps by more than {JUMPS[way]:g}")
+    names = dict.fromkeys(name for null, _ in some for name in null)
+    own = {n: float(np.mean([null[n] for null, _ in some if n in null])) for n in names}
+    common = float(np.mean(list(own.values())))
+    null = {n: round(SAFETY * max(x, common), 4) for n, x in own.items()}
+    return {"known": float(len(some)), "jump": JUMPS[way], "null": null}
+
+
+def bank() -> Iterator[tuple[str, Explained]]:
+    """Each recording with the others of its rig as references, joint by joint."""
+    sys.path.insert(0, str(ROOT / "datasets" / "concealed"))
+    from backgrounds import backgrounds
+    from real_files import SERVOS
+    from real_oracle import powered, trace
+
+    groups = backgrounds(REAL)
+    for group, cases in (("xl330_200", [3]), ("xl330_800", [3]), ("single", range(4))):
+        logs = [powered(log) for log in groups[group]]
+        for k in cases:
+            rest = [log for log in logs if log is not logs[k]]
+            for j, joint in enumerate(logs[k].joints):
+                references, case = [trace(log, j) for log in rest], [trace(logs[k], j)]
+                references = [one for one in references if one.moves()]
+                if not references or not case[0].moves():
+                    continue
+                servo = Servo("servo", *SERVOS[logs[k].family])
+                law = law_of(references, case, servo, np.random.default_rng(0))
+                row = joint_row(law, references[0].load)
+                of = explained(references, case, row, servo)
+                if of.scale2 > 1.01 * servo.position_step_rad**2 / 12:  # else nothing is left
+                    yield f"{logs[k].name} {joint}", of
+
+
+if __name__ == "__main__":
+    main()
