@@ -1,0 +1,51 @@
+"""Let the fluid swim what was sent to the robots of a sealed set: ``sim.inference.in_water``.
+
+    python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--cell-m 0.016] [--heldout]
+
+Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
+swims that the grader keeps, in a folder of their own, for the grader.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from sim.inference.in_water import CELL_M, swum_in_water, write_water
+from sim.inference.swims import swim_of
+from sim2real.model import read_model
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+
+def main() -> None:
+    """Swim."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("set", type=Path)
+    parser.add_argument("water", type=Path)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--cell-m", type=float, default=CELL_M)
+    parser.add_argument("--heldout", action="store_true")
+    parser.add_argument("--most", type=int, help="swims of a robot, for a trial")
+    parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth")
+    options = parser.parse_args()
+    first, step = (int(x) for x in options.share.split("/"))
+    for folder in sorted((options.set / "inputs").glob("robot_*"))[first::step]:
+        out = options.water / f"{folder.name}.npz"
+        if out.exists():
+            continue
+        start = time.perf_counter()
+        robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+        cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
+        paths = [options.set / "heldout" / name / "b.csv" for name in cases]
+        if not options.heldout:
+            paths = [*sorted(folder.glob("ref_*.csv")), *(folder / name / "a.csv" for name in cases)]
+        swims = [swim_of(read_recording(path), robot) for path in paths[: options.most]]
+        water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
+        write_water(out, water)
+        print(f"{folder.name}: {len(swims)} swims, {time.perf_counter() - start:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Swims that the fluid has swum, beside which the twin says only what changes.
+
+The twin is a force law and some three noises of a camera away from a robot; the fluid is one or
+two, and slow. So the fluid swims what was sent to the robot once, as the bench has it, and the twin is
+asked for differences alone: of an effect, of a gain (a control variate; Peherstorfer, Willcox and
+Gunzburger, SIAM Rev. 60 (2018) 550). What cells of one size, one viscosity and one sub-grid
+constant get wrong is a difference too: the fluid swims with others as well, and how far a robot's
+water lies along each is fitted (``water.viscosity`` and so on), as a gain is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.coordinates import Swum
+from sim.inference.emulator import path_of, steps_of
+from sim.inference.followed import by_followed_twin
+from sim.inference.swims import Swim
+from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer, least_viscosity
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+CELL_M = 0.016
+"""Side of a cell."""
+BOX_M = (1.25, 0.9, 0.4)
+"""Length, width and depth of a box, which goes with its robot."""
+VARIANTS: Mapping[str, Mapping[str, float]] = {
+    "viscosity": {"viscosity": 2.5},
+    "cells": {"cell": 1.25},
+    "eddies": {"smagorinsky": 0.75},
+}
+"""Other waters: their viscosity, side of a cell and sub-grid constant over those of the first."""
+
+
+@dataclass(frozen=True)
+class InWater:
+    """What the fluid swam.
+
+    Attributes:
+        names: Of the other waters, V of them.
+        steps: Of each swim, by ``key``: ways forward, to the left (m/s) and round (rad/s) in each
+            period and the joints' angles, first water first, shape (1 + V, T - 1, 3 + J).
+        law: Coefficients of the twin that is nearest to them, where that was fitted.
+    """
+
+    names: tuple[str, ...]
+    steps: Mapping[bytes, Array]
+    law: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, model: Model) -> Model:
+        """The model with the twin's law that is nearest, and with shares of the other waters."""
+        body = {**model.body, "water": dict.fromkeys(self.names, 0.0)}
+        return replace(model, body=body | ({"twin": dict(self.law)} if self.law else {}))
+
+
+def key(swim: Swim) -> bytes:
+    """What is kept of a swim: the fluid does not mind where it began."""
+    return swim.command.astype(np.float32).tobytes()
+
+
+def swum_in_water(
+    robot: Robot,
+    model: Model,
+    swims: Sequence[Swim],
+    *,
+    cell_m: float = CELL_M,
+    device: str = "cpu",
+    variants: Mapping[str, Mapping[str, float]] = VARIANTS,
+    box_m: tuple[float, float, float] = BOX_M,
+    threads: int = 1,
+) -> InWater:
+    """Let the fluid swim what was sent in each swim, all at once.
+
+    Args:
+        robot: The robot.
+        model: Its servos, as a bench has them.
+        swims: Whose commands are sent; their recordings are not looked at.
+        cell_m: Side of a cell.
+        device: Warp device.
+        variants: Other waters.
+        box_m: Size of a box.
+        threads: CPU threads.
+    """
+    longest = max((swim.command for swim in swims), key=len)
+    rows = [np.pad(s.command, ((0, len(longest) - len(s.command)), (0, 0)), "edge") for s in swims]
+    sent = np.stack(rows, axis=1)
+    still: dict[str, float] = {}
+    waters = []
+    for given in (still, *variants.values()):
+        side = cell_m * given.get("cell", 1.0)
+        swimmer = Swimmer(
+            robot, model, n_envs=len(swims), cell_m=side, device=device, box_m=box_m,
+            viscosity_m2_s=least_viscosity(cell_m) * given.get("viscosity", 1.0),
+            smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
+        )  # fmt: skip
+        track = []
+        for row in [None, *sent[:-1]]:
+            if row is not None:
+                swimmer.step(row)
+            state = swimmer.state()
+            track.append(np.concatenate([state.pose, state.measured], axis=1))
+        waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
+    every = np.stack(waters, axis=1)
+    every[..., :3] /= CONTROL_S
+    known = {key(s): every[k, :, : len(s.t) - 1] for k, s in enumerate(swims)}
+    return InWater(tuple(variants), known)
+
+
+def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -> Swum:  # noqa: ANN401
+    """The twin (options ``given``), put right by the fluid where it has swum.
+
+    Args:
+        robot: The robot.
+        model: That the fluid swam with; its ``body.twin`` should be the law nearest to the fluid.
+        water: What the fluid swam.
+    """
+    twin = by_followed_twin(robot, **given)
+    begun: dict[bytes, Array] = {}
+
+    def run(models: Sequence[Model], swim: Swim) -> Array:
+        known = water.steps.get(key(swim))
+        if known is None:
+            raise KeyError(f"{swim.name}: the fluid has not swum these commands")
+        at = key(swim) + swim.start.tobytes()
+        track = twin(models, swim)
+        if at not in begun:
+            begun[at] = steps_of(twin([model], swim))[0]
+        fluid = known.copy()
+        fluid[..., :3] *= CONTROL_S
+        share = np.array([
+            [one.body.get("water", {}).get(name, 0.0) for name in water.names] for one in models
+        ])  # fmt: skip
+        steps = steps_of(track) + (fluid[0] - begun[at])
+        steps += np.einsum("ev,vtk->etk", share, fluid[1:] - fluid[0])
+        return path_of(steps, swim.start, track[:, 0, 3:])
+
+    return run
+
+
+def write_water(path: Path, water: InWater) -> None:
+    """Keep what the fluid swam, in half precision."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    swims = list(water.steps.items())
+    arrays = {f"steps_{k}": steps.astype(np.float16) for k, (_, steps) in enumerate(swims)}
+    keys = {f"key_{k}": np.frombuffer(known, np.float32) for k, (known, _) in enumerate(swims)}
+    names, law = np.array(water.names), water.law
+    np.savez_compressed(
+        path, **arrays, **keys, names=names, law_names=np.array(list(law)),
+        law=np.array(list(law.values())),
+    )  # fmt: skip
+
+
+def read_water_swims(path: Path) -> InWater:
+    """What ``write_water`` kept."""
+    kept = np.load(path)
+    count = sum(name.startswith("key_") for name in kept.files)
+    steps = {
+        kept[f"key_{k}"].tobytes(): kept[f"steps_{k}"].astype(np.float64) for k in range(count)
+    }
+    law = dict(zip(kept["law_names"].tolist(), kept["law"].tolist(), strict=True))
+    return InWater(tuple(kept["names"].tolist()), steps, law)
+
+
+__all__ = ["InWater", "by_twin_in_water", "read_water_swims", "swum_in_water", "write_water"]
