@@ -28,7 +28,9 @@ def main() -> None:
     parser.add_argument("--cell-m", type=float, default=CELL_M)
     parser.add_argument("--heldout", action="store_true")
     parser.add_argument("--most", type=int, help="swims of a robot, for a trial")
-    parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth")
+    parser.add_argument(
+        "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
+    )
     options = parser.parse_args()
     first, step = (int(x) for x in options.share.split("/"))
     for folder in sorted((options.set / "inputs").glob("robot_*"))[first::step]:
@@ -40,7 +42,10 @@ def main() -> None:
         cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
         paths = [options.set / "heldout" / name / "b.csv" for name in cases]
         if not options.heldout:
-            paths = [*sorted(folder.glob("ref_*.csv")), *(folder / name / "a.csv" for name in cases)]
+            paths = [
+                *sorted(folder.glob("ref_*.csv")),
+                *(folder / name / "a.csv" for name in cases),
+            ]
         swims = [swim_of(read_recording(path), robot) for path in paths[: options.most]]
         water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
         write_water(out, water)

@@ -1,11 +1,11 @@
 """Swims that the fluid has swum, beside which the twin says only what changes.
 
 The twin is a force law and some three noises of a camera away from a robot; the fluid is one or
-two, and slow. So the fluid swims what was sent to the robot once, as the bench has it, and the twin is
-asked for differences alone: of an effect, of a gain (a control variate; Peherstorfer, Willcox and
-Gunzburger, SIAM Rev. 60 (2018) 550). What cells of one size, one viscosity and one sub-grid
-constant get wrong is a difference too: the fluid swims with others as well, and how far a robot's
-water lies along each is fitted (``water.viscosity`` and so on), as a gain is.
+two, and slow. So the fluid swims what was sent to the robot once, as the bench has it, and the
+twin is asked for differences alone: of an effect, of a gain (a control variate; Peherstorfer,
+Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). What cells of one size, one viscosity and one
+sub-grid constant get wrong is a difference too: the fluid swims with others as well, and how far a
+robot's water lies along each is fitted (``water.viscosity`` and so on), as a gain is.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim.inference.coordinates import Swum
 from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.swims import Swim
-from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer, least_viscosity
+from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -32,12 +32,18 @@ CELL_M = 0.016
 """Side of a cell."""
 BOX_M = (1.25, 0.9, 0.4)
 """Length, width and depth of a box, which goes with its robot."""
+VISCOSITY_M2_S = 5e-5
+"""Away from the wall: what such cells bear."""
+SUBSTEPS = 20
+"""Steps of the lattice in a control period: with half as many a servo lags by another 5 %."""
+COARSE = 1.25
+"""Side of a cell of the other waters, over that of the first."""
 VARIANTS: Mapping[str, Mapping[str, float]] = {
+    "cells": {},
     "viscosity": {"viscosity": 2.5},
-    "cells": {"cell": 1.25},
     "eddies": {"smagorinsky": 0.75},
 }
-"""Other waters: their viscosity, side of a cell and sub-grid constant over those of the first."""
+"""Other waters, in larger cells: their viscosity and sub-grid constant over those of the first."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +51,10 @@ class InWater:
     """What the fluid swam.
 
     Attributes:
-        names: Of the other waters, V of them.
+        names: What may be otherwise of the water, V of them.
         steps: Of each swim, by ``key``: ways forward, to the left (m/s) and round (rad/s) in each
-            period and the joints' angles, first water first, shape (1 + V, T - 1, 3 + J).
+            period and the joints' angles, shape (1 + V, T - 1, 3 + J): of the first water, and how
+            far each of the others is from it, but for ``cells`` from that in larger cells.
         law: Coefficients of the twin that is nearest to them, where that was fitted.
     """
 
@@ -92,14 +99,13 @@ def swum_in_water(
     longest = max((swim.command for swim in swims), key=len)
     rows = [np.pad(s.command, ((0, len(longest) - len(s.command)), (0, 0)), "edge") for s in swims]
     sent = np.stack(rows, axis=1)
-    still: dict[str, float] = {}
     waters = []
-    for given in (still, *variants.values()):
-        side = cell_m * given.get("cell", 1.0)
+    for side, given in ((1.0, {}), *((COARSE, one) for one in variants.values())):
         swimmer = Swimmer(
-            robot, model, n_envs=len(swims), cell_m=side, device=device, box_m=box_m,
-            viscosity_m2_s=least_viscosity(cell_m) * given.get("viscosity", 1.0),
+            robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device, box_m=box_m,
+            viscosity_m2_s=VISCOSITY_M2_S * given.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
+            substeps=SUBSTEPS,
         )  # fmt: skip
         track = []
         for row in [None, *sent[:-1]]:
@@ -110,11 +116,13 @@ def swum_in_water(
         waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
     every = np.stack(waters, axis=1)
     every[..., :3] /= CONTROL_S
+    every[:, 2:] -= every[:, 1:2]
+    every[:, 1] -= every[:, 0]
     known = {key(s): every[k, :, : len(s.t) - 1] for k, s in enumerate(swims)}
     return InWater(tuple(variants), known)
 
 
-def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -> Swum:  # noqa: ANN401
+def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -> Swum:  # noqa: ANN401, D417
     """The twin (options ``given``), put right by the fluid where it has swum.
 
     Args:
@@ -139,7 +147,7 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -
             [one.body.get("water", {}).get(name, 0.0) for name in water.names] for one in models
         ])  # fmt: skip
         steps = steps_of(track) + (fluid[0] - begun[at])
-        steps += np.einsum("ev,vtk->etk", share, fluid[1:] - fluid[0])
+        steps += np.einsum("ev,vtk->etk", share, fluid[1:])
         return path_of(steps, swim.start, track[:, 0, 3:])
 
     return run
