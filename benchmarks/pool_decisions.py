@@ -1,7 +1,7 @@
 """Read what decides a diagnosis of swims off a development set: the twin's error, the thresholds.
 
-    python benchmarks/pool_decisions.py learn DEVELOPMENT [--processes 2]
-    python benchmarks/pool_decisions.py choose DEVELOPMENT VERDICTS
+    python benchmarks/pool_decisions.py learn SET [SET ...] [--water INPUTS HELD_OUT ...]
+    python benchmarks/pool_decisions.py choose SET VERDICTS [SET VERDICTS ...] [--in-water]
 
 ``learn`` takes the set's swims in which nothing is missing (of a sealed set nobody may): what a
 calibrated twin still gets wrong of them, by signal and band, and what effects it imitates, by
@@ -16,6 +16,7 @@ import argparse
 import json
 import multiprocessing
 import pickle
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -23,24 +24,37 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from sim.inference.blocks import Blocks
-from sim.inference.coordinates import Coordinates
-from sim.inference.followed import by_followed_twin
-from sim.inference.law_error import BANDS, FILE, RELATIVE, ROWS, SCHEMA, read_law_error
+from sim.inference.coordinates import Coordinates, Swum
+from sim.inference.in_water import robot_in_water
+from sim.inference.law_error import (
+    BANDS,
+    FILE,
+    IN_WATER,
+    RELATIVE,
+    ROWS,
+    SCHEMA,
+    LawError,
+    read_law_error,
+)
 from sim.inference.searched import learned
 from sim.inference.swim_decision import decide
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
-from sim2real.model import read_model
+from sim2real.model import Model, read_model
 from sim2real.output import write_json
 from sim2real.recording import read_recording
-from sim2real.robot import read_robot
+from sim2real.robot import Robot, read_robot
 
 Array = NDArray[np.float64]
 
 GUESS = Path(__file__).with_name("pool_guess.json")
 """Where learning begins, by hand: what few swims know nothing of stays near it."""
+GUESS_IN_WATER = Path(__file__).with_name("pool_guess_in_water.json")
+"""The same of a twin that the fluid puts right: a third of it."""
+Files = tuple[Path, ...]
 _STEPS = 20
 _LEAST, _MOST = 0.15, 3.5
 """Of a guess, between which an imitation stays: columns that all but cancel would run away."""
@@ -48,22 +62,27 @@ _WORTH, _WILD = 10.0, 0.1
 """Swims that the guess counts for; share of the largest that is left out."""
 
 
-def law(folder: Path, without: str = "") -> Belief:
-    """What a robot's references say of its law, one of them left out if asked."""
-    known = read_law_error(GUESS)
+def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum, LawError]:
+    """A robot, its model, its simulator, and where learning of its error begins."""
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    model, simulate = robot_in_water(robot, model, files, threads=1)
+    return robot, model, simulate, read_law_error(GUESS_IN_WATER if files else GUESS)
+
+
+def law(folder: Path, files: Files, without: str = "") -> Belief:
+    """What a robot's references say of its law, one of them left out if asked."""
+    robot, model, simulate, known = placed(folder, files)
     paths = [p for p in sorted(folder.glob("ref_*.csv")) if p.name != without]
     references = [swim_of(read_recording(p), robot) for p in paths]
-    belief = learned(references, model, robot, by_followed_twin(robot, threads=1), known)
-    return replace(belief, shares=known.shares)
+    return replace(learned(references, model, robot, simulate, known), shares=known.shares)
 
 
-def linear(folder: Path, path: Path, belief: Belief) -> dict[str, Any]:
+def linear(folder: Path, path: Path, belief: Belief, files: Files) -> dict[str, Any]:
     """A swim in which nothing is missing, near its fit."""
-    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    robot, model, simulate, _ = placed(folder, files)
     c = Coordinates.of(robot, model)
     swim = swim_of(read_recording(path), robot)
-    problem = TwinSwims(c, [swim], by_followed_twin(robot, threads=1), belief)
+    problem = TwinSwims(c, [swim], simulate, belief)
     fit = problem.plain().fit
     weight = problem.weights[0].ravel()
     blocks: Blocks = problem.blocks[0]
@@ -73,39 +92,47 @@ def linear(folder: Path, path: Path, belief: Belief) -> dict[str, Any]:
         "off": fit.x - problem.centre(frozenset()),
         "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
         "kinds": [one.kind for one in c.columns], "nominal": [one.nominal for one in c.columns],
-        "size": np.sqrt(np.mean(swim.signals**2, axis=0)),
+        "robot": str(folder),
     }  # fmt: skip
 
 
-def swims_near(
-    development: Path, processes: int
-) -> tuple[list[dict[str, Any]], list[dict[str, float]]]:
-    """All swims in which nothing is missing, each near its fit, and the robots' laws."""
-    answers = json.loads((development / "answers.json").read_text())
-    folders = sorted((development / "inputs").glob("robot_*"))
+def of_robot(folder: Path, files: Files, nulls: list[str]) -> Learned:
+    """A robot's swims in which nothing is missing, each near its fit, and its law."""
+    challenge = folder.parents[1]
+    whole = law(folder, files)
+    swims = [
+        linear(folder, folder / f"ref_{n}.csv", law(folder, files, f"ref_{m}.csv"), files)
+        for n, m in ((1, 1), (2, 2))
+    ]
+    for case in nulls:
+        for path in (folder / case / "a.csv", challenge / "heldout" / case / "b.csv"):
+            if path.exists():
+                swims.append(linear(folder, path, whole, files))
+    robot, model, *_ = placed(folder, files)
+    c = Coordinates.of(robot, model)
+    means = zip((c.columns[k] for k in c.base), whole.mean, strict=True)
+    return swims, {
+        one.kind: float(v) - (one.nominal if files else 0.0)
+        for one, v in means
+        if not one.kind.startswith("servo")
+    }
+
+
+Learned = tuple[list[dict[str, Any]], dict[str, float]]
+
+
+def swims_near(sets: Sequence[Path], waters: Sequence[Path], processes: int) -> list[Learned]:
+    """``of_robot`` of every robot of some sets."""
     spawn = multiprocessing.get_context("spawn")
+    jobs = []
     with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
-        whole = {f: pool.submit(law, f) for f in folders}
-        parts = {(f, n): pool.submit(law, f, f"ref_{n}.csv") for f in folders for n in (1, 2)}
-        jobs = [
-            pool.submit(linear, f, f / f"ref_{n}.csv", part.result())
-            for (f, n), part in parts.items()
-        ]
-        for case in answers["cases"]:
-            if case["kind"] == "null":
-                f = development / "inputs" / case["robot"]
-                belief = whole[f].result()
-                jobs.append(pool.submit(linear, f, f / case["case"] / "a.csv", belief))
-                held = development / "heldout" / case["case"] / "b.csv"
-                if held.exists():
-                    jobs.append(pool.submit(linear, f, held, belief))
-        swims = [job.result() for job in jobs]
-        laws = []
-        for f, found in whole.items():
-            c = Coordinates.of(read_robot(f / "robot.toml"), read_model(f / "model.json"))
-            means = zip((c.columns[k].kind for k in c.base), found.result().mean, strict=True)
-            laws.append({k: float(v) for k, v in means if k.startswith("twin")})
-    return swims, laws
+        for k, one in enumerate(sets):
+            answers = json.loads((one / "answers.json").read_text())["cases"]
+            for folder in sorted((one / "inputs").glob("robot_*")):
+                files = tuple(w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2])
+                own = [c for c in answers if c["robot"] == folder.name and c["kind"] == "null"]
+                jobs.append(pool.submit(of_robot, folder, files, [c["case"] for c in own]))
+        return [job.result() for job in tqdm(jobs, disable=None)]
 
 
 Numbers = dict[str, float]
@@ -153,15 +180,16 @@ def sizes(
     return np.sqrt(np.maximum(found, 1e-6)), fresh
 
 
-def learn(development: Path, processes: int) -> None:
+def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: Path) -> None:
     """The twin's error from swims in which nothing is missing."""
-    cache = development / "private" / "linear.pickle"
     if not cache.exists():
         cache.parent.mkdir(exist_ok=True)
-        cache.write_bytes(pickle.dumps(swims_near(development, processes)))
-    swims, laws = pickle.loads(cache.read_bytes())
-    content = json.loads(FILE.read_text())
-    guess = read_law_error(GUESS)
+        cache.write_bytes(pickle.dumps(swims_near(sets, waters, processes)))
+    robots: list[Learned] = pickle.loads(cache.read_bytes())
+    swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
+    target = IN_WATER if waters else FILE
+    guess = read_law_error(GUESS_IN_WATER if waters else GUESS)
+    content = json.loads((target if target.exists() else FILE).read_text())
     shares, guessed = guess.shares, dict(guess.imitated)
     imitated = dict(guessed)
     for _ in range(_STEPS):
@@ -180,12 +208,13 @@ def learn(development: Path, processes: int) -> None:
             row: dict(zip(BANDS, map(float, found), strict=True))
             for row, found in zip(ROWS, shares, strict=True)
         },
-        "imitated": imitated, "unknown": unknown, "usual": usual,
-        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing, of a "
-        "development set of datasets/pool/sealed.py (seed 20)",
+        "imitated": imitated, "unknown": unknown,
+        "usual": {} if waters else usual, "shift": usual if waters else {},
+        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing, of "
+        f"{len(sets)} sets of datasets/pool/sealed.py",
     }  # fmt: skip
-    write_json(FILE, content)
-    print(json.dumps({k: content[k] for k in ("shares", "imitated", "unknown", "usual")}, indent=1))
+    write_json(target, content)
+    print(json.dumps({k: content[k] for k in ("shares", "imitated", "unknown", "usual", "shift")}, indent=1))
 
 
 SPANS: dict[str, tuple[float, float]] = {
@@ -295,17 +324,17 @@ def usually(cases: list[tuple[dict[str, Any], dict[str, Any]]]) -> Numbers:
     }
 
 
-def choose(development: Path, places: list[Path]) -> None:
+def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None:
     """Thresholds whose answers to the development set are best, by a random search that narrows."""
-    answers = json.loads((development / "answers.json").read_text())["cases"]
     cases = []
-    for one in answers:
-        found = [place / one["case"] / "raw.json" for place in places]
-        found = [path for path in found if path.exists()]
-        if found:
-            cases.append((one, json.loads(found[0].read_text())))
+    for challenge, place in zip(sets, verdicts, strict=True):
+        for one in json.loads((challenge / "answers.json").read_text())["cases"]:
+            path = place / one["case"] / "raw.json"
+            if path.exists():
+                truth = one | {"robot": f"{challenge.name} {one['robot']}"}
+                cases.append((truth, json.loads(path.read_text())))
     rng = np.random.default_rng(0)
-    content = json.loads(FILE.read_text())
+    content = json.loads(target.read_text())
     best = dict(content["decisions"]) | usually(cases)
     top = worth(judged(cases, best))
     print(len(cases), "cases; before", judged(cases, best))
@@ -324,7 +353,7 @@ def choose(development: Path, places: list[Path]) -> None:
             top, best = got, trial
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     content["decided"] = f"{len(cases)} cases of the development set, {_LOOKS} looks at random"
-    write_json(FILE, content)
+    write_json(target, content)
     print("after", judged(cases, best), best)
 
 
@@ -333,16 +362,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser("learn")
-    one.add_argument("development", type=Path)
+    one.add_argument("sets", type=Path, nargs="+")
+    one.add_argument("--water", type=Path, nargs="*", default=[], help="two folders for each set")
     one.add_argument("--processes", type=int, default=2)
+    one.add_argument("--cache", type=Path, required=True, help="what the swims said is kept there")
     two = commands.add_parser("choose")
-    two.add_argument("development", type=Path)
-    two.add_argument("verdicts", type=Path, nargs="+", help="the first that has a case counts")
+    two.add_argument("sets", type=Path, nargs="+", help="sets and verdicts in turns")
+    two.add_argument("--in-water", action="store_true")
     options = parser.parse_args()
     if options.command == "learn":
-        learn(options.development, options.processes)
+        learn(options.sets, options.water, options.processes, options.cache)
     else:
-        choose(options.development, options.verdicts)
+        choose(options.sets[::2], options.sets[1::2], IN_WATER if options.in_water else FILE)
 
 
 if __name__ == "__main__":

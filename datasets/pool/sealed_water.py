@@ -1,6 +1,7 @@
 """Let the fluid swim what was sent to the robots of a sealed set: ``sim.inference.in_water``.
 
     python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--cell-m 0.016] [--heldout]
+    python datasets/pool/sealed_water.py SET WATER --law
 
 Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
 swims that the grader keeps, in a folder of their own, for the grader.
@@ -12,7 +13,13 @@ import argparse
 import time
 from pathlib import Path
 
-from sim.inference.in_water import CELL_M, swum_in_water, write_water
+from sim.inference.in_water import (
+    CELL_M,
+    read_water_swims,
+    swum_in_water,
+    with_nearest_law,
+    write_water,
+)
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
 from sim2real.recording import read_recording
@@ -27,6 +34,9 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cell-m", type=float, default=CELL_M)
     parser.add_argument("--heldout", action="store_true")
+    parser.add_argument(
+        "--law", action="store_true", help="the twin's law nearest to what is there"
+    )
     parser.add_argument("--most", type=int, help="swims of a robot, for a trial")
     parser.add_argument(
         "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
@@ -35,10 +45,14 @@ def main() -> None:
     first, step = (int(x) for x in options.share.split("/"))
     for folder in sorted((options.set / "inputs").glob("robot_*"))[first::step]:
         out = options.water / f"{folder.name}.npz"
-        if out.exists():
-            continue
         start = time.perf_counter()
         robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+        if out.exists():
+            known = read_water_swims(out)
+            if options.law and not known.law:
+                write_water(out, with_nearest_law(robot, model, known, threads=1))
+                print(f"{folder.name}: law, {time.perf_counter() - start:.0f} s", flush=True)
+            continue
         cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
         paths = [options.set / "heldout" / name / "b.csv" for name in cases]
         if not options.heldout:

@@ -18,13 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.coordinates import Swum
+from sim.inference.coordinates import WATER, Coordinates, Swum
 from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
+from sim.inference.searched import learned
 from sim.inference.swims import Swim
+from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
+from sim.twin.law import Coefficients
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import body_velocity
 
 Array = NDArray[np.float64]
 
@@ -38,11 +42,9 @@ SUBSTEPS = 20
 """Steps of the lattice in a control period: with half as many a servo lags by another 5 %."""
 COARSE = 1.25
 """Side of a cell of the other waters, over that of the first."""
-VARIANTS: Mapping[str, Mapping[str, float]] = {
-    "cells": {},
-    "viscosity": {"viscosity": 2.5},
-    "eddies": {"smagorinsky": 0.75},
-}
+VARIANTS: Mapping[str, Mapping[str, float]] = dict(
+    zip(WATER, ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}), strict=True)
+)
 """Other waters, in larger cells: their viscosity and sub-grid constant over those of the first."""
 
 
@@ -122,6 +124,34 @@ def swum_in_water(
     return InWater(tuple(variants), known)
 
 
+def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -> InWater:  # noqa: ANN401, D417
+    """The same with the law of the twin that is nearest to what the fluid swam.
+
+    Args:
+        robot: The robot.
+        model: Its servos, with which the fluid swam.
+        water: What it swam; the first two swims are looked at.
+    """
+    swims = []
+    for number, (sent, steps) in enumerate(list(water.steps.items())[:2]):
+        command = np.frombuffer(sent, np.float32).reshape(-1, len(robot.joints)).astype(np.float64)
+        ways = steps[:1].copy()
+        ways[..., :3] *= CONTROL_S
+        track = path_of(ways, np.zeros(3), np.zeros(len(robot.joints)))[0]
+        t: Array = CONTROL_S * np.arange(len(command), dtype=np.float64)
+        signals = np.concatenate([body_velocity(t, track[:, :3]), track[:, 3:]], axis=1)
+        swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, pose=track[:, :3]))
+    problem = TwinSwims(
+        Coordinates.of(robot, model), swims, by_followed_twin(robot, **given),
+        learned([], model, robot, by_followed_twin(robot)),
+    )  # fmt: skip
+    found = problem.coordinates.parameters(problem.plain().fit.x)
+    law = vars(Coefficients.of(model.body)) | {
+        name.removeprefix("twin."): v for name, v in found.items() if name.startswith("twin.")
+    }
+    return replace(water, law=law)
+
+
 def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -> Swum:  # noqa: ANN401, D417
     """The twin (options ``given``), put right by the fluid where it has swum.
 
@@ -153,17 +183,40 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -
     return run
 
 
+def robot_in_water(
+    robot: Robot,
+    model: Model,
+    files: Sequence[Path],
+    **given: Any,  # noqa: ANN401
+) -> tuple[Model, Swum]:
+    """A model and a simulator for swims that the fluid has swum; without files, the twin alone.
+
+    Args:
+        robot: The robot.
+        model: Its servos, with which the fluid swam.
+        files: Of ``write_water``; the law is that of the first.
+        given: Options of the twin.
+    """
+    if not files:
+        return model, by_followed_twin(robot, **given)
+    parts = [read_water_swims(path) for path in files]
+    steps = {sent: known for part in parts for sent, known in part.steps.items()}
+    water = replace(parts[0], steps=steps)
+    model = water.of(model)
+    return model, by_twin_in_water(robot, model, water, **given)
+
+
 def write_water(path: Path, water: InWater) -> None:
     """Keep what the fluid swam, in half precision."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    swims = list(water.steps.items())
-    arrays = {f"steps_{k}": steps.astype(np.float16) for k, (_, steps) in enumerate(swims)}
-    keys = {f"key_{k}": np.frombuffer(known, np.float32) for k, (known, _) in enumerate(swims)}
-    names, law = np.array(water.names), water.law
-    np.savez_compressed(
-        path, **arrays, **keys, names=names, law_names=np.array(list(law)),
-        law=np.array(list(law.values())),
-    )  # fmt: skip
+    arrays: dict[str, Any] = {
+        "names": np.array(water.names), "law_names": np.array(list(water.law)),
+        "law": np.array(list(water.law.values())),
+    }  # fmt: skip
+    for k, (sent, steps) in enumerate(water.steps.items()):
+        arrays[f"steps_{k}"] = steps.astype(np.float16)
+        arrays[f"key_{k}"] = np.frombuffer(sent, np.float32)
+    np.savez_compressed(path, **arrays)
 
 
 def read_water_swims(path: Path) -> InWater:
@@ -177,4 +230,7 @@ def read_water_swims(path: Path) -> InWater:
     return InWater(tuple(kept["names"].tolist()), steps, law)
 
 
-__all__ = ["InWater", "by_twin_in_water", "read_water_swims", "swum_in_water", "write_water"]
+__all__ = [
+    "InWater", "by_twin_in_water", "read_water_swims", "robot_in_water", "swum_in_water",
+    "with_nearest_law", "write_water",
+]  # fmt: skip
