@@ -6,19 +6,23 @@ the thresholds off many searches without repeating one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.result import Verdict
 
+Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
+_ENOUGH, _WIDEST = 0.7, 4
+"""Probability that makes a group of several worth telling, and how many it may have."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
 """Effects by which a law that is wrong somewhere else helps itself."""
 
@@ -32,12 +36,14 @@ class Named:
         group: What these swims cannot tell from it, itself first.
         probability: That one of the group is there.
         gain: Evidence that it adds to the others.
+        spoken: What its odds are made of, as ``terms_of`` takes it.
     """
 
     name: Name
     group: tuple[Name, ...]
     probability: float
     gain: float
+    spoken: tuple[float, float, float, float, float] = (0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -88,36 +94,81 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     unlisted = 1 - (1 - _soft(more, numbers["unlisted"], numbers["unlisted_softness"])) * (
         1 - _soft(off, numbers["misfit"], numbers["misfit_softness"])
     )
+    something = 1.0 - float(sum(p for s, p in zip(keys, share, strict=True) if not s))
+    clear = something * (1 - unlisted) >= numbers["something"]
     named = []
     for name in offered:
         group = _group(name, offered, worth, numbers)
-        there = float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
+        if clear and len(offered) == 1:
+            group = _widened(group, keys, share)
+        there = _there(group, keys, share)
         rest = offered - {name}
         gain = worth[offered] - worth.get(rest, min(worth.values())) + cost
-        certain = min(there * (1 - unlisted), numbers["most_certain"])
-        named.append(Named(name, group, certain, gain))
+        spoken = (there, gain, float(len(group)), more, off)
+        certain = _certain(spoken, unlisted, numbers)
+        named.append(Named(name, group, certain, gain, spoken))
     if max((one.probability for one in named), default=0.0) < LIKELY:
         offered = frozenset()
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
-    rivals = [
-        (name, float(sum(p for s, p in zip(keys, share, strict=True) if name in s)))
-        for name in alone
-    ]
+    rivals = [(name, _there((name,), keys, share)) for name in alone]
     rivals.sort(key=lambda one: -one[1])
+    flagged = unlisted >= LIKELY or something >= numbers["something"]
     return Decided(
-        _verdict(named, best, unlisted), tuple(named), offered, tuple(rivals), unlisted,
-        shape,
+        _verdict(named, unlisted, flagged), tuple(named), offered, tuple(rivals), unlisted, shape
+    )
+
+
+def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
+    """Probability of the sets that have one of a group."""
+    return float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
+
+
+def _widened(group: tuple[Name, ...], keys: Sequence[Names], share: Array) -> tuple[Name, ...]:
+    """A group with the next likeliest, until one of them is likely; itself if that takes many."""
+    others = {name for s in keys for name in s} - set(group)
+    wide = group
+    for name in sorted(others, key=lambda one: -_there((one,), keys, share)):
+        if _there(wide, keys, share) >= _ENOUGH or len(wide) >= _WIDEST:
+            break
+        wide = (*wide, name)
+    return wide if _there(wide, keys, share) >= _ENOUGH else group
+
+
+def _certain(
+    spoken: tuple[float, float, float, float, float], unlisted: float,
+    numbers: Mapping[str, float],
+) -> float:  # fmt: skip
+    """Probability of a name: a logistic curve of all that speaks for it, where that is known."""
+    if "odds 0" not in numbers:
+        return min(spoken[0] * (1 - unlisted), numbers["most_certain"])
+    terms = terms_of(spoken)
+    told = float(sum(numbers[f"odds {k}"] * term for k, term in enumerate(terms)))
+    return min(float(1 / (1 + np.exp(-np.clip(told, -40, 40)))), numbers["most_certain"])
+
+
+def terms_of(spoken: tuple[float, float, float, float, float]) -> tuple[float, ...]:
+    """What the odds of a name are a sum of.
+
+    Args:
+        spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
+            without a name would add, and how much more is left than usual.
+    """
+    there, gain, many, more, off = spoken
+    there = min(max(there, 1e-3), 1 - 1e-3)
+    return (
+        1.0, float(np.log(there / (1 - there))), float(np.log1p(max(gain, 0.0))),
+        float(np.log(many)), float(np.clip(more / 20, -2, 2)), float(np.clip(off, -2, 2)),
     )  # fmt: skip
 
 
-def _verdict(named: list[Named], best: Names, unlisted: float) -> Verdict:
+def _verdict(named: list[Named], unlisted: float, flagged: bool) -> Verdict:
     likely = [one for one in named if one.probability >= LIKELY]
-    if unlisted >= 0.5:
-        return "partly_explained" if likely else "unexplained"
+    if likely and unlisted >= LIKELY:
+        return "partly_explained"
     if not likely:
-        return "consistent"
+        return "unexplained" if flagged else "consistent"
     return "ambiguous" if any(len(one.group) > 1 for one in likely) else "explained"
 
 
