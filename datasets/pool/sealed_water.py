@@ -43,7 +43,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     first, step = (int(x) for x in options.share.split("/"))
-    for folder in sorted((options.set / "inputs").glob("robot_*"))[first::step]:
+    for folder in sorted((options.set / "inputs").glob(options.only))[first::step]:
         out = options.water / f"{folder.name}.npz"
         start = time.perf_counter()
         robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
