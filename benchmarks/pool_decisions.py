@@ -105,7 +105,8 @@ def of_robot(folder: Path, files: Files, nulls: list[str]) -> Learned:
         for n, m in ((1, 1), (2, 2))
     ]
     for case in nulls:
-        for path in (folder / case / "a.csv", challenge / "heldout" / case / "b.csv"):
+        held = challenge / "heldout" / case / "b.csv"
+        for path in (folder / case / "a.csv", *([held] if len(files) != 1 else [])):
             if path.exists():
                 swims.append(linear(folder, path, whole, files))
     robot, model, *_ = placed(folder, files)
@@ -129,9 +130,12 @@ def swims_near(sets: Sequence[Path], waters: Sequence[Path], processes: int) -> 
         for k, one in enumerate(sets):
             answers = json.loads((one / "answers.json").read_text())["cases"]
             for folder in sorted((one / "inputs").glob("robot_*")):
-                files = tuple(w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2])
-                own = [c for c in answers if c["robot"] == folder.name and c["kind"] == "null"]
-                jobs.append(pool.submit(of_robot, folder, files, [c["case"] for c in own]))
+                own = [w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2]]
+                files = tuple(path for path in own if path.exists())
+                nulls = [
+                    c["case"] for c in answers if c["robot"] == folder.name and c["kind"] == "null"
+                ]
+                jobs.append(pool.submit(of_robot, folder, files, nulls))
         return [job.result() for job in tqdm(jobs, disable=None)]
 
 

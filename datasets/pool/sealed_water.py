@@ -41,6 +41,7 @@ def main() -> None:
     parser.add_argument(
         "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
     )
+    parser.add_argument("--only", default="robot_*", help="robots by name")
     options = parser.parse_args()
     first, step = (int(x) for x in options.share.split("/"))
     for folder in sorted((options.set / "inputs").glob(options.only))[first::step]:
