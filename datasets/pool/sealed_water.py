@@ -1,20 +1,22 @@
 """Let the fluid swim what was sent to the robots of a sealed set: ``sim.inference.in_water``.
 
-    python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--cell-m 0.016] [--heldout]
+    python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--heldout HELD_OUT]
     python datasets/pool/sealed_water.py SET WATER --law
 
 Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
-swims that the grader keeps, in a folder of their own, for the grader.
+swims that the grader keeps too, in a folder of their own, for the grader.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from sim.inference.in_water import (
     CELL_M,
+    key,
     read_water_swims,
     swum_in_water,
     with_nearest_law,
@@ -33,7 +35,7 @@ def main() -> None:
     parser.add_argument("water", type=Path)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cell-m", type=float, default=CELL_M)
-    parser.add_argument("--heldout", action="store_true")
+    parser.add_argument("--heldout", type=Path)
     parser.add_argument(
         "--law", action="store_true", help="the twin's law nearest to what is there"
     )
@@ -55,15 +57,16 @@ def main() -> None:
                 print(f"{folder.name}: law, {time.perf_counter() - start:.0f} s", flush=True)
             continue
         cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
-        paths = [options.set / "heldout" / name / "b.csv" for name in cases]
-        if not options.heldout:
-            paths = [
-                *sorted(folder.glob("ref_*.csv")),
-                *(folder / name / "a.csv" for name in cases),
-            ]
+        paths = sorted(folder.glob("ref_*.csv")) + [folder / name / "a.csv" for name in cases]
+        known = len(paths)
+        if options.heldout:
+            paths += [options.set / "heldout" / name / "b.csv" for name in cases]
         swims = [swim_of(read_recording(path), robot) for path in paths[: options.most]]
         water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
-        write_water(out, water)
+        for target, part in ((options.heldout, swims[known:]), (options.water, swims[:known])):
+            if part:
+                own = {key(swim): water.steps[key(swim)] for swim in part}
+                write_water(target / out.name, replace(water, steps=own))
         print(f"{folder.name}: {len(swims)} swims, {time.perf_counter() - start:.0f} s", flush=True)
 
 
