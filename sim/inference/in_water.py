@@ -165,10 +165,12 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         known = water.steps.get(key(swim))
+        track = twin(models, swim)
+        if known is None and swim.pose is None:
+            return track  # a swim that is only planned
         if known is None:
             raise KeyError(f"{swim.name}: the fluid has not swum these commands")
         at = key(swim) + swim.start.tobytes()
-        track = twin(models, swim)
         if at not in begun:
             begun[at] = steps_of(twin([model], swim))[0]
         fluid = known.copy()
