@@ -40,7 +40,7 @@ from sim.inference.law_error import (
     read_law_error,
 )
 from sim.inference.searched import learned
-from sim.inference.swim_decision import Decided, decide, terms_of
+from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import Model, read_model
@@ -226,15 +226,15 @@ def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: P
 
 
 SPANS: dict[str, tuple[float, float]] = {
-    "cost": (2.0, 14.0), "temperature": (1.0, 8.0), "something": (0.5, 0.999), "alike": (0.5, 6.0),
-    "alike_imitated": (1.0, 12.0), "unlisted": (-5.0, 40.0), "unlisted_softness": (1.0, 4.0),
-    "misfit": (-0.3, 2.0), "misfit_softness": (0.05, 0.15), "held_better": (0.03, 0.3),
-    "held_sure": (15.0, 200.0), "held_gain": (-3.0, 5.0),
-    "held_worse": (0.0, 0.02), "most_certain": (0.95, 0.99),
+    "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.999),
+    "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "held_better": (0.03, 0.3),
+    "held_sure": (5.0, 200.0), "held_gain": (-3.0, 5.0), "held_worse": (0.0, 0.05),
+    "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
 _LOOKS, _NARROW = 500, 0.2
 _FOLDS = 5
+_SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _RIDGE = 1.0
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
@@ -351,45 +351,82 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
         apart += [(t, decide(f, numbers)) for t, f in cases if t["robot"] in out]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
     best = tuned(cases, content["decisions"])
+    best["relative"] = spread_of(sets, verdicts)
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots, {_LOOKS} looks at random"
     write_json(target, content)
     print("all:", judged([(t, decide(f, best)) for t, f in cases]))
 
 
+def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
+    """What estimates are off by beyond their own sd, of their size: then 90 % hold the truth.
+
+    Of verdicts whose intervals had no such spread, and of effects that were named exactly.
+    """
+    rows = []
+    for challenge, place in zip(sets, verdicts, strict=True):
+        for one in json.loads((challenge / "answers.json").read_text())["cases"]:
+            path = place / one["case"] / "diagnosis.json"
+            hidden = {(e["effect"], e["component"]): e["parameters"] for e in one["effects"]}
+            for said in json.loads(path.read_text())["effects"] if path.exists() else ():
+                for name, true in hidden.get((said["effect"], said["component"]), {}).items():
+                    told = said["parameters"].get(name)
+                    if told:
+                        rows.append((true - told["mean"], told["sd"], told["mean"]))
+    off, sd, size = np.array(rows).T
+    for relative in _SPREADS:
+        if np.mean(np.abs(off) <= 1.645 * np.hypot(sd, relative * size)) >= _COVERED:
+            break
+    return float(relative)
+
+
 def tuned(cases: Cases, begun: Numbers) -> Numbers:
-    """Numbers that decide best: thresholds by a random search that narrows, then the odds."""
+    """Numbers that decide best: curves of odds, and thresholds by a random search that narrows."""
     rng = np.random.default_rng(0)
-    best = {k: v for k, v in begun.items() if not k.startswith("odds")} | usually(cases)
-    for _ in range(2):
-        kept = {k: v for k, v in best.items() if k.startswith("odds")}
+    own = ("odds", "strange")
+    best = {k: v for k, v in begun.items() if not k.startswith(own)} | usually(cases)
+    best = curves(cases, best)
+    for turn in range(2):
         top = worth(judged([(t, decide(f, best)) for t, f in cases]))
         for look in range(_LOOKS):
-            near = _NARROW if look > _LOOKS // 6 or kept else 1.0
+            wide = look < _LOOKS // 6 and turn == 0
             trial = dict(best)
             for name, (low, high) in SPANS.items():
                 drawn = rng.uniform(low, high)
-                if near < 1 and rng.random() < 0.6:
+                if not wide and rng.random() < 0.6:
                     drawn = best[name]
-                elif near < 1:
-                    drawn = best[name] + near * (drawn - (low + high) / 2)
+                elif not wide:
+                    drawn = best[name] + _NARROW * (drawn - (low + high) / 2)
                 trial[name] = float(np.clip(drawn, low, high))
             got = worth(judged([(t, decide(f, trial)) for t, f in cases]))
             if got > top:
                 top, best = got, trial
-        plain = {k: v for k, v in best.items() if not k.startswith("odds")}
-        best = plain | odds_of(cases, plain)
+        best = curves(cases, best)
     return best
 
 
-def odds_of(cases: Cases, numbers: Numbers) -> Numbers:
-    """Weights of the logistic curve of names, by ridge regression on which of them were right."""
-    terms, right = [], []
-    for truth, found in cases:
-        for one in decide(found, numbers).named:
-            terms.append(terms_of(one.spoken))
-            right.append(float(_right(one.group, _hidden(truth))))
-    X, y = np.array(terms), np.array(right)
+def curves(cases: Cases, numbers: Numbers) -> Numbers:
+    """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
+    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(7)}
+    said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
+    strange = logistic(
+        [strange_terms(one.strange) for _, one in said],
+        [truth["kind"] == "outside" for truth, _ in said],
+    )
+    out = {k: v for k, v in numbers.items() if not k.startswith(("odds", "strange"))}
+    out |= {f"strange {k}": v for k, v in enumerate(strange)}
+    said = [(truth, decide(found, flat | out)) for truth, found in cases]
+    names = [(truth, one) for truth, each in said for one in each.named]
+    odds = logistic(
+        [terms_of(one.spoken) for _, one in names],
+        [_right(one.group, _hidden(truth)) for truth, one in names],
+    )
+    return out | {f"odds {k}": v for k, v in enumerate(odds)}
+
+
+def logistic(terms: Sequence[Sequence[float]], right: Sequence[bool]) -> list[float]:
+    """Weights by ridge regression."""
+    X, y = np.array(terms), np.array(right, dtype=np.float64)
     size = np.maximum(X.std(axis=0), 1e-3)
     size[0] = 1.0
     X = X / size
@@ -401,7 +438,7 @@ def odds_of(cases: Cases, numbers: Numbers) -> Numbers:
         slope = X.T @ (p - y) + penalty @ w
         curve = (X * (p * (1 - p))[:, None]).T @ X + penalty
         w = w - np.linalg.solve(curve, slope)
-    return {f"odds {k}": float(v) for k, v in enumerate(w / size)}
+    return [float(v) for v in w / size]
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from sim.inference.swims import Swim
 from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
+from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
@@ -222,14 +223,22 @@ def write_water(path: Path, water: InWater) -> None:
 
 
 def read_water_swims(path: Path) -> InWater:
-    """What ``write_water`` kept."""
-    kept = np.load(path)
+    """What ``write_water`` kept.
+
+    Raises:
+        InputError: If it is no such file.
+    """
+    try:
+        kept = np.load(path)
+        names = tuple(kept["names"].tolist())
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
     count = sum(name.startswith("key_") for name in kept.files)
     steps = {
         kept[f"key_{k}"].tobytes(): kept[f"steps_{k}"].astype(np.float64) for k in range(count)
     }
     law = dict(zip(kept["law_names"].tolist(), kept["law"].tolist(), strict=True))
-    return InWater(tuple(kept["names"].tolist()), steps, law)
+    return InWater(names, steps, law)
 
 
 __all__ = [

@@ -18,9 +18,12 @@ from sim2real.diagnose.result import Verdict
 Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
+Spoken = tuple[float, float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
+_UNPROVEN = 0.49
+"""The most that is said of what does not make the rest of the swim likelier."""
 _ENOUGH, _WIDEST = 0.7, 4
 """Probability that makes a group of several worth telling, and how many it may have."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
@@ -43,7 +46,7 @@ class Named:
     group: tuple[Name, ...]
     probability: float
     gain: float
-    spoken: tuple[float, float, float, float, float] = (0.0, 0.0, 1.0, 0.0, 0.0)
+    spoken: Spoken = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Decided:
         rivals: Other effects and their probabilities, likeliest first.
         unlisted: Probability that something is there that the catalogue lacks.
         shape: The shape without a name that does best.
+        strange: What the odds of ``unlisted`` are made of, as ``strange_terms`` takes it.
     """
 
     verdict: Verdict
@@ -65,6 +69,7 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
+    strange: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
@@ -91,24 +96,22 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     shape, more = max(beyond.items(), key=lambda one: one[1])
     usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
-    unlisted = 1 - (1 - _soft(more, numbers["unlisted"], numbers["unlisted_softness"])) * (
-        1 - _soft(off, numbers["misfit"], numbers["misfit_softness"])
-    )
     something = 1.0 - float(sum(p for s, p in zip(keys, share, strict=True) if not s))
-    clear = something * (1 - unlisted) >= numbers["something"]
+    helps = _helps(best, frozenset(), held)
+    strange = (more, off, worth[best] - worth[frozenset()], helps)
+    unlisted = _odds(strange_terms(strange), "strange", numbers)
     named = []
-    for name in offered:
-        group = _group(name, offered, worth, numbers)
-        if clear and len(offered) == 1:
+    for name in best:
+        group = _group(name, best, worth, numbers)
+        if something >= numbers["something"] and len(best) == 1:
             group = _widened(group, keys, share)
-        there = _there(group, keys, share)
-        rest = offered - {name}
-        gain = worth[offered] - worth.get(rest, min(worth.values())) + cost
-        spoken = (there, gain, float(len(group)), more, off)
-        certain = _certain(spoken, unlisted, numbers)
-        named.append(Named(name, group, certain, gain, spoken))
-    if max((one.probability for one in named), default=0.0) < LIKELY:
-        offered = frozenset()
+        rest = best - {name}
+        gain = worth[best] - worth.get(rest, min(worth.values())) + cost
+        spoken = (_there(group, keys, share), gain, float(len(group)), more, off)
+        certain = _odds(terms_of((*spoken, _helps(best, rest, held))), "odds", numbers)
+        certain = min(certain, numbers["most_certain"] if name in offered else _UNPROVEN)
+        named.append(Named(name, group, certain, gain, (*spoken, _helps(best, rest, held))))
+    offered = frozenset(one.name for one in named if one.probability >= LIKELY)
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
@@ -116,8 +119,19 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     rivals.sort(key=lambda one: -one[1])
     flagged = unlisted >= LIKELY or something >= numbers["something"]
     return Decided(
-        _verdict(named, unlisted, flagged), tuple(named), offered, tuple(rivals), unlisted, shape
-    )
+        _verdict(named, unlisted, flagged), tuple(named), _tried(offered, held), tuple(rivals),
+        unlisted, shape, strange,
+    )  # fmt: skip
+
+
+def _tried(offered: Names, held: Mapping[Names, tuple[float, float]]) -> Names:
+    """What is offered, if it was fitted alone; else nothing."""
+    return offered if offered in held else frozenset()
+
+
+def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
+    """How much likelier a set makes what was held out than another."""
+    return held[rest][0] - held[now][0] if now in held and rest in held else 0.0
 
 
 def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
@@ -136,31 +150,45 @@ def _widened(group: tuple[Name, ...], keys: Sequence[Names], share: Array) -> tu
     return wide if _there(wide, keys, share) >= _ENOUGH else group
 
 
-def _certain(
-    spoken: tuple[float, float, float, float, float], unlisted: float,
-    numbers: Mapping[str, float],
-) -> float:  # fmt: skip
-    """Probability of a name: a logistic curve of all that speaks for it, where that is known."""
-    if "odds 0" not in numbers:
-        return min(spoken[0] * (1 - unlisted), numbers["most_certain"])
-    terms = terms_of(spoken)
-    told = float(sum(numbers[f"odds {k}"] * term for k, term in enumerate(terms)))
-    return min(float(1 / (1 + np.exp(-np.clip(told, -40, 40)))), numbers["most_certain"])
+def _odds(terms: Sequence[float], which: str, numbers: Mapping[str, float]) -> float:
+    """A probability: the logistic curve of a sum of terms."""
+    told = float(sum(numbers[f"{which} {k}"] * term for k, term in enumerate(terms)))
+    return float(1 / (1 + np.exp(-np.clip(told, -40, 40))))
 
 
-def terms_of(spoken: tuple[float, float, float, float, float]) -> tuple[float, ...]:
+def terms_of(spoken: Spoken) -> tuple[float, ...]:
     """What the odds of a name are a sum of.
 
     Args:
         spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
-            without a name would add, and how much more is left than usual.
+            without a name would add, how much more is left than usual, and how much likelier it
+            makes what was held out.
     """
-    there, gain, many, more, off = spoken
+    there, gain, many, more, off, helps = spoken
     there = min(max(there, 1e-3), 1 - 1e-3)
     return (
-        1.0, float(np.log(there / (1 - there))), float(np.log1p(max(gain, 0.0))),
-        float(np.log(many)), float(np.clip(more / 20, -2, 2)), float(np.clip(off, -2, 2)),
+        1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
+        float(np.clip(off, -2, 4)), _log(helps),
     )  # fmt: skip
+
+
+def strange_terms(strange: tuple[float, float, float, float]) -> tuple[float, ...]:
+    """What the odds of something that the catalogue lacks are a sum of.
+
+    Args:
+        strange: How much a shape without a name would add, how much more is left than usual, the
+            evidence of the best set, and how much likelier that makes what was held out.
+    """
+    more, off, best, helps = strange
+    return (
+        1.0, _log(more), float(np.clip(off, -2, 4)), _log(best), _log(helps),
+        max(_log(more) - _log(best), 0.0),
+    )  # fmt: skip
+
+
+def _log(value: float) -> float:
+    """Evidence, of which more and more counts less and less; either sign."""
+    return float(np.sign(value) * np.log1p(abs(value)))
 
 
 def _verdict(named: list[Named], unlisted: float, flagged: bool) -> Verdict:
@@ -221,7 +249,3 @@ def _group(
 
 def _names(one: Mapping[str, Any]) -> Names:
     return frozenset((str(a), str(b)) for a, b in one["names"])
-
-
-def _soft(value: float, limit: float, softness: float) -> float:
-    return float(1 / (1 + np.exp(-np.clip((value - limit) / softness, -40, 40))))

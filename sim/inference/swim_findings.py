@@ -208,7 +208,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     named = []
     for one in said.named:
         effect = next(e for e in c.effects if (e.name, e.component) == one.name)
-        parameters = _estimates(found, fitted, effect)
+        parameters = _estimates(found, fitted, effect, known.decisions["relative"])
         told = ", ".join(f"{name} {x.mean:.3g}" for name, x in parameters.items())
         known_as = body_effect(effect.name)
         where = f" ({effect.component})" if known_as.by_material else ""
@@ -234,8 +234,10 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             )
         )  # fmt: skip
     rivals = [Rival(name, of, p) for (name, of), p in said.rivals[:5]]
+    beside = "" if "water" not in c.model.body else ", put right by the fluid where it swam,"
     gate = [
-        "By the reduced-order twin, whose own error (reports/twin) counts as a part of the noise."
+        f"By the reduced-order twin{beside} whose own error counts as a part of the noise "
+        "(reports/pool_diagnosis)."
     ]
     if not referred:
         gate.append(
@@ -296,12 +298,18 @@ def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
     return train, held
 
 
-def _estimates(found: Searched, chosen: Hypothesis[Fit], effect: Effect) -> dict[str, Estimate]:
-    """What the fit says of an effect, by draws: its parameters bend with its coordinates."""
+def _estimates(
+    found: Searched, chosen: Hypothesis[Fit], effect: Effect, relative: float
+) -> dict[str, Estimate]:
+    """What the fit says of an effect, by draws: its parameters bend with its coordinates.
+
+    ``relative``: what the twin is wrong of an effect's size, of that size (one sd).
+    """
     problem, c = found.problem, found.problem.coordinates
     own = c.of_effect(effect)
     spread = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(own, own)]
     spread = spread + np.diag(np.square(problem.belief.imitation[own]))
+    spread = spread + np.diag(np.square(relative * chosen.fit.x[own]))
     rng = np.random.default_rng(0)
     drawn = np.tile(chosen.fit.x, (_DRAWN, 1))
     drawn[:, own] = rng.multivariate_normal(chosen.fit.x[own], spread, _DRAWN)

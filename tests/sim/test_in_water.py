@@ -22,6 +22,7 @@ from sim.inference.in_water import (
 )
 from sim.inference.swims import by_twin, with_values
 from sim.robot.swimmer import CONTROL_S
+from sim2real.cli import main
 
 OTHER = {"twin.across": 2.5, "twin.along": 0.7, "twin.thrust": 0.9}
 
@@ -91,6 +92,19 @@ def test_what_was_swum_is_kept(water, tmp_path):
     (sent,) = kept.steps
     assert sent == key(swum({}))
     np.testing.assert_allclose(kept.steps[sent], water.steps[sent], atol=2e-3)
+
+
+def test_files_that_are_none_or_of_other_swims_are_told(water, tmp_path, capsys):
+    pool, out = "datasets/pool/", tmp_path / "d.json"
+    command = ["diagnose", f"{pool}p1.csv", "--robot", f"{pool}robot.toml", "--out", str(out)]
+    command += ["--model", f"{pool}model.json", "--in-water"]
+    (tmp_path / "text.npz").write_text("t,x\n")
+    assert main([*command, str(tmp_path / "text.npz")]) == 2
+    assert "no swims in water" in capsys.readouterr().err
+    write_water(tmp_path / "other.npz", water)
+    assert main([*command, str(tmp_path / "other.npz")]) == 2
+    assert "not those of" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_fluid_swims_all_waters_and_other_cells_differ():
