@@ -232,7 +232,7 @@ SPANS: dict[str, tuple[float, float]] = {
     "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
-_LOOKS, _NARROW = 500, 0.2
+_LOOKS, _NARROW, _AT_ONCE = 250, 0.2, 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _RIDGE = 1.0
@@ -344,13 +344,18 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
                 cases.append((truth, json.loads(path.read_text())))
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
-    apart = []
-    for k in range(_FOLDS):
-        out = set(robots[k::_FOLDS])
-        numbers = tuned([c for c in cases if c[0]["robot"] not in out], content["decisions"])
-        apart += [(t, decide(f, numbers)) for t, f in cases if t["robot"] in out]
+    out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
+    parts = [[c for c in cases if c[0]["robot"] not in some] for some in out]
+    begun = [content["decisions"]] * (_FOLDS + 1)
+    with ProcessPoolExecutor(_AT_ONCE) as pool:
+        *found, best = pool.map(tuned, [*parts, cases], begun)
+    apart = [
+        (t, decide(f, numbers))
+        for numbers, some in zip(found, out, strict=True)
+        for t, f in cases
+        if t["robot"] in some
+    ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
-    best = tuned(cases, content["decisions"])
     best["relative"] = spread_of(sets, verdicts)
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots, {_LOOKS} looks at random"
