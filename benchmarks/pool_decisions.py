@@ -226,7 +226,8 @@ def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: P
 
 
 SPANS: dict[str, tuple[float, float]] = {
-    "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.999),
+    "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.9999),
+    "something alone": (0.5, 0.9999),
     "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "held_better": (0.03, 0.3),
     "held_sure": (5.0, 200.0), "held_gain": (-3.0, 5.0), "held_worse": (0.0, 0.05),
     "most_certain": (0.95, 0.99),
@@ -341,7 +342,8 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
             path = place / one["case"] / "raw.json"
             if path.exists():
                 truth = one | {"robot": f"{challenge.name} {one['robot']}"}
-                cases.append((truth, json.loads(path.read_text())))
+                found = json.loads(path.read_text()) | {"referred": one["references"]}
+                cases.append((truth, found))
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
     out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
@@ -412,7 +414,7 @@ def tuned(cases: Cases, begun: Numbers) -> Numbers:
 
 def curves(cases: Cases, numbers: Numbers) -> Numbers:
     """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
-    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(7)}
+    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(11)}
     said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
     strange = logistic(
         [strange_terms(one.strange) for _, one in said],

@@ -72,7 +72,7 @@ def answer(folder: Path, verdicts: Path, water: Path | None) -> str:
     write_model(said.model, target / "enriched.json")
     assert said.baseline is not None
     write_model(said.baseline, target / "baseline.json")
-    (target / "raw.json").write_text(json.dumps(raw(found)) + "\n")
+    (target / "raw.json").write_text(json.dumps(raw(found, referred=referred)) + "\n")
     cost = {"wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - before}
     (target / "cost.json").write_text(json.dumps(cost) + "\n")
     return f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s"

@@ -204,7 +204,7 @@ def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
     return sums / np.maximum(counts, 1.0)
 
 
-def raw(found: Searched) -> dict[str, Any]:
+def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
     """What decisions are made from, as JSON takes it: thresholds can be read off many of these."""
     return {
         "sets": [
@@ -218,6 +218,7 @@ def raw(found: Searched) -> dict[str, Any]:
             for m, (loss, speed) in found.held.items()
         ],
         "misfit": found.misfit.tolist(),
+        "referred": referred,
         "repeated": max(swim.repeated for swim in found.problem.swims),
         "rollouts": found.problem.rollouts,
     }  # fmt: skip

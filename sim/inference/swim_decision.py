@@ -18,7 +18,8 @@ from sim2real.diagnose.result import Verdict
 Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
-Spoken = tuple[float, float, float, float, float, float]
+Spoken = tuple[float, ...]
+Strange = tuple[float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
@@ -46,7 +47,7 @@ class Named:
     group: tuple[Name, ...]
     probability: float
     gain: float
-    spoken: Spoken = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    spoken: Spoken = ()
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,14 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
-    strange: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     """Say what a search is worth.
 
     Args:
-        raw: As ``diagnose_swims.raw`` has it.
+        raw: As ``searched.raw`` has it; ``referred``: whether references were known.
         numbers: ``decisions`` of ``law_error.json``.
     """
     cost, heat = numbers["cost"], numbers["temperature"]
@@ -98,26 +99,32 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
     something = 1.0 - float(sum(p for s, p in zip(keys, share, strict=True) if not s))
     helps = _helps(best, frozenset(), held)
-    strange = (more, off, worth[best] - worth[frozenset()], helps)
+    alone = 0.0 if raw.get("referred", True) else 1.0
+    strange = (more, off, worth[best] - worth[frozenset()], helps, alone)
+    enough = numbers["something alone" if alone else "something"]
     unlisted = _odds(strange_terms(strange), "strange", numbers)
     named = []
     for name in best:
         group = _group(name, best, worth, numbers)
-        if something >= numbers["something"] and len(best) == 1:
+        if something >= enough and len(best) == 1:
             group = _widened(group, keys, share)
         rest = best - {name}
         gain = worth[best] - worth.get(rest, min(worth.values())) + cost
-        spoken = (_there(group, keys, share), gain, float(len(group)), more, off)
-        certain = _odds(terms_of((*spoken, _helps(best, rest, held))), "odds", numbers)
+        spoken = (
+            _there(group, keys, share), gain, float(len(group)), more, off,
+            _helps(best, rest, held), float(name[0] in IMITATORS), alone, strange[2],
+            float(name[1] == "camera"),
+        )  # fmt: skip
+        certain = _odds(terms_of(spoken), "odds", numbers)
         certain = min(certain, numbers["most_certain"] if name in offered else _UNPROVEN)
-        named.append(Named(name, group, certain, gain, (*spoken, _helps(best, rest, held))))
+        named.append(Named(name, group, certain, gain, spoken))
     offered = frozenset(one.name for one in named if one.probability >= LIKELY)
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
-    alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
-    rivals = [(name, _there((name,), keys, share)) for name in alone]
+    others = {name for s in keys for name in s} - {n for one in named for n in one.group}
+    rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: -one[1])
-    flagged = unlisted >= LIKELY or something >= numbers["something"]
+    flagged = unlisted >= LIKELY or something >= enough
     return Decided(
         _verdict(named, unlisted, flagged), tuple(named), _tried(offered, held), tuple(rivals),
         unlisted, shape, strange,
@@ -161,28 +168,31 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
 
     Args:
         spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
-            without a name would add, how much more is left than usual, and how much likelier it
-            makes what was held out.
+            without a name would add, how much more is left than usual, how much likelier it makes
+            what was held out, whether it is an imitator, whether no references were known, the
+            evidence of the whole set, and whether it is of the camera.
     """
-    there, gain, many, more, off, helps = spoken
+    there, gain, many, more, off, helps, imitates, alone, best, camera = spoken
     there = min(max(there, 1e-3), 1 - 1e-3)
     return (
         1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
-        float(np.clip(off, -2, 4)), _log(helps),
+        float(np.clip(off, -2, 4)), _log(helps), imitates, alone,
+        _log(gain) - _log(best), camera,
     )  # fmt: skip
 
 
-def strange_terms(strange: tuple[float, float, float, float]) -> tuple[float, ...]:
+def strange_terms(strange: Strange) -> tuple[float, ...]:
     """What the odds of something that the catalogue lacks are a sum of.
 
     Args:
         strange: How much a shape without a name would add, how much more is left than usual, the
-            evidence of the best set, and how much likelier that makes what was held out.
+            evidence of the best set, how much likelier that makes what was held out, and whether
+            no references were known.
     """
-    more, off, best, helps = strange
+    more, off, best, helps, alone = strange
     return (
         1.0, _log(more), float(np.clip(off, -2, 4)), _log(best), _log(helps),
-        max(_log(more) - _log(best), 0.0),
+        max(_log(more) - _log(best), 0.0), alone,
     )  # fmt: skip
 
 

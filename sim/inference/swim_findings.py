@@ -194,7 +194,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         known: The twin's error and the thresholds.
         referred: Whether swims in which nothing is missing were known.
     """
-    said = decide(raw(found), known.decisions)
+    said = decide(raw(found, referred=referred), known.decisions)
     problem, c = found.problem, found.problem.coordinates
     chosen = next(h for h in found.found if frozenset(names_of(h.members)) == said.offered)
     fitted = next(
