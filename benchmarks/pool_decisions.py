@@ -233,7 +233,7 @@ SPANS: dict[str, tuple[float, float]] = {
     "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
-_LOOKS, _NARROW, _AT_ONCE = 250, 0.2, 3
+_LOOKS, _NARROW, _AT_ONCE = 120, 0.2, 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _RIDGE = 1.0
