@@ -29,6 +29,8 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 MOST = 2
+COST = 3.422
+"""Evidence that an effect costs in the search; what it is worth saying is decided later."""
 HELD_OUT = 0.3
 """Share of each swim that decides whether what is named predicts better."""
 _ITS_OWN = (0.5, 6.0)
@@ -133,10 +135,10 @@ def searched(
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(plain)
     breadth = Breadth(most=MOST, added=5, rivals=3, within=np.inf)
-    problem.cost = known.decisions["cost"]
+    problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     problem.cost = 0.0
-    cost = known.decisions["cost"]
+    cost = COST
     tried = {
         members: replace(one, evidence=one.evidence + cost * len(members))
         for members, one in ledger.tried.items()

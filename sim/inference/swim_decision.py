@@ -84,7 +84,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     worth = {_names(one): one["evidence"] - cost * len(one["names"]) for one in raw["sets"]}
     settled = {_names(one) for one in raw["sets"] if one["settled"]}
     held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
-    best = max(settled, key=lambda s: worth[s])
+    best = max((s for s in held if s in settled), key=lambda s: worth[s])
     offered = _predicting(best, held, worth, numbers)
     keys = list(worth)
     level = np.array([worth[s] for s in keys]) / heat

@@ -111,8 +111,9 @@ def test_blocks_keep_what_errors_are_worth():
     assert (loose < blocks.weights(LAW_ERROR.shares)).all()
 
 
-def raw(*sets, held=(), shapes=-20.0, left=1.0):
+def raw(*sets, held=None, shapes=-20.0, left=1.0):
     names = [[list(n) for n in one] for one, _ in sets]
+    held = held or [(one, 0.0, 0.03) for one, _ in sets]
     return {
         "sets": [
             {"names": n, "evidence": e, "settled": True}
