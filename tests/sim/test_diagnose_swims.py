@@ -113,7 +113,7 @@ def test_blocks_keep_what_errors_are_worth():
 
 def raw(*sets, held=None, shapes=-20.0, left=1.0):
     names = [[list(n) for n in one] for one, _ in sets]
-    held = held or [(one, 0.0, 0.03) for one, _ in sets]
+    held = held or [(one, 900.0 - e, 0.03 - 1e-4 * e) for one, e in sets]
     return {
         "sets": [
             {"names": n, "evidence": e, "settled": True}
