@@ -38,7 +38,7 @@ _Z90 = 1.645
 _DRAWN = 400
 _REPEATED = 0.005
 _ROLLS = 3.0
-"""Sway at the beat, in squares of what the twin usually leaves of it, that no plane explains."""
+"""Surge or sway at the beat, in squares of what the twin usually leaves, that no plane explains."""
 SHAPES = {
     "wave": "a flow to and fro in the pool's frame, as of waves",
     "gust": "a head that is shaken for a while, as by another swimmer's wake",
@@ -249,11 +249,12 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         gate.append(
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
-    sway, turn = found.misfit[1, 1], found.misfit[2, 1]
-    if sway > _ROLLS and sway > 1.5 * turn:
+    moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
+    if said.unlisted >= LIKELY and moved > _ROLLS and moved > 1.5 * turn:
         gate.append(
-            "What is left is sway at the beat, and not of the heading: so a body that rolls or "
-            "heaves looks to a camera above, and a model in the plane cannot follow it."
+            f"What is left is how the head goes to and fro at the beat ({moved:.0f} times what is "
+            f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
+            "a camera above, and a model in the plane cannot follow it."
         )
     repeated = max(swim.repeated for swim in problem.swims)
     if repeated > _REPEATED:
