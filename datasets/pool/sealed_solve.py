@@ -64,7 +64,7 @@ def answer(folder: Path, verdicts: Path, water: Path | None) -> str:
         kept = np.load(verdicts / f"{place.name}.npz")
         belief = Belief(**{name: kept[name] for name in kept.files})
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    found = searched(swims, model, robot, simulate, belief, known)
+    found = searched(swims, model, robot, simulate, belief)
     said = diagnosis_of(found, robot, known, referred=referred)
     target = verdicts / folder.name
     target.mkdir(parents=True, exist_ok=True)

@@ -3,7 +3,8 @@
 ``law_error.json`` says, with where it is from, what a twin that was calibrated on a robot's swims
 still gets wrong of another swim of the same robot in which nothing is missing: the share of
 each signal, by band of frequency, and how much of each effect it imitates. ``benchmarks/
-pool_decisions.py`` learns them from the nulls of a development set.
+pool_law_error.py`` learns them from the nulls of development sets, ``pool_decisions.py`` chooses
+what decides.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class LawError:
 
 
 def read_law_error(path: Path = FILE) -> LawError:
-    """That of a file, as ``benchmarks/pool_decisions.py`` writes it."""
+    """That of a file, as ``benchmarks/pool_law_error.py`` writes it."""
     content = read_json(path, SCHEMA)
     shares = content["shares"]
     return LawError(

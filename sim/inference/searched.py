@@ -124,7 +124,6 @@ def searched(
     robot: Robot,
     simulate: Swum,
     belief: Belief,
-    known: LawError = LAW_ERROR,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
     """Try sets of effects on swims of one robot."""
@@ -138,14 +137,13 @@ def searched(
     problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     problem.cost = 0.0
-    cost = COST
     tried = {
-        members: replace(one, evidence=one.evidence + cost * len(members))
+        members: replace(one, evidence=one.evidence + COST * len(members))
         for members, one in ledger.tried.items()
     }
 
     def worth(one: Hypothesis[Fit]) -> float:
-        return one.evidence - cost * len(one.members)
+        return one.evidence - COST * len(one.members)
 
     done: set[Members] = set()
     for _ in range(2):

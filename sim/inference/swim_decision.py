@@ -1,6 +1,6 @@
 """What a search in swims is worth saying: names, groups, probabilities, or that nothing fits.
 
-Pure functions of what ``diagnose_swims.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
+Pure functions of what ``searched.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
 the thresholds off many searches without repeating one.
 """
 
