@@ -1,7 +1,7 @@
 """The page of the sealed swims: what was to be reached, what was, and every case that failed.
 
     python benchmarks/pool_page.py RESULTS.json [--rivals REGRESSION.json DRAGS.json]
-        [--development RESULTS.json] [--out reports/pool_diagnosis]
+        [--before RESULTS.json] [--out reports/pool_diagnosis]
 
 Writes ``sealed.md``, which the report's README takes in between its marks.
 """
@@ -112,13 +112,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("results", type=Path)
     parser.add_argument("--rivals", type=Path, nargs=2)
-    parser.add_argument("--development", type=Path)
+    parser.add_argument("--before", type=Path)
     parser.add_argument("--out", type=Path, default=Path("reports/pool_diagnosis"))
     options = parser.parse_args()
     results = json.loads(options.results.read_text())
     columns = [("sealed", results)]
-    if options.development:
-        columns.append(("development, 25", json.loads(options.development.read_text())))
+    if options.before:
+        columns.append(("first set, twin alone", json.loads(options.before.read_text())))
     for name, path in zip(("regression", "all drags"), options.rivals or (), strict=False):
         columns.append((name, json.loads(path.read_text())))
     found = results["results"]

@@ -1,6 +1,6 @@
 """A real fish's film, calibrated and diagnosed in the twin: what is missing, and does it help?
 
-    python benchmarks/real_fish_diagnosis.py FOLDER [--out reports]
+    python benchmarks/real_fish_diagnosis.py FOLDER [--out reports] [--tool]
 
 FOLDER holds four clips of a tendon-driven robot fish filmed from above. The twin's joints move as
 they were filmed, its body is free. What is fitted, chosen or named has never seen the clip it is
@@ -11,6 +11,7 @@ Writes ``real_fish_diagnosis.json``, of which ``real_fish_page.py`` makes a part
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -95,6 +96,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("reports"))
+    parser.add_argument("--tool", action="store_true", help="renew only what diagnose says")
     options = parser.parse_args()
     if not (options.folder / f"{CLIPS[0]}.csv").is_file():
         raise SystemExit(f"no clips in {options.folder}: nothing done")
@@ -103,6 +105,12 @@ def main() -> None:
     place, effects = pool(robot), catalogue(robot)
     rates = {rate: [film(options.folder, name, robot, rate) for name in CLIPS] for rate in FRAMES}
     films = rates[FRAMES[0]]
+    if options.tool:
+        before = json.loads((options.out / "real_fish_diagnosis.json").read_text())
+        before["tool"] = plain(tool(place, films, robot))
+        write_json(options.out / "real_fish_diagnosis.json", before)
+        print(before["tool"])
+        return
     with tqdm(total=14, desc="splits", disable=None) as bar:
         one = leave_out(place, films, effects, 3, bar.update)
         two = leave_out(place, films, (), 2, bar.update)

@@ -143,7 +143,8 @@ def _named(found: Found) -> list[str]:
     less = found["against"]["likeliest effect less calibrated"]
     now = found["one_left_out"]["calibrated"]["mean"]
     tool = found["tool"]
-    said = ", ".join(f"{k} ({100 * p:.0f} %)" for k, p in tool["named"].items()) or "nothing"
+    likely = {k: p for k, p in tool["named"].items() if p >= 0.5}
+    said = ", ".join(f"{k} ({100 * p:.0f} %)" for k, p in likely.items()) or "nothing named"
     out = [
         f"**An effect is named in {hits} of 4 fits.** Of {len(names)} tried,"
         f" {most.replace('_', ' ')} comes first in {times} of 4 ({ends}), with a gain of"
@@ -159,7 +160,11 @@ def _named(found: Found) -> list[str]:
         f"**What `sim2real diagnose` says** of all four clips at once: {said}; verdict"
         f' "{tool["verdict"].replace("_", " ")}".',
     ]
-    if not tool["named"] and tool["verdict"] == "consistent":
+    if tool["verdict"] == "unexplained":
+        held = [f"{k.replace('_', ' ')} ({100 * p:.0f} %)" for k, p in tool["named"].items()]
+        out[-1] += f" Suspected, and not more: {', '.join(held)}." if held else ""
+        out[-1] += " Its reasons: " + " ".join(tool["told"][1:])
+    if not likely and tool["verdict"] == "consistent":
         out[-1] += (
             " Read: nothing of its catalogue would help. That the twin is complete is not so, with"
             " errors of three to eight times the jitter."

@@ -4,7 +4,8 @@
 
 The measures are those of the servos' grader (``datasets/concealed/grade.py``), by its own functions
 where they are of shares and of calibration. The other swim of each case, which no tool was given,
-judges the models: in the twin, on the speed over ground.
+judges the models: in the twin, on the speed over ground; ``--water``: put right by what the fluid
+swam of its commands (``sealed_water.py --heldout``).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import hashlib
 import importlib.util
 import json
 from collections import Counter
+from collections.abc import Sequence
 from itertools import permutations
 from pathlib import Path
 from types import ModuleType
@@ -23,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sim.inference.coordinates import seen_as
-from sim.inference.followed import by_followed_twin
+from sim.inference.in_water import robot_in_water
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
 from sim2real.output import write_json
@@ -60,7 +62,7 @@ def servo_grader() -> ModuleType:
     return module
 
 
-def judge(truth: Row, folder: Path, challenge: Path) -> Row:
+def judge(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path] = ()) -> Row:
     """What was said of one case beside what is true of it."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, kind = truth["effects"], truth["kind"]
@@ -76,7 +78,7 @@ def judge(truth: Row, folder: Path, challenge: Path) -> Row:
         "llr": truth["oracle"]["llr_total"], "verdict": said["verdict"],
         "unlisted": said["unknown"].get("body"), "flagged": said["verdict"] != "consistent",
         "entries": entries, "cost": json.loads((folder / "cost.json").read_text()),
-        "heldout": _held_out(truth, folder, challenge),
+        "heldout": _held_out(truth, folder, challenge, waters),
     }  # fmt: skip
     if kind == "single":
         row["group_right"] = bool(first and first["right"])
@@ -132,12 +134,15 @@ def _intervals(given: Row, hidden: list[Row]) -> list[Row]:
     return []
 
 
-def _held_out(truth: Row, folder: Path, challenge: Path) -> Row:
+def _held_out(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path]) -> Row:
     """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise."""
-    robot = read_robot(challenge / "inputs" / truth["robot"] / "robot.toml")
+    place = challenge / "inputs" / truth["robot"]
+    robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
+    files = [water / f"{truth['robot']}.npz" for water in waters]
+    _, simulate = robot_in_water(robot, model, files, threads=1)
     swim = swim_of(read_recording(challenge / "heldout" / truth["case"] / "b.csv"), robot)
     models = [read_model(folder / f"{name}.json") for name in ("baseline", "enriched")]
-    said = seen_as(models, swim, by_followed_twin(robot, threads=1))
+    said = seen_as(models, swim, simulate)
     error = np.sqrt(np.mean((said - swim.signals) ** 2, axis=1))
     base, rich = (float(np.hypot(*e[:2])) for e in error)
     noise = float(np.hypot(*np.broadcast_to(swim.noise, error.shape[1:])[:2]))
@@ -217,7 +222,7 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     }  # fmt: skip
 
 
-def grade(challenge: Path, verdicts: Path) -> Row:
+def grade(challenge: Path, verdicts: Path, waters: Sequence[Path] = ()) -> Row:
     """All results of a set, of the cases that were answered."""
     sealed = (challenge / "answers.json").read_bytes()
     published = json.loads((challenge / "hashes.json").read_text())
@@ -227,7 +232,9 @@ def grade(challenge: Path, verdicts: Path) -> Row:
         for one in json.loads(sealed)["cases"]
         if (verdicts / one["case"] / "cost.json").exists()
     ]
-    rows = [judge(one, verdicts / one["case"], challenge) for one in tqdm(cases, disable=None)]
+    rows = [
+        judge(one, verdicts / one["case"], challenge, waters) for one in tqdm(cases, disable=None)
+    ]
     return {
         "schema": "sim2real.grade/1", "tier": "T4", "set": challenge.name,
         "answers_as_published": published["answers.json"] == hashlib.sha256(sealed).hexdigest(),
@@ -241,8 +248,9 @@ def main() -> None:
     parser.add_argument("set", type=Path)
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--water", type=Path, nargs=2, default=(), metavar=("INPUTS", "HELD_OUT"))
     options = parser.parse_args()
-    results = grade(options.set, options.verdicts)
+    results = grade(options.set, options.verdicts, options.water)
     write_json(options.out, results)
     shown = servo_grader().shown
     found = results["results"]

@@ -1,6 +1,6 @@
 """Let ``sim2real diagnose`` answer every case of a sealed set of swims, from its inputs alone.
 
-    python datasets/pool/sealed_solve.py SET VERDICTS [--processes N] [--seconds S] [--share K/N]
+    python datasets/pool/sealed_solve.py SET VERDICTS [--processes N] [--water WATER]
 
 What a robot's swims in which nothing is missing say of its law is worked out once and kept. Each
 case's time stands in ``cost.json``; one that has been answered is not answered again.
@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.followed import by_followed_twin
-from sim.inference.law_error import LAW_ERROR
+from sim.inference.in_water import robot_in_water
+from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
 from sim.inference.swim_findings import diagnosis_of
 from sim.inference.swims import swim_of
@@ -29,42 +29,50 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 
-def law_of(folder: Path, verdicts: Path) -> str:
+def law_of(folder: Path, verdicts: Path, water: Path | None) -> str:
     """What the swims of a robot in which nothing is missing say, kept beside the verdicts."""
     target = verdicts / f"{folder.name}.npz"
     if target.exists():
         return f"{folder.name} known"
     start = time.perf_counter()
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
-    simulate = by_followed_twin(robot, threads=1)
+    files = [water / f"{folder.name}.npz"] if water else []
+    model, simulate = robot_in_water(robot, model, files, threads=1)
     references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
-    belief = learned(references, model, robot, simulate)
+    belief = learned(references, model, robot, simulate, known_of(water))
     verdicts.mkdir(parents=True, exist_ok=True)
     np.savez(target, **vars(belief))
     return f"{folder.name} learned, {time.perf_counter() - start:.0f} s"
 
 
-def answer(folder: Path, verdicts: Path) -> str:
+def known_of(water: Path | None) -> LawError:
+    """The error of the twin, alone or put right by the fluid."""
+    return read_law_error(IN_WATER if water else FILE)
+
+
+def answer(folder: Path, verdicts: Path, water: Path | None) -> str:
     """Diagnose one case."""
     start, before = time.perf_counter(), time.process_time()
     place = folder.parent
     robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
-    simulate = by_followed_twin(robot, threads=1)
+    files = [water / f"{place.name}.npz"] if water else []
+    model, simulate = robot_in_water(robot, model, files, threads=1)
+    known = known_of(water)
     referred = json.loads((folder / "case.json").read_text())["references"]
-    belief = learned([], model, robot, simulate)
+    belief = learned([], model, robot, simulate, known)
     if referred:
         kept = np.load(verdicts / f"{place.name}.npz")
         belief = Belief(**{name: kept[name] for name in kept.files})
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
     found = searched(swims, model, robot, simulate, belief)
-    said = diagnosis_of(found, robot, LAW_ERROR, referred=referred)
+    said = diagnosis_of(found, robot, known, referred=referred)
     target = verdicts / folder.name
     target.mkdir(parents=True, exist_ok=True)
     write_diagnosis(said, target / "diagnosis.json", "enriched.json")
     write_model(said.model, target / "enriched.json")
     assert said.baseline is not None
     write_model(said.baseline, target / "baseline.json")
-    (target / "raw.json").write_text(json.dumps(raw(found)) + "\n")
+    (target / "raw.json").write_text(json.dumps(raw(found, referred=referred)) + "\n")
     cost = {"wall_s": time.perf_counter() - start, "cpu_s": time.process_time() - before}
     (target / "cost.json").write_text(json.dumps(cost) + "\n")
     return f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s"
@@ -82,6 +90,7 @@ def main() -> None:
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
+    parser.add_argument("--water", type=Path, help="what the fluid swam: sealed_water.py")
     parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth case from the Kth")
     options = parser.parse_args()
     deadline = time.monotonic() + options.seconds
@@ -94,7 +103,7 @@ def main() -> None:
     ]
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
-        laws = [pool.submit(law_of, folder, options.verdicts) for folder in robots]
+        laws = [pool.submit(law_of, folder, options.verdicts, options.water) for folder in robots]
         for done in as_completed(laws):
             print(done.result(), flush=True)
         running: set[Future[str]] = set()
@@ -105,7 +114,7 @@ def main() -> None:
                 print(one.exception() or one.result(), flush=True)
             if folder is None or time.monotonic() > deadline:
                 continue
-            running.add(pool.submit(answer, folder, options.verdicts))
+            running.add(pool.submit(answer, folder, options.verdicts, options.water))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from tqdm import tqdm
 
@@ -17,6 +18,17 @@ from sim.inference.fluid_diagnosis import (
     swim_batches,
 )
 from sim.inference.followed import by_followed_twin
+from sim.inference.in_water import (
+    VARIANTS,
+    InWater,
+    by_twin_in_water,
+    key,
+    read_water_swims,
+    swum_in_water,
+    with_nearest_law,
+    write_water,
+)
+from sim.inference.law_error import IN_WATER, LAW_ERROR, read_law_error
 from sim.inference.search import Effect
 from sim.inference.swim_decision import LIKELY
 from sim.inference.swims import Swim, by_fluid, swim_of, values_of, with_values
@@ -51,19 +63,26 @@ def run(options: argparse.Namespace) -> int:
     if options.water:
         read_water(options.water, robot, options.cell_m)  # a wrong file is told before the work
     given = [swim_of(one, robot) for one in swims]
+    earlier = [swim_of(one, robot) for one in references]
+    simulate, known = by_followed_twin(robot), LAW_ERROR
+    if options.in_water:
+        water = _swum(options, robot, model, [*given, *earlier])
+        model, known = water.of(model), read_law_error(IN_WATER)
+        simulate = by_twin_in_water(robot, model, water)
     with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
         found = diagnose_swims(
             given,
             model,
             robot,
-            by_followed_twin(robot),
-            references=[swim_of(one, robot) for one in references],
+            simulate,
+            references=earlier,
+            known=known,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
     if options.water:
         found = _in_fluid(given, model, robot, found, options)
     files = [*options.recordings, *(options.references or ())]
-    files += [options.water] if options.water else []
+    files += [one for one in (options.water, options.in_water) if one]
     inputs = [*files, options.robot, options.model]
     # the search in the twin draws nothing at random
     seed = options.seed if options.water else None
@@ -85,6 +104,27 @@ def run(options: argparse.Namespace) -> int:
         write_page(page, title, subtitle, [swims_section(found)], found.provenance)
         print(f"page: {page}")
     return 0
+
+
+def _swum(
+    options: argparse.Namespace, robot: Robot, model: Model, swims: Sequence[Swim]
+) -> InWater:
+    """What the fluid swam of the commands of these swims; it swims where nothing is kept.
+
+    Raises:
+        InputError: If what is kept is of other swims.
+    """
+    path: Path = options.in_water
+    if not path.exists():
+        path = check_writable(path)
+        print(f"the fluid swims {len(swims)} swims in {1 + len(VARIANTS)} waters")
+        made = swum_in_water(robot, model, swims, device=options.device, threads=2)
+        write_water(path, with_nearest_law(robot, model, made))
+    kept = read_water_swims(path)
+    for swim in swims:
+        if key(swim) not in kept.steps:
+            raise InputError(path, "commands", f"not those of {swim.name}", "what was sent in it")
+    return kept
 
 
 def _in_fluid(

@@ -69,6 +69,13 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="swims: go on in the fluid, with the water of MODEL.json by calibrate --fluid",
     )
+    command.add_argument(
+        "--in-water",
+        type=Path,
+        metavar="NPZ",
+        help="swims: the fluid swims what was sent (a minute of a GPU; kept in NPZ, or read from "
+        "it), and the twin says only what changes",
+    )
     command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
     command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
     command.add_argument(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
+from sim.inference.pose_noise import PoseNoise
 from sim.inference.swims import Swim
 from sim2real.velocity import body_velocity
 
@@ -81,7 +82,8 @@ class Blocks:
             wide = uniform_filter1d(square[a:b], 5, axis=0, mode="nearest")
             power[a:b] = wide + _LEAK * square[a:b].mean(axis=0)
         rng = np.random.default_rng(0)
-        drawn = rng.standard_normal((_DRAWS, swim.t.size, 3)) * swim.pose_noise
+        jitter = swim.shaken or PoseNoise(np.zeros(3))
+        drawn = jitter.drawn(rng, (_DRAWS, swim.t.size), period)
         shaken = np.stack([body_velocity(swim.t, one) for one in drawn])
         noise = np.empty_like(square)
         each = (spectrum(shaken, edges) ** 2).mean(axis=0)

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that swims may move."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+WATER = ("cells", "viscosity", "eddies")
+"""What may be otherwise of a water in which the fluid has swum (``in_water``)."""
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times whose mixture a skin that gives way is."""
 _FOLLOWS = 1e4
@@ -65,7 +67,7 @@ class Column:
         """What stands in ``law_error.json``: the name without joint or material."""
         parts = self.name.split(".")
         if self.effect is None:
-            return ".".join(("servo" if parts[0] != "twin" else "twin", parts[-1]))
+            return ".".join((parts[0] if parts[0] in ("twin", "water") else "servo", parts[-1]))
         return f"{parts[0]}.{parts[-1]}"
 
 
@@ -104,6 +106,9 @@ class Coordinates:
             columns.append(
                 Column(f"twin.{name}", None, value, 0.0, 3 * size + 3, 0.1 * size, np.inf)
             )
+        for name in WATER:
+            if name in model.body.get("water", {}):
+                columns.append(Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5, np.inf))
         listed = tuple(Effect(*one) for one in candidates(robot))
         for one in listed:
             for p in one.free:

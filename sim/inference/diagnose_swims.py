@@ -49,5 +49,5 @@ def diagnose_swims(
         The diagnosis; its errors are those of the speed over ground, in m/s, on what was held out.
     """
     before = belief or learned(references, model, robot, simulate, known)
-    found = searched(swims, model, robot, simulate, before, known, progress)
+    found = searched(swims, model, robot, simulate, before, progress)
     return diagnosis_of(found, robot, known, referred=bool(references) or belief is not None)

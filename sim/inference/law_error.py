@@ -3,7 +3,8 @@
 ``law_error.json`` says, with where it is from, what a twin that was calibrated on a robot's swims
 still gets wrong of another swim of the same robot in which nothing is missing: the share of
 each signal, by band of frequency, and how much of each effect it imitates. ``benchmarks/
-pool_decisions.py`` learns them from the nulls of a development set.
+pool_law_error.py`` learns them from the nulls of development sets, ``pool_decisions.py`` chooses
+what decides.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from sim2real.structured import read_json
 Array = NDArray[np.float64]
 
 FILE = Path(__file__).with_name("law_error.json")
+IN_WATER = Path(__file__).with_name("law_error_in_water.json")
+"""The same of a twin that the fluid puts right (``in_water``)."""
 SCHEMA = "sim2real.law_error/1"
 RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are shares of their values."""
@@ -40,6 +43,7 @@ class LawError:
             of servos and law from one swim to another, of effects that are not there.
         unknown: The same of servos and law of a robot that was never seen.
         usual: Mean of the law's coefficients over robots.
+        shift: Mean over robots of how far they are from the nominal ones.
         decisions: Thresholds, by name.
     """
 
@@ -47,6 +51,7 @@ class LawError:
     imitated: Mapping[str, float]
     unknown: Mapping[str, float]
     usual: Mapping[str, float]
+    shift: Mapping[str, float]
     decisions: Mapping[str, float]
 
     def imitation(self, coordinates: Coordinates) -> Array:
@@ -60,7 +65,7 @@ class LawError:
     def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:
         """Mean (B,) and covariance (B, B) of servos and law of a robot that was never seen."""
         base = [coordinates.columns[k] for k in coordinates.base]
-        mean = [self.usual.get(c.kind, c.nominal) for c in base]
+        mean = [self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)) for c in base]
         sd = [self._of(self.unknown, c.kind, c.nominal) for c in base]
         return np.array(mean), np.diag(np.square(sd))
 
@@ -72,7 +77,7 @@ class LawError:
 
 
 def read_law_error(path: Path = FILE) -> LawError:
-    """That of a file, as ``benchmarks/pool_decisions.py`` writes it."""
+    """That of a file, as ``benchmarks/pool_law_error.py`` writes it."""
     content = read_json(path, SCHEMA)
     shares = content["shares"]
     return LawError(
@@ -80,6 +85,7 @@ def read_law_error(path: Path = FILE) -> LawError:
         imitated=content["imitated"],
         unknown=content["unknown"],
         usual=content["usual"],
+        shift=content.get("shift", {}),
         decisions=content["decisions"],
     )
 

@@ -29,6 +29,8 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 MOST = 2
+COST = 3.422
+"""Evidence that an effect costs in the search; what it is worth saying is decided later."""
 HELD_OUT = 0.3
 """Share of each swim that decides whether what is named predicts better."""
 _ITS_OWN = (0.5, 6.0)
@@ -122,7 +124,6 @@ def searched(
     robot: Robot,
     simulate: Swum,
     belief: Belief,
-    known: LawError = LAW_ERROR,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
     """Try sets of effects on swims of one robot."""
@@ -133,17 +134,16 @@ def searched(
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(plain)
     breadth = Breadth(most=MOST, added=5, rivals=3, within=np.inf)
-    problem.cost = known.decisions["cost"]
+    problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     problem.cost = 0.0
-    cost = known.decisions["cost"]
     tried = {
-        members: replace(one, evidence=one.evidence + cost * len(members))
+        members: replace(one, evidence=one.evidence + COST * len(members))
         for members, one in ledger.tried.items()
     }
 
     def worth(one: Hypothesis[Fit]) -> float:
-        return one.evidence - cost * len(one.members)
+        return one.evidence - COST * len(one.members)
 
     done: set[Members] = set()
     for _ in range(2):
@@ -204,7 +204,7 @@ def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
     return sums / np.maximum(counts, 1.0)
 
 
-def raw(found: Searched) -> dict[str, Any]:
+def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
     """What decisions are made from, as JSON takes it: thresholds can be read off many of these."""
     return {
         "sets": [
@@ -218,6 +218,7 @@ def raw(found: Searched) -> dict[str, Any]:
             for m, (loss, speed) in found.held.items()
         ],
         "misfit": found.misfit.tolist(),
+        "referred": referred,
         "repeated": max(swim.repeated for swim in found.problem.swims),
         "rollouts": found.problem.rollouts,
     }  # fmt: skip

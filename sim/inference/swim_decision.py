@@ -1,24 +1,32 @@
 """What a search in swims is worth saying: names, groups, probabilities, or that nothing fits.
 
-Pure functions of what ``diagnose_swims.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
+Pure functions of what ``searched.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
 the thresholds off many searches without repeating one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.result import Verdict
 
+Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
+Spoken = tuple[float, ...]
+Strange = tuple[float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
+_UNPROVEN = 0.49
+"""The most that is said of what does not make the rest of the swim likelier."""
+_ENOUGH, _WIDEST = 0.7, 4
+"""Probability that makes a group of several worth telling, and how many it may have."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
 """Effects by which a law that is wrong somewhere else helps itself."""
 
@@ -32,12 +40,14 @@ class Named:
         group: What these swims cannot tell from it, itself first.
         probability: That one of the group is there.
         gain: Evidence that it adds to the others.
+        spoken: What its odds are made of, as ``terms_of`` takes it.
     """
 
     name: Name
     group: tuple[Name, ...]
     probability: float
     gain: float
+    spoken: Spoken = ()
 
 
 @dataclass(frozen=True)
@@ -51,6 +61,7 @@ class Decided:
         rivals: Other effects and their probabilities, likeliest first.
         unlisted: Probability that something is there that the catalogue lacks.
         shape: The shape without a name that does best.
+        strange: What the odds of ``unlisted`` are made of, as ``strange_terms`` takes it.
     """
 
     verdict: Verdict
@@ -59,20 +70,21 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
+    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     """Say what a search is worth.
 
     Args:
-        raw: As ``diagnose_swims.raw`` has it.
+        raw: As ``searched.raw`` has it; ``referred``: whether references were known.
         numbers: ``decisions`` of ``law_error.json``.
     """
     cost, heat = numbers["cost"], numbers["temperature"]
     worth = {_names(one): one["evidence"] - cost * len(one["names"]) for one in raw["sets"]}
     settled = {_names(one) for one in raw["sets"] if one["settled"]}
     held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
-    best = max(settled, key=lambda s: worth[s])
+    best = max((s for s in held if s in settled), key=lambda s: worth[s])
     offered = _predicting(best, held, worth, numbers)
     keys = list(worth)
     level = np.array([worth[s] for s in keys]) / heat
@@ -85,39 +97,116 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     shape, more = max(beyond.items(), key=lambda one: one[1])
     usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
-    unlisted = 1 - (1 - _soft(more, numbers["unlisted"], numbers["unlisted_softness"])) * (
-        1 - _soft(off, numbers["misfit"], numbers["misfit_softness"])
-    )
+    something = 1.0 - float(sum(p for s, p in zip(keys, share, strict=True) if not s))
+    helps = _helps(best, frozenset(), held)
+    alone = 0.0 if raw.get("referred", True) else 1.0
+    strange = (more, off, worth[best] - worth[frozenset()], helps, alone)
+    enough = numbers["something alone" if alone else "something"]
+    unlisted = _odds(strange_terms(strange), "strange", numbers)
     named = []
-    for name in offered:
-        group = _group(name, offered, worth, numbers)
-        there = float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
-        rest = offered - {name}
-        gain = worth[offered] - worth.get(rest, min(worth.values())) + cost
-        certain = min(there * (1 - unlisted), numbers["most_certain"])
-        named.append(Named(name, group, certain, gain))
-    if max((one.probability for one in named), default=0.0) < LIKELY:
-        offered = frozenset()
+    for name in best:
+        group = _group(name, best, worth, numbers)
+        if something >= enough and len(best) == 1:
+            group = _widened(group, keys, share)
+        rest = best - {name}
+        gain = worth[best] - worth.get(rest, min(worth.values())) + cost
+        spoken = (
+            _there(group, keys, share), gain, float(len(group)), more, off,
+            _helps(best, rest, held), float(name[0] in IMITATORS), alone, strange[2],
+            float(name[1] == "camera"),
+        )  # fmt: skip
+        certain = _odds(terms_of(spoken), "odds", numbers)
+        certain = min(certain, numbers["most_certain"] if name in offered else _UNPROVEN)
+        named.append(Named(name, group, certain, gain, spoken))
+    offered = frozenset(one.name for one in named if one.probability >= LIKELY)
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
-    alone = {name for s in keys for name in s} - {n for one in named for n in one.group}
-    rivals = [
-        (name, float(sum(p for s, p in zip(keys, share, strict=True) if name in s)))
-        for name in alone
-    ]
+    others = {name for s in keys for name in s} - {n for one in named for n in one.group}
+    rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: -one[1])
+    flagged = unlisted >= LIKELY or something >= enough
     return Decided(
-        _verdict(named, best, unlisted), tuple(named), offered, tuple(rivals), unlisted,
-        shape,
+        _verdict(named, unlisted, flagged), tuple(named), _tried(offered, held), tuple(rivals),
+        unlisted, shape, strange,
     )  # fmt: skip
 
 
-def _verdict(named: list[Named], best: Names, unlisted: float) -> Verdict:
+def _tried(offered: Names, held: Mapping[Names, tuple[float, float]]) -> Names:
+    """What is offered, if it was fitted alone; else nothing."""
+    return offered if offered in held else frozenset()
+
+
+def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
+    """How much likelier a set makes what was held out than another."""
+    return held[rest][0] - held[now][0] if now in held and rest in held else 0.0
+
+
+def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
+    """Probability of the sets that have one of a group."""
+    return float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
+
+
+def _widened(group: tuple[Name, ...], keys: Sequence[Names], share: Array) -> tuple[Name, ...]:
+    """A group with the next likeliest, until one of them is likely; itself if that takes many."""
+    others = {name for s in keys for name in s} - set(group)
+    wide = group
+    for name in sorted(others, key=lambda one: -_there((one,), keys, share)):
+        if _there(wide, keys, share) >= _ENOUGH or len(wide) >= _WIDEST:
+            break
+        wide = (*wide, name)
+    return wide if _there(wide, keys, share) >= _ENOUGH else group
+
+
+def _odds(terms: Sequence[float], which: str, numbers: Mapping[str, float]) -> float:
+    """A probability: the logistic curve of a sum of terms."""
+    told = float(sum(numbers[f"{which} {k}"] * term for k, term in enumerate(terms)))
+    return float(1 / (1 + np.exp(-np.clip(told, -40, 40))))
+
+
+def terms_of(spoken: Spoken) -> tuple[float, ...]:
+    """What the odds of a name are a sum of.
+
+    Args:
+        spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
+            without a name would add, how much more is left than usual, how much likelier it makes
+            what was held out, whether it is an imitator, whether no references were known, the
+            evidence of the whole set, and whether it is of the camera.
+    """
+    there, gain, many, more, off, helps, imitates, alone, best, camera = spoken
+    there = min(max(there, 1e-3), 1 - 1e-3)
+    return (
+        1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
+        float(np.clip(off, -2, 4)), _log(helps), imitates, alone,
+        _log(gain) - _log(best), camera,
+    )  # fmt: skip
+
+
+def strange_terms(strange: Strange) -> tuple[float, ...]:
+    """What the odds of something that the catalogue lacks are a sum of.
+
+    Args:
+        strange: How much a shape without a name would add, how much more is left than usual, the
+            evidence of the best set, how much likelier that makes what was held out, and whether
+            no references were known.
+    """
+    more, off, best, helps, alone = strange
+    return (
+        1.0, _log(more), float(np.clip(off, -2, 4)), _log(best), _log(helps),
+        max(_log(more) - _log(best), 0.0), alone,
+    )  # fmt: skip
+
+
+def _log(value: float) -> float:
+    """Evidence, of which more and more counts less and less; either sign."""
+    return float(np.sign(value) * np.log1p(abs(value)))
+
+
+def _verdict(named: list[Named], unlisted: float, flagged: bool) -> Verdict:
     likely = [one for one in named if one.probability >= LIKELY]
-    if unlisted >= 0.5:
-        return "partly_explained" if likely else "unexplained"
+    if likely and unlisted >= LIKELY:
+        return "partly_explained"
     if not likely:
-        return "consistent"
+        return "unexplained" if flagged else "consistent"
     return "ambiguous" if any(len(one.group) > 1 for one in likely) else "explained"
 
 
@@ -170,7 +259,3 @@ def _group(
 
 def _names(one: Mapping[str, Any]) -> Names:
     return frozenset((str(a), str(b)) for a, b in one["names"])
-
-
-def _soft(value: float, limit: float, softness: float) -> float:
-    return float(1 / (1 + np.exp(-np.clip((value - limit) / softness, -40, 40))))

@@ -38,7 +38,7 @@ _Z90 = 1.645
 _DRAWN = 400
 _REPEATED = 0.005
 _ROLLS = 3.0
-"""Sway at the beat, in squares of what the twin usually leaves of it, that no plane explains."""
+"""Surge or sway at the beat, in squares of what the twin usually leaves, that no plane explains."""
 SHAPES = {
     "wave": "a flow to and fro in the pool's frame, as of waves",
     "gust": "a head that is shaken for a while, as by another swimmer's wake",
@@ -194,7 +194,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         known: The twin's error and the thresholds.
         referred: Whether swims in which nothing is missing were known.
     """
-    said = decide(raw(found), known.decisions)
+    said = decide(raw(found, referred=referred), known.decisions)
     problem, c = found.problem, found.problem.coordinates
     chosen = next(h for h in found.found if frozenset(names_of(h.members)) == said.offered)
     fitted = next(
@@ -208,7 +208,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     named = []
     for one in said.named:
         effect = next(e for e in c.effects if (e.name, e.component) == one.name)
-        parameters = _estimates(found, fitted, effect)
+        parameters = _estimates(found, fitted, effect, known.decisions["relative"])
         told = ", ".join(f"{name} {x.mean:.3g}" for name, x in parameters.items())
         known_as = body_effect(effect.name)
         where = f" ({effect.component})" if known_as.by_material else ""
@@ -234,8 +234,10 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             )
         )  # fmt: skip
     rivals = [Rival(name, of, p) for (name, of), p in said.rivals[:5]]
+    beside = "" if "water" not in c.model.body else ", put right by the fluid where it swam,"
     gate = [
-        "By the reduced-order twin, whose own error (reports/twin) counts as a part of the noise."
+        f"By the reduced-order twin{beside} whose own error counts as a part of the noise "
+        "(reports/pool_diagnosis)."
     ]
     if not referred:
         gate.append(
@@ -247,11 +249,12 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         gate.append(
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
-    sway, turn = found.misfit[1, 1], found.misfit[2, 1]
-    if sway > _ROLLS and sway > 1.5 * turn:
+    moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
+    if said.unlisted >= LIKELY and moved > _ROLLS and moved > 1.5 * turn:
         gate.append(
-            "What is left is sway at the beat, and not of the heading: so a body that rolls or "
-            "heaves looks to a camera above, and a model in the plane cannot follow it."
+            f"What is left is how the head goes to and fro at the beat ({moved:.0f} times what is "
+            f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
+            "a camera above, and a model in the plane cannot follow it."
         )
     repeated = max(swim.repeated for swim in problem.swims)
     if repeated > _REPEATED:
@@ -296,12 +299,18 @@ def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
     return train, held
 
 
-def _estimates(found: Searched, chosen: Hypothesis[Fit], effect: Effect) -> dict[str, Estimate]:
-    """What the fit says of an effect, by draws: its parameters bend with its coordinates."""
+def _estimates(
+    found: Searched, chosen: Hypothesis[Fit], effect: Effect, relative: float
+) -> dict[str, Estimate]:
+    """What the fit says of an effect, by draws: its parameters bend with its coordinates.
+
+    ``relative``: what the twin is wrong of an effect's size, of that size (one sd).
+    """
     problem, c = found.problem, found.problem.coordinates
     own = c.of_effect(effect)
     spread = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(own, own)]
     spread = spread + np.diag(np.square(problem.belief.imitation[own]))
+    spread = spread + np.diag(np.square(relative * chosen.fit.x[own]))
     rng = np.random.default_rng(0)
     drawn = np.tile(chosen.fit.x, (_DRAWN, 1))
     drawn[:, own] = rng.multivariate_normal(chosen.fit.x[own], spread, _DRAWN)

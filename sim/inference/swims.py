@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from tqdm import tqdm
 
+from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.twin import Coefficients, Twin
 from sim2real.body import listed, values
@@ -46,9 +47,9 @@ class Swim:
         signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
         noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
             it is not known.
-        pose_noise: Likewise of x, y and heading, shape (3,).
         pose: As they were seen, shape (T, 3); of nobody who does not know.
         repeated: Share of the poses that are those of the sample before, to the last digit.
+        shaken: Noise of the poses; None where it is not known.
     """
 
     name: str
@@ -57,9 +58,9 @@ class Swim:
     start: Array
     signals: Array
     noise: Array | float = 0.0
-    pose_noise: Array | float = 0.0
     pose: Array | None = None
     repeated: float = 0.0
+    shaken: PoseNoise | None = None
 
     @property
     def heading(self) -> Array:
@@ -101,16 +102,20 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
     joints = np.stack([even(recording.position[:, k]) for k in order], axis=1)
     command = np.nan_to_num(recording.command[row][:, order])
+    repeated = float(same.mean()) if same.size else 0.0
+    whole = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
+    whole = whole and bool(np.isfinite(pose).all()) and repeated == 0.0
+    shaken = _shaken(grid, whole)
     return Swim(
         name=recording.name,
         t=t - t[0],
         command=command,
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=_noise(t, np.concatenate([grid, joints], axis=1)),
-        pose_noise=_jitter(grid),
+        noise=_noise(t, shaken, joints),
         pose=grid,
-        repeated=float(same.mean()) if same.size else 0.0,
+        repeated=repeated,
+        shaken=shaken,
     )
 
 
@@ -124,14 +129,21 @@ def _jitter(shown: Array) -> Array:
     return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)))
 
 
-def _noise(t: Array, shown: Array) -> Array:
-    """Noise of surge, sway, yaw rate and joints, from poses and angles (T, 3 + J).
+def _shaken(grid: Array, whole: bool) -> PoseNoise:
+    """Noise of poses (T, 3); only of a film that is whole its colour too."""
+    found = pose_noise(grid, CONTROL_S) if whole else None
+    if found is None:
+        return PoseNoise(_jitter(grid))
+    return found if found.lag_s > 0 else replace(found, sd=_jitter(grid))
+
+
+def _noise(t: Array, shaken: PoseNoise, joints: Array) -> Array:
+    """Noise of surge, sway, yaw rate and joints (T, J).
 
     The velocities' is what the estimator makes of such noise.
     """
-    sd = _jitter(shown)
-    drawn = np.random.default_rng(0).standard_normal((t.size, 3)) * sd[:3]
-    return np.concatenate([body_velocity(t, drawn).std(axis=0), sd[3:]])
+    drawn = shaken.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
+    return np.concatenate([body_velocity(t, drawn).std(axis=0), _jitter(joints)])
 
 
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 FIRST = 8
 """Single effects that are refitted, of those that promise most."""
-LOST = "dropped_frames.probability"
+LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
 _EACH, _SURELY = 3.0, 60.0
 """Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
@@ -136,6 +136,11 @@ class TwinSwims:
         there = any(one.name == LOST.partition(".")[0] for one in members)
         return (often if there else 0.0) if often > _EACH else (-_SURELY if there else 0.0)
 
+    def coloured(self, fit: Fit) -> float:
+        """Evidence of the colour of the poses' noise: a filter smooths that as well."""
+        lag = fit.x[self.coordinates.place[FILTER]] if FILTER in self.coordinates.place else 0.0
+        return sum(s.shaken.told(lag) for s in self.swims if s.shaken is not None and lag > 0)
+
     def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
         """Loss at a point, and the step to where it is least by the slopes, shape (F,).
 
@@ -158,7 +163,7 @@ class TwinSwims:
         much as the twin's error imitates them.
         """
         loss, size, _ = self._whole(members, fit)
-        sure = self.counted(members) - self.cost * len(members)
+        sure = self.counted(members) + self.coloured(fit) - self.cost * len(members)
         return sure - loss - 0.5 * size
 
     def seems(self, members: Members, fit: Fit) -> Array:

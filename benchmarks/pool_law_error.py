@@ -1,0 +1,237 @@
+"""How wrong the twin is, from swims in which nothing is missing (of a sealed set nobody may look).
+
+    python benchmarks/pool_law_error.py SET [SET ...] --cache FILE [--water INPUTS HELD_OUT ...]
+
+What a calibrated twin still gets wrong of them, by signal and band, and what effects it imitates,
+by expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
+(1977) 1). Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
+``datasets/pool/sealed_water.py`` for each set, ``law_error_in_water.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from sim.inference.blocks import Blocks
+from sim.inference.coordinates import Coordinates, Swum
+from sim.inference.in_water import robot_in_water
+from sim.inference.law_error import (
+    BANDS,
+    FILE,
+    IN_WATER,
+    RELATIVE,
+    ROWS,
+    SCHEMA,
+    LawError,
+    read_law_error,
+)
+from sim.inference.searched import learned
+from sim.inference.swims import swim_of
+from sim.inference.twin_search import Belief, TwinSwims
+from sim2real.model import Model, read_model
+from sim2real.output import write_json
+from sim2real.recording import read_recording
+from sim2real.robot import Robot, read_robot
+
+Array = NDArray[np.float64]
+
+GUESS = Path(__file__).with_name("pool_guess.json")
+"""Where learning begins, by hand: what few swims know nothing of stays near it."""
+GUESS_IN_WATER = Path(__file__).with_name("pool_guess_in_water.json")
+"""The same of a twin that the fluid puts right: a third of it."""
+Files = tuple[Path, ...]
+_STEPS = 20
+_LEAST, _MOST = 0.15, 3.5
+"""Of a guess, between which an imitation stays: columns that all but cancel would run away."""
+_WORTH, _WILD = 10.0, 0.1
+"""Swims that the guess counts for; share of the largest that is left out."""
+
+
+def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum, LawError]:
+    """A robot, its model, its simulator, and where learning of its error begins."""
+    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+    model, simulate = robot_in_water(robot, model, files, threads=1)
+    return robot, model, simulate, read_law_error(GUESS_IN_WATER if files else GUESS)
+
+
+def law(folder: Path, files: Files, without: str = "") -> Belief:
+    """What a robot's references say of its law, one of them left out if asked."""
+    robot, model, simulate, known = placed(folder, files)
+    paths = [p for p in sorted(folder.glob("ref_*.csv")) if p.name != without]
+    references = [swim_of(read_recording(p), robot) for p in paths]
+    return replace(learned(references, model, robot, simulate, known), shares=known.shares)
+
+
+def linear(folder: Path, path: Path, belief: Belief, files: Files) -> dict[str, Any]:
+    """A swim in which nothing is missing, near its fit."""
+    robot, model, simulate, _ = placed(folder, files)
+    c = Coordinates.of(robot, model)
+    swim = swim_of(read_recording(path), robot)
+    problem = TwinSwims(c, [swim], simulate, belief)
+    fit = problem.plain().fit
+    weight = problem.weights[0].ravel()
+    blocks: Blocks = problem.blocks[0]
+    return {
+        "rows": (fit.rows / weight).astype(np.float32),
+        "slope": (fit.near.slope / weight[:, None]).astype(np.float32),
+        "off": fit.x - problem.centre(frozenset()),
+        "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
+        "kinds": [one.kind for one in c.columns], "nominal": [one.nominal for one in c.columns],
+        "robot": str(folder),
+    }  # fmt: skip
+
+
+def of_robot(folder: Path, files: Files, nulls: list[str]) -> Learned:
+    """A robot's swims in which nothing is missing, each near its fit, and its law."""
+    challenge = folder.parents[1]
+    whole = law(folder, files)
+    swims = [
+        linear(folder, folder / f"ref_{n}.csv", law(folder, files, f"ref_{m}.csv"), files)
+        for n, m in ((1, 1), (2, 2))
+    ]
+    for case in nulls:
+        held = challenge / "heldout" / case / "b.csv"
+        for path in (folder / case / "a.csv", *([held] if len(files) != 1 else [])):
+            if path.exists():
+                swims.append(linear(folder, path, whole, files))
+    robot, model, *_ = placed(folder, files)
+    c = Coordinates.of(robot, model)
+    means = zip((c.columns[k] for k in c.base), whole.mean, strict=True)
+    return swims, {
+        one.kind: float(v) - (one.nominal if files else 0.0)
+        for one, v in means
+        if not one.kind.startswith("servo")
+    }
+
+
+Learned = tuple[list[dict[str, Any]], dict[str, float]]
+
+
+def swims_near(sets: Sequence[Path], waters: Sequence[Path], processes: int) -> list[Learned]:
+    """``of_robot`` of every robot of some sets."""
+    spawn = multiprocessing.get_context("spawn")
+    jobs = []
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+        for k, one in enumerate(sets):
+            answers = json.loads((one / "answers.json").read_text())["cases"]
+            for folder in sorted((one / "inputs").glob("robot_*")):
+                own = [w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2]]
+                files = tuple(path for path in own if path.exists())
+                nulls = [
+                    c["case"] for c in answers if c["robot"] == folder.name and c["kind"] == "null"
+                ]
+                jobs.append(pool.submit(of_robot, folder, files, nulls))
+        return [job.result() for job in tqdm(jobs, disable=None)]
+
+
+Numbers = dict[str, float]
+
+
+def sizes(
+    swims: list[dict[str, Any]], shares: Array, imitated: Numbers, guess: Numbers
+) -> tuple[Array, Numbers]:
+    """One round of EM: shares and imitations from what is left of all swims."""
+    square: dict[str, list[float]] = {}
+    left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
+    for one in swims:
+        relative = np.array([
+            abs(n) if k in RELATIVE else 1.0
+            for k, n in zip(one["kinds"], one["nominal"], strict=True)
+        ])  # fmt: skip
+        prior = np.diag(1 / np.square(relative * [imitated[k] for k in one["kinds"]]))
+        K = one["noise"].shape[1]
+        rows = np.minimum(np.arange(K), 3)
+        size = shares[rows][:, one["band"]].T
+        weight = 1 / np.sqrt(one["noise"] + size**2 * one["power"] + 1e-12)
+        slope = one["slope"] * weight.reshape(-1, 1)
+        error = one["rows"] * weight.ravel()
+        inverse = np.linalg.inv(slope.T @ slope + prior)
+        step = -inverse @ (slope.T @ error + prior @ one["off"])
+        mean = one["off"] + step
+        for kind, m, v, r in zip(one["kinds"], mean, np.diag(inverse), relative, strict=True):
+            square.setdefault(kind, []).append(float(m**2 + v) / r**2)
+        rest = (one["rows"] + one["slope"] @ step).reshape(weight.shape) ** 2
+        more = np.einsum("nf,fg,ng->n", one["slope"], inverse, one["slope"])
+        rest = rest + more.reshape(weight.shape) - one["noise"]
+        for k in range(K):
+            for b in range(len(BANDS)):
+                here = one["band"] == b
+                share = np.sum(rest[here, k]) / np.sum(one["power"][here, k])
+                left[rows[k]][b].append(float(share))
+    fresh = {}
+    for kind, values in square.items():
+        kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
+        own = float(kept.sum()) + _WORTH * guess[kind] ** 2
+        size = float(np.sqrt(own / (len(kept) + _WORTH)))
+        most = _MOST * (2 if kind == "added_mass.ratio" else 1)
+        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], most * guess[kind]))
+    found = np.array([[np.mean(cell) for cell in row] for row in left])
+    return np.sqrt(np.maximum(found, 1e-6)), fresh
+
+
+def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: Path) -> None:
+    """The twin's error from swims in which nothing is missing."""
+    if not cache.exists():
+        cache.parent.mkdir(exist_ok=True)
+        cache.write_bytes(pickle.dumps(swims_near(sets, waters, processes)))
+    robots: list[Learned] = pickle.loads(cache.read_bytes())
+    swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
+    target = IN_WATER if waters else FILE
+    guess = read_law_error(GUESS_IN_WATER if waters else GUESS)
+    content = json.loads((target if target.exists() else FILE).read_text())
+    shares, guessed = guess.shares, dict(guess.imitated)
+    imitated = dict(guessed)
+    for _ in range(_STEPS):
+        shares, fresh = sizes(swims, shares, imitated, guessed)
+        imitated |= fresh
+    usual = {k: float(np.mean([law[k] for law in laws])) for k in laws[0]}
+    unknown = dict(guess.unknown)
+    for k in usual:
+        spread = float(np.std([law[k] for law in laws], ddof=1))
+        unknown[k] = float(np.hypot(1.3 * spread, imitated[k]))
+    for k in [k for k in unknown if k.startswith("servo")]:
+        unknown[k] = float(np.hypot(unknown[k], imitated[k]))
+    content |= {
+        "schema": SCHEMA,
+        "shares": {
+            row: dict(zip(BANDS, map(float, found), strict=True))
+            for row, found in zip(ROWS, shares, strict=True)
+        },
+        "imitated": imitated, "unknown": unknown,
+        "usual": {} if waters else usual, "shift": usual if waters else {},
+        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing, of "
+        f"{len(sets)} sets of datasets/pool/sealed.py",
+    }  # fmt: skip
+    write_json(target, content)
+    print(
+        json.dumps(
+            {k: content[k] for k in ("shares", "imitated", "unknown", "usual", "shift")}, indent=1
+        )
+    )
+
+
+def main() -> None:
+    """Learn."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("sets", type=Path, nargs="+")
+    parser.add_argument("--water", type=Path, nargs="*", default=[], help="two folders a set")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--cache", type=Path, required=True, help="keeps what the swims said")
+    options = parser.parse_args()
+    learn(options.sets, options.water, options.processes, options.cache)
+
+
+if __name__ == "__main__":
+    main()

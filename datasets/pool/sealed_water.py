@@ -1,0 +1,74 @@
+"""Let the fluid swim what was sent to the robots of a sealed set: ``sim.inference.in_water``.
+
+    python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--heldout HELD_OUT]
+    python datasets/pool/sealed_water.py SET WATER --law
+
+Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
+swims that the grader keeps too, in a folder of their own, for the grader.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from sim.inference.in_water import (
+    CELL_M,
+    key,
+    read_water_swims,
+    swum_in_water,
+    with_nearest_law,
+    write_water,
+)
+from sim.inference.swims import swim_of
+from sim2real.model import read_model
+from sim2real.recording import read_recording
+from sim2real.robot import read_robot
+
+
+def main() -> None:
+    """Swim."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("set", type=Path)
+    parser.add_argument("water", type=Path)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--cell-m", type=float, default=CELL_M)
+    parser.add_argument("--heldout", type=Path)
+    parser.add_argument(
+        "--law", action="store_true", help="the twin's law nearest to what is there"
+    )
+    parser.add_argument("--most", type=int, help="swims of a robot, for a trial")
+    parser.add_argument(
+        "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
+    )
+    parser.add_argument("--only", default="robot_*", help="robots by name")
+    options = parser.parse_args()
+    first, step = (int(x) for x in options.share.split("/"))
+    for folder in sorted((options.set / "inputs").glob(options.only))[first::step]:
+        out = options.water / f"{folder.name}.npz"
+        start = time.perf_counter()
+        robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+        if out.exists():
+            known = read_water_swims(out)
+            if options.law and not known.law:
+                write_water(out, with_nearest_law(robot, model, known, threads=1))
+                print(f"{folder.name}: law, {time.perf_counter() - start:.0f} s", flush=True)
+            continue
+        cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
+        paths = sorted(folder.glob("ref_*.csv")) + [folder / name / "a.csv" for name in cases]
+        known = len(paths)
+        if options.heldout:
+            paths += [options.set / "heldout" / name / "b.csv" for name in cases]
+        swims = [swim_of(read_recording(path), robot) for path in paths[: options.most]]
+        water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
+        for target, part in ((options.heldout, swims[known:]), (options.water, swims[:known])):
+            if part:
+                own = {key(swim): water.steps[key(swim)] for swim in part}
+                write_water(target / out.name, replace(water, steps=own))
+        print(f"{folder.name}: {len(swims)} swims, {time.perf_counter() - start:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

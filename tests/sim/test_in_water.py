@@ -1,0 +1,117 @@
+"""The twin beside what the fluid swam: the fluid where nothing changes, the twin's change else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swimming_robots import FISH, servos
+from test_calibrate import SENT
+from test_diagnose_swims import swum
+
+from sim.inference.coordinates import WATER, Coordinates
+from sim.inference.emulator import steps_of
+from sim.inference.followed import by_followed_twin
+from sim.inference.in_water import (
+    InWater,
+    by_twin_in_water,
+    key,
+    read_water_swims,
+    swum_in_water,
+    with_nearest_law,
+    write_water,
+)
+from sim.inference.swims import by_twin, with_values
+from sim.robot.swimmer import CONTROL_S
+from sim2real.cli import main
+
+OTHER = {"twin.across": 2.5, "twin.along": 0.7, "twin.thrust": 0.9}
+
+
+def speeds(track):
+    out = steps_of(track)
+    out[..., :3] /= CONTROL_S
+    return out
+
+
+@pytest.fixture(scope="module")
+def water():
+    """A twin of another law stands for the fluid, a third for its other waters."""
+    model = servos()
+    laws = [with_values(model, given) for given in (OTHER, OTHER | {"twin.linear": 0.5})]
+    first, second = speeds(by_twin(FISH)(laws, SENT, np.zeros(3)))
+    steps = np.stack([first, second - first, 0 * first, 0 * first])
+    return InWater(WATER, {key(swum({})): steps})
+
+
+def test_where_nothing_changes_the_fluid_swims(water):
+    swim, model = swum({}), water.of(servos())
+    (track,) = by_twin_in_water(FISH, model, water)([model], swim)
+    np.testing.assert_allclose(speeds(track[None])[0], water.steps[key(swim)][0], atol=1e-9)
+
+
+def test_other_waters_are_shares_of_a_way(water):
+    swim, model = swum({}), water.of(servos())
+    half = with_values(model, {"water.cells": 0.5})
+    (track,) = by_twin_in_water(FISH, model, water)([half], swim)
+    first, way = water.steps[key(swim)][:2]
+    np.testing.assert_allclose(speeds(track[None])[0], first + 0.5 * way, atol=1e-9)
+
+
+def test_an_effect_changes_what_it_changes_of_the_twin(water):
+    swim, model = swum({}), water.of(servos())
+    stiff = with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
+    found = speeds(by_twin_in_water(FISH, model, water)([model, stiff], swim))
+    alone = speeds(by_followed_twin(FISH)([model, stiff], swim))
+    np.testing.assert_allclose(found[1] - found[0], alone[1] - alone[0], atol=1e-9)
+
+
+def test_commands_that_the_fluid_has_not_swum_are_told(water):
+    model = water.of(servos())
+    swim = replace(swum({}), command=1.1 * SENT)
+    with pytest.raises(KeyError, match="has not swum"):
+        by_twin_in_water(FISH, model, water)([model], swim)
+
+
+def test_a_model_with_water_has_a_column_for_each(water):
+    kinds = [one.kind for one in Coordinates.of(FISH, water.of(servos())).columns]
+    assert [k for k in kinds if k.startswith("water")] == [f"water.{name}" for name in WATER]
+    assert not [one for one in Coordinates.of(FISH, servos()).columns if "water" in one.kind]
+
+
+def test_the_nearest_law_swims_as_the_fluid_did(water):
+    near = with_nearest_law(FISH, servos(), water).of(servos())
+    found = speeds(by_twin(FISH)([servos(), near], SENT, np.zeros(3)))
+    before, after = np.abs(found - water.steps[key(swum({}))][0])[..., :2].mean(axis=(1, 2))
+    assert after < 0.4 * before
+
+
+def test_what_was_swum_is_kept(water, tmp_path):
+    write_water(tmp_path / "deep" / "water.npz", replace(water, law={"across": 2.0}))
+    kept = read_water_swims(tmp_path / "deep" / "water.npz")
+    assert kept.names == WATER and kept.law == {"across": 2.0}
+    (sent,) = kept.steps
+    assert sent == key(swum({}))
+    np.testing.assert_allclose(kept.steps[sent], water.steps[sent], atol=2e-3)
+
+
+def test_files_that_are_none_or_of_other_swims_are_told(water, tmp_path, capsys):
+    pool, out = "datasets/pool/", tmp_path / "d.json"
+    command = ["diagnose", f"{pool}p1.csv", "--robot", f"{pool}robot.toml", "--out", str(out)]
+    command += ["--model", f"{pool}model.json", "--in-water"]
+    (tmp_path / "text.npz").write_text("t,x\n")
+    assert main([*command, str(tmp_path / "text.npz")]) == 2
+    assert "no swims in water" in capsys.readouterr().err
+    write_water(tmp_path / "other.npz", water)
+    assert main([*command, str(tmp_path / "other.npz")]) == 2
+    assert "not those of" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_the_fluid_swims_all_waters_and_other_cells_differ():
+    swim = swum({})
+    short = replace(swim, t=swim.t[:30], command=swim.command[:30])
+    found = swum_in_water(FISH, servos(), [short], cell_m=0.04)
+    (steps,) = found.steps.values()
+    assert steps.shape == (1 + len(WATER), 29, 3 + len(FISH.joints))
+    assert np.isfinite(steps).all()
+    assert np.abs(steps[1]).max() > 10 * np.abs(steps[3]).max() > 0
