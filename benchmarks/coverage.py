@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from tqdm import tqdm
 
+from sim2real.identification.identify import identify
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.output import write_json, write_whole
 from sim2real.posterior.convergence import LEAST_TIMES
@@ -30,7 +31,6 @@ from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load, Recording
 from sim2real.report.style import ACCENT, FAINT, RULE, house_style, new_figure
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.identify import identify
 from sim2real.servo.trace import trace
 
 Array = NDArray[np.float64]

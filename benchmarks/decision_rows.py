@@ -229,7 +229,7 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
-    from sim2real.servo.motor_line import on_its_line
+    from sim2real.identification.motor_line import on_its_line
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from sim2real.identification.identify import identify
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.identify import identify
 
 ROOT = Path(__file__).parents[1]
 SPEC = importlib.util.spec_from_file_location(

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.diagnose.predicting import predicting
 from sim2real.diagnose.result import Diagnosis
+from sim2real.identification.identify import identify
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.drawing import save_png
 from sim2real.robot import read_robot
-from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 ROOT = Path(__file__).parents[1]

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sim2real.identification.identify import identify
 from sim2real.model import Law, Model
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, read_robot
-from sim2real.servo.identify import identify
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))

@@ -47,9 +47,9 @@ def motion(truth: Array, t: Array, command: Array) -> Array:
 
 def recover(seed: int) -> tuple[Array, Array, Array]:
     """Truth, estimate and 90 % interval (3, 2) of one servo."""
+    from sim2real.identification.identify import identify
     from sim2real.recording import Load, Recording
     from sim2real.robot import Joint, Link, Robot, Servo
-    from sim2real.servo.identify import identify
 
     rng = np.random.default_rng(seed)
     frequency, damping = np.exp(rng.uniform(np.log(10), np.log(60))), rng.uniform(0.3, 1.2)

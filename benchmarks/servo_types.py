@@ -3,8 +3,8 @@
     python benchmarks/servo_types.py
 
 Takes the recordings from SIM2REAL_REALDATA (default ../shared/realdata), writes
-``sim2real/servo/types/*.json`` and ``reports/servo_types/README.md``. What is predicted is seen
-neither by the fit nor by the type that it starts from.
+``sim2real/identification/types/*.json`` and ``reports/servo_types/README.md``. What is predicted is
+seen neither by the fit nor by the type that it starts from.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sim2real.identification.identify import fitted_motors, identify
+from sim2real.identification.servo_type import FOLDER, ServoType, learn, write_type
 from sim2real.model import Model
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
-from sim2real.servo.identify import fitted_motors, identify
 from sim2real.servo.predict import predict
-from sim2real.servo.servo_type import FOLDER, ServoType, learn, write_type
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
@@ -38,7 +38,7 @@ PROCESSES = 2
 TEXT = """# Types of servos
 
 What recordings of other servos of a make have told is worth something where little was recorded.
-A type is a file, `sim2real/servo/types/NAME.json`: for each parameter of the motor's law the middle
+A type is a file, `identification/types/NAME.json`: for each parameter of the motor's law the middle
 and the spread to expect of the next servo. `type = "NAME"` in a servo's table of `robot.toml` puts
 them in the place of the general priors; `identify --together` does the same with what the other
 joints of one robot tell. `python benchmarks/servo_types.py` makes the types and this page.

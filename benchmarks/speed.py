@@ -96,9 +96,9 @@ def rollouts(batch: int, substeps: int, motor: Mapping[str, float] | None = None
 
 def identification() -> tuple[float, float, float]:
     """Time of identify for all joints and for one, in s, and the mean square error of that one."""
+    from sim2real.identification.identify import identify
     from sim2real.recording import read_recording
     from sim2real.robot import read_robot
-    from sim2real.servo.identify import identify
 
     robot = read_robot(DATA / "robot.toml")
     recordings = [read_recording(DATA / f"{name}.csv") for name in FITTED]

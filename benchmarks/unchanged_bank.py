@@ -21,9 +21,9 @@ import numpy as np
 from sim2real.diagnose.change import BANK
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
+from sim2real.residuals.explained import Explained, directions, explained, first_look
+from sim2real.residuals.jumps import Steps
 from sim2real.robot import Servo
-from sim2real.servo.explained import Explained, directions, explained, first_look
-from sim2real.servo.jumps import Steps
 from sim2real.servo.parameters import joint_row
 
 ROOT = Path(__file__).parents[1]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sim2real.clock import Timing, clock_findings, timing
 from sim2real.findings import Seen, joint_findings, moves
+from sim2real.identification.expect import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, match_joints
-from sim2real.servo.expect import expected_precision
 
 WIDTH = 100
 

@@ -52,7 +52,7 @@ class Servo(Sheet):
     position_step_rad: Stated[float] = Stated("a number of at least 0")
     where: Place = ("robot", "servos")
     type: str = ""
-    """What other servos of the type have told: a name or a file, see ``servo.servo_type``."""
+    """What other servos of the type have told: a name or a file, see ``servo_type``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sim2real.density import Density, normalised_density
 from sim2real.errors import InputError
+from sim2real.identification import identify as servos
 from sim2real.model import Law, Model, read_model
 from sim2real.posterior.check import Check
 from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
@@ -25,7 +26,6 @@ from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior
 from sim2real.ranges.gather import Gathered, Sampling, gather, sample_joints
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, match_joints, read_robot
-from sim2real.servo import identify as servos
 from sim2real.servo.predict import predict as predict_angles
 
 if TYPE_CHECKING:

@@ -184,7 +184,7 @@ def test_an_offence_is_found(tmp_path: Path, file: str, source: str, why: str) -
             "sim/water.py",
             "import warp\nfrom sim2real.robot import Robot\nfrom . import units",
         ),
-        ("sim2real/servo/fit.py", "import emcee, warp, numpy, scipy, pandas, simulate_me"),
+        ("sim2real/servo/batch.py", "import emcee, warp, numpy, scipy, pandas, simulate_me"),
         ("sim2real/cli.py", "def train():\n    from rl import train\n    import numpy.linalg"),
         ("sim2real/__init__.py", "def __getattr__(name):\n    import sim.verbs"),
         ("sim2real/hardware/bus.py", "import serial, cv2"),

@@ -36,13 +36,13 @@ from numpy.typing import NDArray
 from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
+from sim2real.identification.fit import best_of, gains, residuals
+from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.start import first_guess
 from sim2real.noise import noise_floor
 from sim2real.recording import Load
+from sim2real.residuals.repeats import freed_of_the_common
 from sim2real.robot import Servo
-from sim2real.servo.fit import best_of, gains, residuals
-from sim2real.servo.motor_choice import choose_motor
-from sim2real.servo.repeats import freed_of_the_common
-from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 SETTLED, STEADY = 3, 2.5

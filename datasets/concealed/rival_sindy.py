@@ -8,7 +8,7 @@ import numpy as np
 from rival_case import Array, Case, Said, entry
 from rival_torque import Residual, State, lacking_torque, predicted
 
-from sim2real.servo.fit import Fit
+from sim2real.identification.fit import Fit
 from sim2real.servo.trace import Trace
 
 THRESHOLDS, RIDGE = (1.6, 0.8, 0.4, 0.2, 0.1, 0.05), 0.05

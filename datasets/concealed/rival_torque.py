@@ -9,7 +9,7 @@ import numpy as np
 from rival_case import Array, Case
 from scipy.signal import savgol_filter
 
-from sim2real.servo.fit import Fit
+from sim2real.identification.fit import Fit
 from sim2real.servo.predict import predict
 from sim2real.servo.trace import Trace
 

@@ -41,6 +41,7 @@ from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.errors import InputError
+from sim2real.identification.identify import identify
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable
 from sim2real.ranges.entry import write_ranges
@@ -54,7 +55,6 @@ from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
 from sim2real.report.table import fit_report
 from sim2real.robot import Robot, read_robot
-from sim2real.servo.identify import identify
 from sim2real.servo.replay import Replay, replay
 
 STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
 from sim2real.output import check_writable
 from sim2real.recording import Recording, read_recording
 from sim2real.report.table import fit_report
 from sim2real.robot import read_robot
-from sim2real.servo.identify import identify
 from sim2real.servo.replay import Replay, replay
 
 

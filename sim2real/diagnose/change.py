@@ -21,8 +21,7 @@ from scipy.special import expit
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.posterior import Group, Posterior
 from sim2real.inference.segments import Window
-from sim2real.robot import Servo
-from sim2real.servo.explained import (
+from sim2real.residuals.explained import (
     Directions,
     Explained,
     directions,
@@ -31,10 +30,11 @@ from sim2real.servo.explained import (
     first_look,
     fitted,
 )
-from sim2real.servo.jumps import Steps
-from sim2real.servo.misstated import misstated
+from sim2real.residuals.jumps import Steps
+from sim2real.residuals.misstated import misstated
+from sim2real.residuals.problem import Set
+from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE
-from sim2real.servo.problem import Set
 from sim2real.servo.trace import Trace
 from sim2real.structured import Fields, read_json
 

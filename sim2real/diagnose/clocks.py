@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
+from sim2real.residuals.holdout import simulated
+from sim2real.residuals.problem import Hypothesis, variants
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.holdout import simulated
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import Hypothesis, variants
 
 Array = NDArray[np.float64]
 

@@ -22,14 +22,14 @@ from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.search import ServoSearch, ledgers_of
 from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
+from sim2real.identification.fit import refitted
 from sim2real.model import Model
 from sim2real.recording import Recording
+from sim2real.residuals.holdout import Unseen, held_out
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import Hypothesis, Set, Tried, joined, residual_angles
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
-from sim2real.servo.fit import refitted
-from sim2real.servo.holdout import Unseen, held_out
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 

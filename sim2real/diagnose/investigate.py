@@ -16,12 +16,12 @@ from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, links
+from sim2real.residuals.holdout import Unseen
+from sim2real.residuals.linear import Residual
+from sim2real.residuals.plain import baselines, plain_again
+from sim2real.residuals.problem import Hypothesis, Set, Tried, joined, residual_angles
 from sim2real.servo.batch import Batch
-from sim2real.servo.holdout import Unseen
-from sim2real.servo.linear import Residual
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.plain import baselines, plain_again
-from sim2real.servo.problem import Hypothesis, Set, Tried, joined, residual_angles
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""

@@ -15,9 +15,9 @@ from sim2real.effects import named
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.model import FittedEffect, JointModel
-from sim2real.servo.holdout import Unseen
+from sim2real.residuals.holdout import Unseen
+from sim2real.residuals.problem import Hypothesis, Set
 from sim2real.servo.parameters import COLUMNS, motor_of
-from sim2real.servo.problem import Hypothesis, Set
 from sim2real.servo.trace import PER_INERTIA
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
 from sim2real.effects import named
-from sim2real.servo.holdout import Unseen
-from sim2real.servo.problem import Set
+from sim2real.residuals.holdout import Unseen
+from sim2real.residuals.problem import Set
 
 Features = dict[str, float]
 

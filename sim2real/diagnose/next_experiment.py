@@ -15,8 +15,8 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import Diagnosis, Experiment
 from sim2real.effects import named
 from sim2real.recording import Load, Recording, write_recording
+from sim2real.residuals.problem import Hypothesis, Servos, minimise, residual_angles
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.problem import Hypothesis, Servos, minimise, residual_angles
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.effects import named
+from sim2real.residuals.problem import Hypothesis, Set, Tried
+from sim2real.residuals.screen import NUISANCES, candidate
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import Hypothesis, Set, Tried
-from sim2real.servo.screen import NUISANCES, candidate
 
 if TYPE_CHECKING:
     from sim2real.diagnose.search import Job, ServoSearch

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.servo.problem import Hypothesis, Set, Tried
-from sim2real.servo.screen import FITTED
+from sim2real.residuals.problem import Hypothesis, Set, Tried
+from sim2real.residuals.screen import FITTED
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from sim2real.diagnose.result import Diagnosis, NamedEffect
 from sim2real.diagnose.search import search
 from sim2real.model import JointModel
 from sim2real.recording import Recording
+from sim2real.residuals.holdout import held_out
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import Hypothesis, Tried
 from sim2real.servo.batch import Batch
-from sim2real.servo.holdout import held_out
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import Hypothesis, Tried
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]

@@ -12,17 +12,17 @@ from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
+from sim2real.identification.fit import best_of, gains
+from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.start import first_guess
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
+from sim2real.residuals.explained import way_of
+from sim2real.residuals.plain import BLOCKS, with_effects
+from sim2real.residuals.problem import Hypothesis, minimise
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.explained import way_of
-from sim2real.servo.fit import best_of, gains
-from sim2real.servo.motor_choice import choose_motor
 from sim2real.servo.parameters import joint_row, motor_of
-from sim2real.servo.plain import BLOCKS, with_effects
-from sim2real.servo.problem import Hypothesis, minimise
-from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, traces
 
 

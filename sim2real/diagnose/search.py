@@ -12,9 +12,8 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.nuisances import first_look, with_nuisances
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
-from sim2real.servo.batch import Batch
-from sim2real.servo.plain import BLOCKS, own_parameters, with_effects
-from sim2real.servo.problem import (
+from sim2real.residuals.plain import BLOCKS, own_parameters, with_effects
+from sim2real.residuals.problem import (
     Fits,
     Hypothesis,
     Set,
@@ -24,7 +23,8 @@ from sim2real.servo.problem import (
     minimise,
     stacked,
 )
-from sim2real.servo.screen import Candidate, Screen, candidates, screen
+from sim2real.residuals.screen import Candidate, Screen, candidates, screen
+from sim2real.servo.batch import Batch
 
 Array = NDArray[np.float64]
 Job = tuple[Tried, Set, Array]

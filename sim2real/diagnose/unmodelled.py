@@ -13,9 +13,9 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.inference.segments import Window, inside, robust_sd, windows
 from sim2real.processes import shared
+from sim2real.residuals.problem import Fits, minimise, residual_angles
+from sim2real.residuals.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.batch import Batch
-from sim2real.servo.problem import Fits, minimise, residual_angles
-from sim2real.servo.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

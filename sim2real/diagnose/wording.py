@@ -24,8 +24,8 @@ from sim2real.effects import named
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
+from sim2real.residuals.smooth import Smooth
 from sim2real.servo.parameters import BASE
-from sim2real.servo.smooth import Smooth
 from sim2real.servo.trace import Trace
 
 _RIVALS = 8

@@ -20,7 +20,7 @@ from sim2real.link.noise import (
     normals,
     regress,
 )
-from sim2real.servo.linear import EARLIEST_S, spread
+from sim2real.residuals.linear import EARLIEST_S, spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,7 +12,7 @@ from scipy.special import expit, xlogy
 
 from sim2real.inference.noise import whitened
 from sim2real.link.noise import Noise, NoisyJoint, Normal, normals, regress
-from sim2real.servo.linear import spread
+from sim2real.residuals.linear import spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

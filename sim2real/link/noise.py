@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.inference.noise import autoregression, counting, lag_products, whitened
-from sim2real.servo.linear import Residual, SetPoints, set_points
+from sim2real.residuals.linear import Residual, SetPoints, set_points
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from sim2real.link.jitter import latency_jitter
 from sim2real.link.loss import TRIFLING, Uneven, packet_loss
 from sim2real.link.noise import with_noise
 from sim2real.processes import shared
-from sim2real.servo.linear import Residual
+from sim2real.residuals.linear import Residual
 
 
 @dataclass(frozen=True)

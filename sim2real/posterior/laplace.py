@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.posterior.likelihood import ServoData
-from sim2real.servo.problem import Servos, minimise
+from sim2real.residuals.problem import Servos, minimise
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sim2real.effects import SIGNATURE, named
 from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
+from sim2real.identification.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
@@ -26,7 +27,6 @@ from sim2real.posterior.chain import (
 from sim2real.posterior.convergence import Convergence, convergence, sample
 from sim2real.posterior.laplace import Laplace, laplace, sharpened
 from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
-from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.servo.trace import Trace
 
 

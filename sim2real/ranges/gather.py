@@ -11,6 +11,7 @@ import numpy as np
 
 from sim2real.density import Density, normalised_density
 from sim2real.errors import InputError
+from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
 from sim2real.posterior.check import Check, predictive_check
 from sim2real.posterior.convergence import require
@@ -29,7 +30,6 @@ from sim2real.ranges.sources import (
 )
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_recordings
-from sim2real.servo.advice import ABOVE_NOISE
 from sim2real.servo.trace import split, traces
 
 if TYPE_CHECKING:

@@ -112,7 +112,7 @@ def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     """
     if not x.size:
         return x, y, x
-    from sim2real.servo.linear import WINDOW_S  # it loads scipy.signal
+    from sim2real.residuals.linear import WINDOW_S  # it loads scipy.signal
 
     low, high = np.percentile(x, [0.5, _INSIDE])
     edges = np.linspace(low, high, _BINS + 1)

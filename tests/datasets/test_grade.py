@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim2real.identification.fit import fit, gains, plain_row
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Commands, Load, Recording, write_recording
-from sim2real.servo.fit import fit, gains, plain_row
 from sim2real.servo.predict import predict
 from sim2real.servo.trace import Trace
 

@@ -8,9 +8,9 @@ import pytest
 from simulated import traced
 
 from sim2real.diagnose.search import ServoSearch, search
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import Fits, Tried
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import Fits, Tried
 from sim2real.servo.trace import Trace
 
 

@@ -14,8 +14,8 @@ from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.diagnose.references import law_of, with_known_servos
 from sim2real.errors import InputError
 from sim2real.recording import Load
-from sim2real.servo.at_rest import beside_rest
-from sim2real.servo.explained import (
+from sim2real.residuals.at_rest import beside_rest
+from sim2real.residuals.explained import (
     Directions,
     Explained,
     directions,
@@ -23,10 +23,10 @@ from sim2real.servo.explained import (
     first_look,
     way_of,
 )
-from sim2real.servo.jumps import Steps
-from sim2real.servo.misstated import misstated
+from sim2real.residuals.jumps import Steps
+from sim2real.residuals.misstated import misstated
+from sim2real.residuals.repeats import alignment, freed_of_the_common
 from sim2real.servo.parameters import joint_row
-from sim2real.servo.repeats import alignment, freed_of_the_common
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}
 FILTERED = {"command_filter": {"time_constant_s": 0.06}}

@@ -7,8 +7,8 @@ from simulated import traced
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.search import ledgers_of
+from sim2real.residuals.plain import baselines
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import baselines
 
 QUIET = 1e-5
 

@@ -11,10 +11,10 @@ from strange import position_damping, strange
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
+from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}

@@ -7,11 +7,11 @@ import pytest
 from simulated import traced
 
 from sim2real.inference.holdout import rms
-from sim2real.servo import knockoffs
-from sim2real.servo.black_box import black_box
-from sim2real.servo.holdout import held_out, splits
-from sim2real.servo.knockoffs import best_knockoff, directions
-from sim2real.servo.screen import FITTED, candidate
+from sim2real.residuals import knockoffs
+from sim2real.residuals.black_box import black_box
+from sim2real.residuals.holdout import held_out, splits
+from sim2real.residuals.knockoffs import best_knockoff, directions
+from sim2real.residuals.screen import FITTED, candidate
 
 
 class Floors:

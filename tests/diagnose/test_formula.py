@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from strange import position_damping, shaking, strange
 
+from sim2real.residuals.formula import formula, what_is_left
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import residual_angles
 from sim2real.servo.batch import Batch
-from sim2real.servo.formula import formula, what_is_left
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import residual_angles
 from sim2real.servo.trace import traces
 
 PLANTED = {

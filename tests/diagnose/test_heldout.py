@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
+from sim2real.residuals.holdout import folds, held_out
+from sim2real.residuals.plain import baselines
 from sim2real.servo.batch import Batch
-from sim2real.servo.holdout import folds, held_out
-from sim2real.servo.plain import baselines
 
 
 @pytest.fixture(scope="module")

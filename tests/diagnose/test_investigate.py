@@ -8,8 +8,8 @@ from strange import position_damping, strange
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import investigate
+from sim2real.residuals.problem import residual_angles
 from sim2real.servo.batch import Batch
-from sim2real.servo.problem import residual_angles
 from sim2real.servo.trace import trace
 
 

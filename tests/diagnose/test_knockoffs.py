@@ -5,10 +5,10 @@ import pytest
 from simulated import traced
 
 from sim2real.inference.knockoffs import contest, false_discovery_rate, meaningless
+from sim2real.residuals.knockoffs import directions
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.screen import FITTED, candidate
 from sim2real.servo.batch import Batch
-from sim2real.servo.knockoffs import directions
-from sim2real.servo.plain import baselines
-from sim2real.servo.screen import FITTED, candidate
 
 T = 0.02 * np.arange(1500)
 

@@ -7,9 +7,9 @@ from simulated import NOISE, traced
 from sim2real.diagnose.checks import detection_limits
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import named
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.screen import Screen, candidate, screen
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import baselines
-from sim2real.servo.screen import Screen, candidate, screen
 
 NEEDED = np.sqrt(2 * DECISION.detection_gain) + 1.28
 EFFECTS = ("coulomb_friction", "sensor_gain", "backlash")

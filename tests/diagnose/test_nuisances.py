@@ -7,9 +7,9 @@ from simulated import NOISE, traced
 from sim2real.diagnose.nuisances import size_in_noise
 from sim2real.diagnose.search import search
 from sim2real.effects import named
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.screen import FITTED, NUISANCES
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import baselines
-from sim2real.servo.screen import FITTED, NUISANCES
 
 WAVE = {"amplitude_rad": 4 * NOISE, "period_rad": 0.6, "phase_rad": 0.5}
 

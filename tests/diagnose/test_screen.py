@@ -5,9 +5,9 @@ import pytest
 from simulated import traced
 
 from sim2real.effects import named
+from sim2real.residuals.plain import BLOCKS, baselines
+from sim2real.residuals.screen import FITTED, Screen, candidate, screen
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import BLOCKS, baselines
-from sim2real.servo.screen import FITTED, Screen, candidate, screen
 
 BLOCK_COUNT, STARTS, COUNT = 40, 30, 1e6
 

@@ -9,10 +9,10 @@ from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 from sim2real.diagnose.search import BREADTH
 from sim2real.effects import named
 from sim2real.model import FittedEffect, JointModel
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import joined
+from sim2real.residuals.screen import FITTED, candidate
 from sim2real.servo.batch import Batch
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import joined
-from sim2real.servo.screen import FITTED, candidate
 
 
 def test_the_plain_servo_comes_back(nothing):

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
+from sim2real.residuals.smooth import Motion, Servo, smooth_function, smooth_function_of
 from sim2real.servo.rollout import rollout
-from sim2real.servo.smooth import Motion, Servo, smooth_function, smooth_function_of
 
 LAGS = 25
 SERVO = Servo(KP, KD, LATENCY, np.full(2, INERTIA), np.zeros(2), 0.02, LAGS)

@@ -9,9 +9,9 @@ from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
 from sim2real.diagnose.unmodelled import excess, unmodelled
 from sim2real.inference.noise import RESIDUAL_WANDER
+from sim2real.residuals.plain import baselines
+from sim2real.residuals.problem import residual_angles
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.plain import baselines
-from sim2real.servo.problem import residual_angles
 
 
 def wander(seed, size, share=RESIDUAL_WANDER.share):

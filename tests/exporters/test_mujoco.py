@@ -12,10 +12,10 @@ from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
 from sim2real.exporters.mujoco import HAS, LACKS, mujoco
 from sim2real.exporters.mujoco_bench import simulate
+from sim2real.identification.identify import identify
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load, read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 
 SERVO_STEPS = Path("datasets/servo_steps")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from virtual_bench import IDENTIFIED, PORTS, SECONDS
 
+from sim2real.identification.identify import identify
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.identify import identify
 
 
 @pytest.mark.parametrize("kind", PORTS)

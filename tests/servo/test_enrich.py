@@ -5,10 +5,10 @@ import pytest
 
 from sim2real.effects import named
 from sim2real.effects.effect import scaled
+from sim2real.identification.identify import identify
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.identify import identify
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sim2real.errors import InputError
+from sim2real.identification.identify import identify
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, read_robot
-from sim2real.servo.identify import identify
 from sim2real.servo.predict import predict
 from sim2real.servo.replay import replay
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim2real.errors import InputError
+from sim2real.identification.identify import identify
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.identify import identify
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
 from sim2real.servo.trace import drive_slope
@@ -318,7 +318,7 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
 
 
 def test_a_loosened_prior_is_wider_for_losses_only():
-    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.identification.motor_prior import motor_prior
     from sim2real.servo.trace import trace
 
     command = SQUARE[:, None]
@@ -331,9 +331,9 @@ def test_a_loosened_prior_is_wider_for_losses_only():
 
 
 def test_an_average_of_fits_lies_between_them():
-    from sim2real.servo.fit import best_of, plain_row
-    from sim2real.servo.motor_fit import averaged, fit_motor
-    from sim2real.servo.motor_prior import motor_prior
+    from sim2real.identification.fit import best_of, plain_row
+    from sim2real.identification.motor_fit import averaged, fit_motor
+    from sim2real.identification.motor_prior import motor_prior
     from sim2real.servo.parameters import LINE as COLUMNS_OF_LINE
     from sim2real.servo.trace import trace
 

@@ -7,8 +7,8 @@ import pytest
 from simulated import INERTIA, KD, KP, LATENCY, column, row, traced
 
 from sim2real.inference.evidence import profile_loglikelihood
+from sim2real.residuals.problem import Servos, minimise, variants
 from sim2real.servo.batch import Batch
-from sim2real.servo.problem import Servos, minimise, variants
 
 FRICTION = 0.05
 TRUTH = np.array([KP, KD, LATENCY, FRICTION])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from sim2real.errors import InputError
+from sim2real.identification.identify import fitted_motors, identify
+from sim2real.identification.servo_type import FOLDER, learn, read_type, write_type
 from sim2real.model import JointModel
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo, read_robot
-from sim2real.servo.identify import fitted_motors, identify
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
-from sim2real.servo.servo_type import FOLDER, learn, read_type, write_type
 
 KP, KD, LATENCY, INERTIA = 1.4, 0.07, 0.05, 0.0022
 TRUE = {"stall_torque_Nm": 1.2, "no_load_speed_rad_s": 6.5}

@@ -8,11 +8,11 @@ def test_intervals_hold_where_residuals_are_correlated():
     """A line through correlated noise: intervals for independent noise would miss half the time."""
     from scipy.stats import binomtest
 
+    from sim2real.identification.fit import Fit
+    from sim2real.identification.uncertainty import uncertainty
     from sim2real.inference.least_squares import robust_scale
     from sim2real.inference.parameters import Parameter
-    from sim2real.servo.fit import Fit
     from sim2real.servo.parameters import COLUMNS
-    from sim2real.servo.uncertainty import uncertainty
 
     held = 0
     x = np.linspace(-1, 1, 1500)

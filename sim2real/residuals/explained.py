@@ -5,7 +5,7 @@ An unchanged recording is explained as well as the references allow:
 - ``repeat``: where the case repeats a command of theirs, by the mean of what the servo's law leaves
   of those; the repeatability of the servo then decides what can be told, not the law;
 - ``rest``: where the servo is sampled so slowly that it is mostly seen at rest, by where the
-  references came to rest (``servo.at_rest``);
+  references came to rest (``residuals.at_rest``);
 - ``law``: else by the law, its parameters the references' and the case's.
 """
 
@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sim2real.effects import named
+from sim2real.identification.fit import STEPS_PER_RADIAN
+from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.noise import correlation_samples
 from sim2real.noise import noise_floor
+from sim2real.residuals.at_rest import beside_rest, is_slow
+from sim2real.residuals.repeats import ALIKE, alignment, freed_of_the_common
+from sim2real.residuals.screen import candidate, candidates
 from sim2real.robot import Servo
-from sim2real.servo.at_rest import beside_rest, is_slow
-from sim2real.servo.fit import STEPS_PER_RADIAN
-from sim2real.servo.motor_prior import motor_prior
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
-from sim2real.servo.repeats import ALIKE, alignment, freed_of_the_common
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
-from sim2real.servo.screen import candidate, candidates
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

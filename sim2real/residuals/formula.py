@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.inference.noise import RESIDUAL_WANDER, counting
-from sim2real.servo.holdout import simulated
-from sim2real.servo.linear import Filter, gain_torques, smooth, through, torque_filter
+from sim2real.residuals.holdout import simulated
+from sim2real.residuals.linear import Filter, gain_torques, smooth, through, torque_filter
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.explained import Explained, restated
+from sim2real.residuals.explained import Explained, restated
 from sim2real.servo.parameters import COLUMNS
 
 Array = NDArray[np.float64]

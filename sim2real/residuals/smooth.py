@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 
 from sim2real.inference.evidence import chance_gain
 from sim2real.inference.noise import autoregression, lag_products, whitened
-from sim2real.servo.linear import Filter, gain_torques, through, torque_filter
+from sim2real.residuals.linear import Filter, gain_torques, through, torque_filter
 
 Array = NDArray[np.float64]
 

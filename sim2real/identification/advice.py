@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.effects import Effect
+from sim2real.identification.fit import Fit, residuals
+from sim2real.identification.loop_fit import hidden
+from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.holdout import rms
 from sim2real.recording import Load, Recording
 from sim2real.robot import Servo
-from sim2real.servo.fit import Fit, residuals
-from sim2real.servo.loop_fit import hidden
-from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import PER_INERTIA, Trace
-from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 _SHORT = {
     "kp_Nm_per_rad": "kp",

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sim2real.inference.holdout import rms
-from sim2real.servo.holdout import Side, Split
-from sim2real.servo.linear import through, torque_filter
+from sim2real.residuals.holdout import Side, Split
+from sim2real.residuals.linear import through, torque_filter
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.identification.fit import fit, gains, inertia_left_out
+from sim2real.identification.start import first_guess
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
 from sim2real.recording import Recording
-from sim2real.servo.fit import fit, gains, inertia_left_out
-from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, traces
 
 Array = NDArray[np.float64]

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.identification.fit import Fit, errors, plain_row
+from sim2real.identification.motor_prior import Prior
+from sim2real.identification.start import WINDOW_S
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
-from sim2real.servo.fit import Fit, errors, plain_row
-from sim2real.servo.motor_prior import Prior
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
-from sim2real.servo.start import WINDOW_S
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

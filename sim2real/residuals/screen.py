@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
+from sim2real.residuals.problem import Fits, variants
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.problem import Fits, variants
 
 Array = NDArray[np.float64]
 

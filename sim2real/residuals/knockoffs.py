@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from sim2real.inference.holdout import rms
 from sim2real.inference.knockoffs import Directions, drop, meaningless
-from sim2real.servo.holdout import Side, Split, simulated
-from sim2real.servo.problem import Servos, variants
-from sim2real.servo.screen import Candidate
+from sim2real.residuals.holdout import Side, Split, simulated
+from sim2real.residuals.problem import Servos, variants
+from sim2real.residuals.screen import Candidate
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim2real.identification.fit import best_of, gains
+from sim2real.identification.motor_fit import EXPLAINED, fit_motor
+from sim2real.identification.motor_prior import Prior, motor_prior
+from sim2real.identification.start import first_guess
 from sim2real.inference.holdout import rms
 from sim2real.model import JointModel
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
-from sim2real.servo.fit import best_of, gains
-from sim2real.servo.motor_fit import EXPLAINED, fit_motor
-from sim2real.servo.motor_prior import Prior, motor_prior
 from sim2real.servo.parameters import LINE
-from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace
 
 

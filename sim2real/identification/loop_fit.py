@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.motor_fit import MotorFit, refitted
+from sim2real.identification.motor_fit import MotorFit, refitted
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace

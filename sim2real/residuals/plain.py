@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim2real.effects import named
+from sim2real.identification.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.model import JointModel
+from sim2real.residuals.problem import Fits, Servos, Set, Tried, minimise, plain_servos, stacked
+from sim2real.residuals.screen import candidate
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
-from sim2real.servo.problem import Fits, Servos, Set, Tried, minimise, plain_servos, stacked
-from sim2real.servo.screen import candidate
-from sim2real.servo.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 
 Array = NDArray[np.float64]
 

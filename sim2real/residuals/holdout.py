@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.inference.holdout import each_in_turn, rms
+from sim2real.residuals.problem import Servos, minimise, stacked
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.problem import Servos, minimise, stacked
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.inference.segments import Window
-from sim2real.servo.explained import Explained
+from sim2real.residuals.explained import Explained
 
 Array = NDArray[np.float64]
 

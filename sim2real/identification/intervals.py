@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.servo.fit import Fit, fit, gains
-from sim2real.servo.motor_fit import MotorFit
+from sim2real.identification.fit import Fit, fit, gains
+from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.uncertainty import Uncertainty
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
-from sim2real.servo.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 

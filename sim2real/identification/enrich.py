@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import Effect
+from sim2real.identification.fit import Fit, errors, fit, gains, of_effects
 from sim2real.inference.least_squares import OUTLIER_SD, robust_loss
 from sim2real.inference.parameters import Parameter
-from sim2real.servo.fit import Fit, errors, fit, gains, of_effects
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
+from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.motor_prior import Belief, Prior
+from sim2real.identification.uncertainty import uncertainty
 from sim2real.output import write_json
 from sim2real.robot import Servo
-from sim2real.servo.motor_fit import MotorFit
-from sim2real.servo.motor_prior import Belief, Prior
 from sim2real.servo.parameters import BASE, LOOP
-from sim2real.servo.uncertainty import uncertainty
 from sim2real.structured import Fields, read_json
 
 Array = NDArray[np.float64]

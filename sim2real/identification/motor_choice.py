@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim2real.identification.fit import Fit
+from sim2real.identification.loop_fit import sampled
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
+from sim2real.identification.motor_prior import Prior, motor_prior
+from sim2real.identification.servo_type import ServoType
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import whiteness
 from sim2real.robot import Servo
-from sim2real.servo.fit import Fit
-from sim2real.servo.loop_fit import sampled
-from sim2real.servo.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
-from sim2real.servo.motor_prior import Prior, motor_prior
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
-from sim2real.servo.servo_type import ServoType
 from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia
 
 _CLEAR = 6.0

@@ -10,6 +10,15 @@ from numpy.typing import NDArray
 
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
+from sim2real.identification import advice
+from sim2real.identification.enrich import fit_effects
+from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
+from sim2real.identification.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.servo_type import ServoType, learn, type_of
+from sim2real.identification.start import first_guess
+from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import correlation_samples, whiteness
 from sim2real.inference.parameters import column
@@ -18,17 +27,8 @@ from sim2real.noise import noise_floor
 from sim2real.output import provenance
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo import advice
-from sim2real.servo.enrich import fit_effects
-from sim2real.servo.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
-from sim2real.servo.intervals import intervals, motor_intervals, symmetric_intervals
-from sim2real.servo.motor_choice import choose_motor
-from sim2real.servo.motor_fit import MotorFit
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.servo_type import ServoType, learn, type_of
-from sim2real.servo.start import first_guess
 from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia, split, traces
-from sim2real.servo.uncertainty import Uncertainty, uncertainty
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def identify(
             the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
             servo where ``effects`` say what to add to it.
         together: Whether joints with one servo in the robot's file have motors of one make: each
-            is then fitted again with what the others have told of theirs (``servo.servo_type``).
+            is then fitted again with what the others have told of theirs (``servo_type``).
         seed: Seed of the scan for a start.
         progress: Wraps the joints while they are worked through, to show progress.
 

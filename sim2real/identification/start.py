@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from sim2real.servo.fit import plain_row
+from sim2real.identification.fit import plain_row
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import Trace

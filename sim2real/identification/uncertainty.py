@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from sim2real.identification.fit import Fit
 from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.inference.noise import bandwidth, correlation_samples, fixed_b, long_run
-from sim2real.servo.fit import Fit
 
 Array = NDArray[np.float64]
 
