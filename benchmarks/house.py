@@ -18,7 +18,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
-_ROOMS = ("diagnose", "link", "effects", "inference", "servo")
+_ROOMS = ("diagnose", "link", "effects", "inference", "residuals", "identification", "servo")
 FOLDERS = ("sim2real", *(f"sim2real/{room}" for room in _ROOMS))
 
 
