@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 Array = NDArray[np.float64]
 
@@ -118,14 +119,14 @@ def _straightened(odds: Array, y: Array) -> tuple[Array, Array]:
     x = np.stack([np.ones_like(odds), np.clip(odds, -40.0, 40.0)], axis=1)
     line = np.array([0.0, 1.0])
     for _ in range(40):
-        p = _logit(x @ line)
+        p = expit(x @ line)
         bend = (x * np.maximum(p * (1 - p), 1e-6)[:, None]).T @ x + np.diag([1e-3, 1.0])
         slope = x.T @ (y - p) - np.array([1e-3, 1.0]) * (line - np.array([0.0, 1.0]))
         step = np.linalg.solve(bend, slope)
         line = line + step
         if np.abs(step).max() < 1e-9:
             break
-    return line, _logit(x @ line)
+    return line, expit(x @ line)
 
 
 def logistic(x: Array, y: Array, spread: float) -> Array:
@@ -137,7 +138,7 @@ def logistic(x: Array, y: Array, spread: float) -> Array:
     prior[0] = 1e-4
     w = np.zeros(x.shape[1])
     for _ in range(60):
-        p = _logit(z @ w)
+        p = expit(z @ w)
         slope = z.T @ (y - p) - prior * w
         bend = (z * np.maximum(p * (1 - p), 1e-6)[:, None]).T @ z + np.diag(prior)
         step = np.linalg.solve(bend, slope)
@@ -164,7 +165,3 @@ def least_sure(curves: Sequence[Curve], least: float = 0.9, right: float = 0.99)
         if some.any() and y[some].mean() >= right:
             return float(level)
     return None
-
-
-def _logit(odds: Array) -> Array:
-    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30.0, 30.0))))

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from sim2real.diagnose.decision import Odds
+
 Row = dict[str, Any]
 Values = Mapping[str, float]
 Said = dict[tuple[str, str], Any]
@@ -74,12 +76,6 @@ def alike(name: str, found: Row) -> str:
     return f"{ends} of {found['joints']} joints would be decided otherwise"
 
 
-def probability(weights: Values, features: Values) -> float:
-    """Of a logistic curve."""
-    total = sum(weights.get(name, 0.0) * x for name, x in features.items())
-    return float(1 / (1 + np.exp(-np.clip(total, -40, 40))))
-
-
 def _effects(row: Row, entry: Sequence[Any], weights: Values) -> set[str]:
     """What would be named, the groups' probabilities and stabilities being these."""
     features = {group["members"][0]: group["features"] for group in row["groups"]}
@@ -89,7 +85,7 @@ def _effects(row: Row, entry: Sequence[Any], weights: Values) -> set[str]:
         if usual is None:
             continue
         odds = -float(np.log(np.clip(1 / np.clip(p, 0.02, 0.98) - 1, 1e-3, 1e3)))
-        if probability(weights, {**usual, "probability": odds, "stability": stable}) >= 0.5:
+        if Odds(weights).probability({**usual, "probability": odds, "stability": stable}) >= 0.5:
             said.add(members[0])
     return said
 
@@ -104,8 +100,8 @@ def _windows(rows: Sequence[Row], values: Values, odds: Mapping[str, Values]) ->
             gain = row["windows_gain"] - values["window_cost"] * len(length)
             gain -= values["window_second_cost"] * sum(length)
         whole = {**row["whole"], "windows": float(np.log1p(np.clip(gain, 0.0, 1e5)))}
-        there = probability(odds["there"], whole) >= values["there"]
-        said[row["case"], row["joint"]] = there, probability(odds["nameless"], whole) > 0.5
+        there = Odds(odds["there"]).probability(whole) >= values["there"]
+        said[row["case"], row["joint"]] = there, Odds(odds["nameless"]).probability(whole) > 0.5
     return said
 
 
@@ -121,7 +117,7 @@ def _links(rows: Sequence[Row], values: Values, odds: Mapping[str, Values]) -> S
             effect, share = uneven.get(k, ("", 0.0))
             size = np.clip(1 - np.exp(-share / row["count"]), 1e-2, 30.0)
             told = {"one": 1.0, "size": float(np.log(size))}
-            sure = bool(effect) and probability(odds["link"], told) >= 0.5
+            sure = bool(effect) and Odds(odds["link"]).probability(told) >= 0.5
             said[case, row["joint"]] = effect if sure else ""
     return said
 

@@ -17,8 +17,7 @@ from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.model import FittedEffect, JointModel
 from sim2real.residuals.holdout import Unseen
 from sim2real.residuals.problem import Hypothesis, Set
-from sim2real.servo.parameters import COLUMNS, motor_of
-from sim2real.servo.trace import PER_INERTIA
+from sim2real.servo.parameters import COLUMNS, stated
 
 Array = NDArray[np.float64]
 
@@ -143,20 +142,7 @@ def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
         theta: Its parameters, shape (P,); what it has of a motor included.
         hypothesis: The effects that it has.
     """
-    motor = motor_of(theta)
-    load = joint.traces[0].load
-    kp, kd, latency = (float(x) for x in theta[:3])
-    return JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=load is PER_INERTIA,
-        law="motor" if motor else "pd",
-        motor=motor,
-        load=None if load is PER_INERTIA else load,
-        effects=fitted_effects(hypothesis, joint.step_rad),
-    )
+    return stated(theta, joint.traces[0].load, fitted_effects(hypothesis, joint.step_rad))
 
 
 def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:

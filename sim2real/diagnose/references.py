@@ -22,8 +22,8 @@ from sim2real.residuals.plain import BLOCKS, with_effects
 from sim2real.residuals.problem import Hypothesis, minimise
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import joint_row, motor_of
-from sim2real.servo.trace import PER_INERTIA, Trace, traces
+from sim2real.servo.parameters import joint_row, stated
+from sim2real.servo.trace import Trace, traces
 
 
 def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
@@ -75,18 +75,7 @@ def law_of(
     if way_of(references, case) == "law":
         noise = max(noise_floor(t.t, t.command, t.position) for t in given)
         row = choose_motor(given, plain, servo, noise, rng).fit.row
-    motor, load = motor_of(row), given[0].load
-    kp, kd, latency = (float(x) for x in row[:3])
-    return JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=load is PER_INERTIA,
-        law="motor" if motor else "pd",
-        motor=motor,
-        load=None if load is PER_INERTIA else load,
-    )
+    return stated(row, given[0].load)
 
 
 def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:

@@ -15,8 +15,8 @@ from sim2real.inference.holdout import rms
 from sim2real.model import JointModel
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
-from sim2real.servo.parameters import LINE
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.parameters import LINE, stated
+from sim2real.servo.trace import Trace
 
 
 def on_its_line(
@@ -34,24 +34,12 @@ def on_its_line(
     """
     noise = max(noise_floor(t.t, t.command, t.position) for t in given)
     start, others = first_guess(given, rng)
-    inertia = given[0].load.inertia_kgm2
-    names = [p.name for p in gains(start, inertia)]
+    names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
     plain, _ = best_of(given, [start, *others], names)
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
     motor = fit_motor(given, plain, _near_the_sheet(servo, given, room), LINE, rng)
-    kp, kd, latency = (float(x) for x in motor.fit.row[:3])
-    known = given[0].load is not PER_INERTIA
-    model = JointModel(
-        kp,
-        kd,
-        latency,
-        inertia_kgm2=inertia,
-        per_inertia=not known,
-        law="motor",
-        motor=motor.values,
-        load=given[0].load if known else None,
-    )
+    model = stated(motor.fit.row, given[0].load)
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 

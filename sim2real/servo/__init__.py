@@ -1,1 +1,1 @@
-"""The actuator: its law, batched rollouts, and the fit of gains and latency."""
+"""The actuator as it is simulated: its law, its parameters, and batched rollouts."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
+from sim2real.servo.trace import PER_INERTIA
 
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
@@ -113,6 +114,29 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     for fitted in joint.effects:
         _fill(row, fitted, where)
     return row
+
+
+def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> JointModel:
+    """A fitted joint as a model states it: what ``joint_row`` takes back.
+
+    Args:
+        row: Its parameters, shape (len(COLUMNS),); what it has of a motor included.
+        load: The load that it was fitted with, ``PER_INERTIA`` where none was known.
+        effects: Those that it has.
+    """
+    motor = motor_of(row)
+    kp, kd, latency = (float(x) for x in row[:3])
+    return JointModel(
+        kp,
+        kd,
+        latency,
+        inertia_kgm2=load.inertia_kgm2,
+        per_inertia=load is PER_INERTIA,
+        law="motor" if motor else "pd",
+        motor=motor,
+        load=None if load is PER_INERTIA else load,
+        effects=tuple(effects),
+    )
 
 
 def motor_of(row: Array) -> dict[str, float]:
