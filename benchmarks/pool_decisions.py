@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.decision_curves import logistic
 from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim2real.output import write_json
@@ -35,7 +36,8 @@ SPANS: dict[str, tuple[float, float]] = {
 _LOOKS, _NARROW, _AT_ONCE = 120, 0.2, 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
-_RIDGE = 1.0
+_PRIOR = 1.0
+"""Of the weights, over the size of what they weigh."""
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
 Cases = list[tuple[dict[str, Any], dict[str, Any]]]
@@ -216,35 +218,19 @@ def curves(cases: Cases, numbers: Numbers) -> Numbers:
     flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(11)}
     said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
     strange = logistic(
-        [strange_terms(one.strange) for _, one in said],
-        [truth["kind"] == "outside" for truth, _ in said],
-    )
+        np.array([strange_terms(one.strange) for _, one in said]),
+        np.array([truth["kind"] == "outside" for truth, _ in said], dtype=np.float64), _PRIOR,
+    )  # fmt: skip
     out = {k: v for k, v in numbers.items() if not k.startswith(("odds", "strange"))}
-    out |= {f"strange {k}": v for k, v in enumerate(strange)}
+    out |= {f"strange {k}": float(v) for k, v in enumerate(strange)}
     said = [(truth, decide(found, flat | out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
     odds = logistic(
-        [terms_of(one.spoken) for _, one in names],
-        [_right(one.group, _hidden(truth)) for truth, one in names],
+        np.array([terms_of(one.spoken) for _, one in names]),
+        np.array([_right(one.group, _hidden(truth)) for truth, one in names], dtype=np.float64),
+        _PRIOR,
     )
-    return out | {f"odds {k}": v for k, v in enumerate(odds)}
-
-
-def logistic(terms: Sequence[Sequence[float]], right: Sequence[bool]) -> list[float]:
-    """Weights by ridge regression."""
-    X, y = np.array(terms), np.array(right, dtype=np.float64)
-    size = np.maximum(X.std(axis=0), 1e-3)
-    size[0] = 1.0
-    X = X / size
-    penalty = _RIDGE * np.eye(X.shape[1])
-    penalty[0, 0] = 1e-3
-    w = np.zeros(X.shape[1])
-    for _ in range(30):
-        p = 1 / (1 + np.exp(-np.clip(X @ w, -30, 30)))
-        slope = X.T @ (p - y) + penalty @ w
-        curve = (X * (p * (1 - p))[:, None]).T @ X + penalty
-        w = w - np.linalg.solve(curve, slope)
-    return [float(v) for v in w / size]
+    return out | {f"odds {k}": float(v) for k, v in enumerate(odds)}
 
 
 def main() -> None:

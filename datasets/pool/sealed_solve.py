@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.inference.diagnose_swims import diagnosis_of
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
-from sim.inference.swim_findings import diagnosis_of
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief
 from sim2real.diagnose.result import write_diagnosis

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.fluid.wall import SLIP
 from sim.inference.coordinates import WATER, Coordinates, Swum
 from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
@@ -43,10 +44,11 @@ SUBSTEPS = 20
 """Steps of the lattice in a control period: with half as many a servo lags by another 5 %."""
 COARSE = 1.25
 """Side of a cell of the other waters, over that of the first."""
-VARIANTS: Mapping[str, Mapping[str, float]] = dict(
-    zip(WATER, ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}), strict=True)
+VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
+    zip(WATER, ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}), strict=True)
 )
-"""Other waters, in larger cells: their viscosity and sub-grid constant over those of the first."""
+"""Other waters, in larger cells: viscosity and sub-grid constant over those of the first, and the
+friction line along the robot."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def swum_in_water(
     *,
     cell_m: float = CELL_M,
     device: str = "cpu",
-    variants: Mapping[str, Mapping[str, float]] = VARIANTS,
+    variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     box_m: tuple[float, float, float] = BOX_M,
     threads: int = 1,
 ) -> InWater:
@@ -108,7 +110,7 @@ def swum_in_water(
             robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device, box_m=box_m,
             viscosity_m2_s=VISCOSITY_M2_S * given.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
-            substeps=SUBSTEPS,
+            substeps=SUBSTEPS, wall=replace(SLIP, line=given.get("line", SLIP.line)),
         )  # fmt: skip
         track = []
         for row in [None, *sent[:-1]]:

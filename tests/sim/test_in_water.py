@@ -39,7 +39,7 @@ def water():
     model = servos()
     laws = [with_values(model, given) for given in (OTHER, OTHER | {"twin.linear": 0.5})]
     first, second = speeds(by_twin(FISH)(laws, SENT, np.zeros(3)))
-    steps = np.stack([first, second - first, 0 * first, 0 * first])
+    steps = np.stack([first, second - first, *[0 * first] * (len(WATER) - 1)])
     return InWater(WATER, {key(swum({})): steps})
 
 
