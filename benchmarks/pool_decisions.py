@@ -1,9 +1,11 @@
 """Read the thresholds and the odds that decide a diagnosis of swims off development sets.
 
-    python benchmarks/pool_decisions.py SET VERDICTS [SET VERDICTS ...] [--in-water]
+    python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET VERDICTS RESULTS ...] [--in-water]
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
-thresholds whose answers are best; prints what they are worth with whole robots left out. Writes
+thresholds whose answers are best; prints what they are worth with whole robots left out. What a
+model has to bring on the end of its swim to be offered is read off the other swims of the cases, as
+``sealed_grade.py`` says what each set foretells of them. Writes
 ``decisions`` of ``sim/inference/law_error.json``, or of ``law_error_in_water.json``.
 """
 
@@ -28,14 +30,15 @@ Numbers = dict[str, float]
 SPANS: dict[str, tuple[float, float]] = {
     "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.9999),
     "something alone": (0.5, 0.9999),
-    "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "held_better": (0.03, 0.3),
-    "held_sure": (5.0, 200.0), "held_gain": (-3.0, 5.0), "held_worse": (0.0, 0.05),
-    "most_certain": (0.95, 0.99),
+    "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "most_certain": (0.95, 0.99),
 }  # fmt: skip
 """Where thresholds are looked for."""
 _LOOKS, _NARROW, _AT_ONCE = 120, 0.2, 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
+_GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
+_WORSE, _RARELY = 0.01, 0.01
+"""Share by which an error may grow, and share of cases in which it may grow by more."""
 _PRIOR = 1.0
 """Of the weights, over the size of what they weigh."""
 _USUAL = 0.85
@@ -135,14 +138,18 @@ def usually(cases: Cases) -> Numbers:
     }
 
 
-def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None:
+def choose(
+    sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[Path], target: Path
+) -> None:
     """Thresholds whose answers to the development set are best, by a random search that narrows."""
     cases = []
-    for challenge, place in zip(sets, verdicts, strict=True):
+    for challenge, place, results in zip(sets, verdicts, graded, strict=True):
+        foretold = {row["case"]: row["heldout"] for row in json.loads(results.read_text())["cases"]}
         for one in json.loads((challenge / "answers.json").read_text())["cases"]:
             path = place / one["case"] / "raw.json"
             if path.exists():
                 truth = one | {"robot": f"{challenge.name} {one['robot']}"}
+                truth["foretold"] = foretold[one["case"]]
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
     content = json.loads(target.read_text())
@@ -152,6 +159,7 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
     begun = [content["decisions"]] * (_FOLDS + 1)
     with ProcessPoolExecutor(_AT_ONCE) as pool:
         *found, best = pool.map(tuned, [*parts, cases], begun)
+    best |= offering(cases, best)
     apart = [
         (t, decide(f, numbers))
         for numbers, some in zip(found, out, strict=True)
@@ -159,17 +167,38 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
         if t["robot"] in some
     ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
-    best["relative"] = spread_of(sets, verdicts)
+    best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots, {_LOOKS} looks at random"
     write_json(target, content)
     print("all:", judged([(t, decide(f, best)) for t, f in cases]))
 
 
-def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
+def offering(cases: Cases, numbers: Numbers) -> Numbers:
+    """What a set has to bring on the end of a swim, so that hardly one foretells another worse."""
+    best, top = {}, -np.inf
+    for gain in _GAINS:
+        for better in _BETTER:
+            trial = numbers | {"held_gain": float(gain), "held_better": float(better)}
+            lower = np.array([_lower(truth, decide(found, trial)) for truth, found in cases])
+            if np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
+                top = lower.mean()
+                best = {name: trial[name] for name in ("held_gain", "held_better")}
+    return best
+
+
+def _lower(truth: dict[str, Any], said: Decided) -> float:
+    """Logarithm of the other swim's error without a model over that with it."""
+    for one in truth["foretold"]["tried"]:
+        if frozenset((str(a), str(b)) for a, b in one["names"]) == said.offered:
+            return float(np.log(truth["foretold"]["base"] / one["error"]))
+    return 0.0
+
+
+def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> float:
     """What estimates are off by beyond their own sd, of their size: then 90 % hold the truth.
 
-    Of verdicts whose intervals had no such spread, and of effects that were named exactly.
+    Of effects that were named exactly; ``known``: the spread that the verdicts' intervals have.
     """
     rows = []
     for challenge, place in zip(sets, verdicts, strict=True):
@@ -182,6 +211,7 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
                     if told:
                         rows.append((true - told["mean"], told["sd"], told["mean"]))
     off, sd, size = np.array(rows).T
+    sd = np.sqrt(np.maximum(sd**2 - (known * size) ** 2, 0.0))
     for relative in _SPREADS:
         if np.mean(np.abs(off) <= 1.645 * np.hypot(sd, relative * size)) >= _COVERED:
             break
@@ -215,7 +245,7 @@ def tuned(cases: Cases, begun: Numbers) -> Numbers:
 
 def curves(cases: Cases, numbers: Numbers) -> Numbers:
     """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
-    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(11)}
+    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(12)}
     said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
     strange = logistic(
         np.array([strange_terms(one.strange) for _, one in said]),
@@ -236,10 +266,11 @@ def curves(cases: Cases, numbers: Numbers) -> Numbers:
 def main() -> None:
     """Choose."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("sets", type=Path, nargs="+", help="sets and verdicts in turns")
+    parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")
     options = parser.parse_args()
-    choose(options.sets[::2], options.sets[1::2], IN_WATER if options.in_water else FILE)
+    parts = (options.sets[k::3] for k in range(3))
+    choose(*parts, IN_WATER if options.in_water else FILE)
 
 
 if __name__ == "__main__":

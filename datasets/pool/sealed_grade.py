@@ -5,7 +5,7 @@
 The measures are those of the servos' grader (``datasets/concealed/grade.py``), by its own functions
 where they are of shares and of calibration. The other swim of each case, which no tool was given,
 judges the models: in the twin, on the speed over ground; ``--water``: put right by what the fluid
-swam of its commands (``sealed_water.py --heldout``).
+swam of its commands (``sealed_water.py --heldout``), with ``--again`` also with what was found.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.coordinates import seen_as
-from sim.inference.in_water import robot_in_water
+from sim.inference.coordinates import Swum, seen_as
+from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
 from sim2real.output import write_json
@@ -33,6 +34,7 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 
 DETECTABLE, SURE, LIKELY = 10.0, 0.9, 0.5
 WORSE, NOISES = 0.01, 1.5
@@ -62,7 +64,13 @@ def servo_grader() -> ModuleType:
     return module
 
 
-def judge(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path] = ()) -> Row:
+def judge(
+    truth: Row,
+    folder: Path,
+    challenge: Path,
+    waters: Sequence[Path] = (),
+    again: Path | None = None,
+) -> Row:
     """What was said of one case beside what is true of it."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, kind = truth["effects"], truth["kind"]
@@ -78,7 +86,7 @@ def judge(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path] = ()
         "llr": truth["oracle"]["llr_total"], "verdict": said["verdict"],
         "unlisted": said["unknown"].get("body"), "flagged": said["verdict"] != "consistent",
         "entries": entries, "cost": json.loads((folder / "cost.json").read_text()),
-        "heldout": _held_out(truth, folder, challenge, waters),
+        "heldout": _held_out(truth, folder, challenge, waters, again),
     }  # fmt: skip
     if kind == "single":
         row["group_right"] = bool(first and first["right"])
@@ -134,20 +142,40 @@ def _intervals(given: Row, hidden: list[Row]) -> list[Row]:
     return []
 
 
-def _held_out(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path]) -> Row:
-    """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise."""
+def _held_out(
+    truth: Row, folder: Path, challenge: Path, waters: Sequence[Path], again: Path | None
+) -> Row:
+    """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise.
+
+    Those of every set of effects whose fit was tried on the end of the other swim as well.
+    """
     place = challenge / "inputs" / truth["robot"]
     robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
     files = [water / f"{truth['robot']}.npz" for water in waters]
     _, simulate = robot_in_water(robot, model, files, threads=1)
     swim = swim_of(read_recording(challenge / "heldout" / truth["case"] / "b.csv"), robot)
-    models = [read_model(folder / f"{name}.json") for name in ("baseline", "enriched")]
-    said = seen_as(models, swim, simulate)
-    error = np.sqrt(np.mean((said - swim.signals) ** 2, axis=1))
-    base, rich = (float(np.hypot(*e[:2])) for e in error)
-    noise = float(np.hypot(*np.broadcast_to(swim.noise, error.shape[1:])[:2]))
-    return {"base": base, "enriched": rich, "noise": noise,
-            "joints": [float(np.sqrt(np.mean(e[3:] ** 2))) for e in error]}  # fmt: skip
+    beside_it = simulate
+    if again and "again" in json.loads((folder / "cost.json").read_text()):
+        water = read_water_swims(again / f"{truth['robot']}.npz")
+        beside_it = by_twin_in_water(robot, read_model(folder / "beside.json"), water, threads=1)
+
+    def error(file: str, swum: Swum) -> Array:
+        said = seen_as([read_model(folder / file)], swim, swum)[0]
+        return np.asarray(np.sqrt(np.mean((said - swim.signals) ** 2, axis=0)))
+
+    base = error("baseline.json", simulate)
+    same = (folder / "enriched.json").read_bytes() == (folder / "baseline.json").read_bytes()
+    rich = base if same else error("enriched.json", beside_it)
+    noise = float(np.hypot(*np.broadcast_to(swim.noise, base.shape)[:2]))
+    tried = [
+        {"names": one["names"], "error": float(np.hypot(*error(f"tried_{k}.json", beside_it)[:2]))}
+        for k, one in enumerate(json.loads((folder / "raw.json").read_text())["held"])
+        if one["names"]
+    ]
+    return {
+        "base": float(np.hypot(*base[:2])), "enriched": float(np.hypot(*rich[:2])), "noise": noise,
+        "joints": [float(np.sqrt(np.mean(e[3:] ** 2))) for e in (base, rich)], "tried": tried,
+    }  # fmt: skip
 
 
 def _failures(row: Row) -> list[str]:
@@ -222,7 +250,9 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     }  # fmt: skip
 
 
-def grade(challenge: Path, verdicts: Path, waters: Sequence[Path] = ()) -> Row:
+def grade(
+    challenge: Path, verdicts: Path, waters: Sequence[Path] = (), again: Path | None = None
+) -> Row:
     """All results of a set, of the cases that were answered."""
     sealed = (challenge / "answers.json").read_bytes()
     published = json.loads((challenge / "hashes.json").read_text())
@@ -233,7 +263,8 @@ def grade(challenge: Path, verdicts: Path, waters: Sequence[Path] = ()) -> Row:
         if (verdicts / one["case"] / "cost.json").exists()
     ]
     rows = [
-        judge(one, verdicts / one["case"], challenge, waters) for one in tqdm(cases, disable=None)
+        judge(one, verdicts / one["case"], challenge, waters, again)
+        for one in tqdm(cases, disable=None)
     ]
     return {
         "schema": "sim2real.grade/1", "tier": "T4", "set": challenge.name,
@@ -249,8 +280,9 @@ def main() -> None:
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--water", type=Path, nargs=2, default=(), metavar=("INPUTS", "HELD_OUT"))
+    parser.add_argument("--again", type=Path, help="what it swam with what was found")
     options = parser.parse_args()
-    results = grade(options.set, options.verdicts, options.water)
+    results = grade(options.set, options.verdicts, options.water, options.again)
     write_json(options.out, results)
     shown = servo_grader().shown
     found = results["results"]

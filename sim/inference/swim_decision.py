@@ -23,8 +23,6 @@ Strange = tuple[float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
-_UNPROVEN = 0.49
-"""The most that is said of what does not make the rest of the swim likelier."""
 _ENOUGH, _WIDEST = 0.7, 4
 """Probability that makes a group of several worth telling, and how many it may have."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
@@ -113,12 +111,12 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
         spoken = (
             _there(group, keys, share), gain, float(len(group)), more, off,
             _helps(best, rest, held), float(name[0] in IMITATORS), alone, strange[2],
-            float(name[1] == "camera"),
+            float(name[1] == "camera"), _closer(best, rest, held),
         )  # fmt: skip
-        certain = _odds(terms_of(spoken), "odds", numbers)
-        certain = min(certain, numbers["most_certain"] if name in offered else _UNPROVEN)
+        certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
-    offered = frozenset(one.name for one in named if one.probability >= LIKELY)
+    offered &= {one.name for one in named if one.probability >= LIKELY}
+    offered = offered if offered in held else frozenset()
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
@@ -126,19 +124,19 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     rivals.sort(key=lambda one: -one[1])
     flagged = unlisted >= LIKELY or something >= enough
     return Decided(
-        _verdict(named, unlisted, flagged), tuple(named), _tried(offered, held), tuple(rivals),
+        _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
         unlisted, shape, strange,
     )  # fmt: skip
-
-
-def _tried(offered: Names, held: Mapping[Names, tuple[float, float]]) -> Names:
-    """What is offered, if it was fitted alone; else nothing."""
-    return offered if offered in held else frozenset()
 
 
 def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
     """How much likelier a set makes what was held out than another."""
     return held[rest][0] - held[now][0] if now in held and rest in held else 0.0
+
+
+def _closer(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
+    """By how many percent a set's error of the speed that was held out is below another's."""
+    return 100 * (1 - held[now][1] / max(held[rest][1], 1e-9)) if {now, rest} <= set(held) else 0.0
 
 
 def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
@@ -170,14 +168,15 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
         spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
             without a name would add, how much more is left than usual, how much likelier it makes
             what was held out, whether it is an imitator, whether no references were known, the
-            evidence of the whole set, and whether it is of the camera.
+            evidence of the whole set, whether it is of the camera, and by how many percent it
+            lowers the error of the speed that was held out.
     """
-    there, gain, many, more, off, helps, imitates, alone, best, camera = spoken
+    there, gain, many, more, off, helps, imitates, alone, best, camera, speed = spoken
     there = min(max(there, 1e-3), 1 - 1e-3)
     return (
         1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
         float(np.clip(off, -2, 4)), _log(helps), imitates, alone,
-        _log(gain) - _log(best), camera,
+        _log(gain) - _log(best), camera, _log(speed),
     )  # fmt: skip
 
 
@@ -201,9 +200,10 @@ def _log(value: float) -> float:
     return float(np.sign(value) * np.log1p(abs(value)))
 
 
-def _verdict(named: list[Named], unlisted: float, flagged: bool) -> Verdict:
+def _verdict(named: list[Named], offered: Names, unlisted: float, flagged: bool) -> Verdict:
+    """In a word; explained is only what the model that is offered has."""
     likely = [one for one in named if one.probability >= LIKELY]
-    if likely and unlisted >= LIKELY:
+    if likely and (unlisted >= LIKELY or any(one.name not in offered for one in likely)):
         return "partly_explained"
     if not likely:
         return "unexplained" if flagged else "consistent"
@@ -214,7 +214,7 @@ def _predicting(
     best: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
     numbers: Mapping[str, float],
 ) -> Names:  # fmt: skip
-    """The best set whose every member makes what was held out likelier, and no speed worse."""
+    """The best set whose every member makes what was held out likelier, and its speed better."""
     now = best
     while now:
         parts = {now - {name}: name for name in now}
@@ -233,10 +233,8 @@ def _predicting(
 
 
 def _worse(gain: float, speed: float, numbers: Mapping[str, float]) -> bool:
-    """Whether what was held out gets worse: of all signals, or of the speed, by its factor."""
-    if gain < numbers["held_gain"]:
-        return speed > 1 - numbers["held_better"]
-    return speed > 1 + numbers["held_worse"] and gain < numbers["held_sure"]
+    """Whether what was held out is foretold no better: all signals, or the speed, by its factor."""
+    return gain < numbers["held_gain"] or speed > 1 - numbers["held_better"]
 
 
 def _group(
