@@ -23,7 +23,7 @@ from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, s
 from sim.inference.swim_decision import LIKELY, Decided, decide
 from sim.inference.swim_findings import findings
 from sim.inference.swims import Swim
-from sim.inference.twin_search import Belief, Fit, TwinSwims
+from sim.inference.twin_search import Fit, TwinSwims
 from sim2real.body import body_effect
 from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
 from sim2real.inference.selection import Hypothesis
@@ -53,8 +53,8 @@ def diagnose_swims(
     simulate: Swum,
     *,
     references: Sequence[Swim] = (),
-    belief: Belief | None = None,
     known: LawError = LAW_ERROR,
+    again: Callable[[Model], Swum | None] = lambda found: None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
     """Find what the body's simulator leaves out.
@@ -65,16 +65,22 @@ def diagnose_swims(
         robot: The robot.
         simulate: The twin (``sim.twin.followed.by_followed_twin``).
         references: Swims of the same robot in which nothing is thought to be missing.
-        belief: What ``learned`` says of them, where it is known already.
         known: The twin's error and the thresholds.
+        again: From what was found to a simulator that is right beside it, to search with once more
+            (``in_water.swims_again``).
         progress: Called with the share that is done.
 
     Returns:
         The diagnosis; its errors are those of the speed over ground, in m/s, on what was held out.
     """
-    before = belief or learned(references, model, robot, simulate, known)
+    before = learned(references, model, robot, simulate, known)
     found = searched(swims, model, robot, simulate, before, progress)
-    return diagnosis_of(found, robot, known, referred=bool(references) or belief is not None)
+    said = diagnosis_of(found, robot, known, referred=bool(references))
+    beside = again(said.model)
+    if beside is None:
+        return said
+    found = searched(swims, model, robot, beside, before)
+    return diagnosis_of(found, robot, known, referred=bool(references))
 
 
 def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bool) -> Diagnosis:

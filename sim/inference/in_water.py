@@ -10,7 +10,7 @@ robot's water lies along each is fitted (``water.viscosity`` and so on), as a ga
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -162,6 +162,33 @@ def swum_again(
     return replace(water, steps=steps)
 
 
+def swims_again(
+    robot: Robot,
+    model: Model,
+    swims: Sequence[Swim],
+    water: InWater,
+    **given: Any,  # noqa: ANN401
+) -> Callable[[Model], Swum | None]:
+    """From what was found to a simulator beside it: None where the fluid has nothing to add.
+
+    Args:
+        robot: The robot.
+        model: As ``InWater.of`` has it.
+        swims: Whose commands are sent.
+        water: What the fluid swam before.
+        given: As ``swum_in_water`` takes it.
+    """
+
+    def beside_it(found: Model) -> Swum | None:
+        there = beside(model, found)
+        if not values(there):
+            return None
+        again = swum_again(robot, [there] * len(swims), swims, water, **given)
+        return by_twin_in_water(robot, there, again)
+
+    return beside_it
+
+
 def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -> InWater:  # noqa: ANN401, D417
     """The same with the law of the twin that is nearest to what the fluid swam.
 
@@ -280,6 +307,6 @@ def read_water_swims(path: Path) -> InWater:
 
 
 __all__ = [
-    "InWater", "beside", "by_twin_in_water", "read_water_swims", "robot_in_water", "swum_again",
-    "swum_in_water", "with_nearest_law", "write_water",
+    "InWater", "beside", "by_twin_in_water", "read_water_swims", "robot_in_water", "swims_again",
+    "swum_again", "swum_in_water", "with_nearest_law", "write_water",
 ]  # fmt: skip
