@@ -118,7 +118,7 @@ def main() -> None:
     results = json.loads(options.results.read_text())
     columns = [("sealed", results)]
     if options.before:
-        columns.append(("first set, twin alone", json.loads(options.before.read_text())))
+        columns.append(("set before", json.loads(options.before.read_text())))
     for name, path in zip(("regression", "all drags"), options.rivals or (), strict=False):
         columns.append((name, json.loads(path.read_text())))
     found = results["results"]

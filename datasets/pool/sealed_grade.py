@@ -167,9 +167,10 @@ def _held_out(
     same = (folder / "enriched.json").read_bytes() == (folder / "baseline.json").read_bytes()
     rich = base if same else error("enriched.json", beside_it)
     noise = float(np.hypot(*np.broadcast_to(swim.noise, base.shape)[:2]))
+    kept = folder / "raw.json"
     tried = [
         {"names": one["names"], "error": float(np.hypot(*error(f"tried_{k}.json", beside_it)[:2]))}
-        for k, one in enumerate(json.loads((folder / "raw.json").read_text())["held"])
+        for k, one in enumerate(json.loads(kept.read_text())["held"] if kept.exists() else ())
         if one["names"]
     ]
     return {
