@@ -269,8 +269,8 @@ def main() -> None:
     parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")
     options = parser.parse_args()
-    parts = (options.sets[k::3] for k in range(3))
-    choose(*parts, IN_WATER if options.in_water else FILE)
+    sets, verdicts, graded = (options.sets[k::3] for k in range(3))
+    choose(sets, verdicts, graded, IN_WATER if options.in_water else FILE)
 
 
 if __name__ == "__main__":

@@ -180,10 +180,10 @@ def sizes(
     fresh = {}
     for kind, values in square.items():
         kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
-        own = float(kept.sum()) + _WORTH * guess[kind] ** 2
-        size = float(np.sqrt(own / (len(kept) + _WORTH)))
+        total = float(kept.sum()) + _WORTH * guess[kind] ** 2
+        sd = float(np.sqrt(total / (len(kept) + _WORTH)))
         most = _MOST * (2 if kind == "added_mass.ratio" else 1)
-        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], most * guess[kind]))
+        fresh[kind] = float(np.clip(sd, _LEAST * guess[kind], most * guess[kind]))
     found = np.array([[np.mean(cell) for cell in row] for row in left])
     return np.sqrt(np.maximum(found, 1e-6)), fresh
 
