@@ -3,9 +3,10 @@
     python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET VERDICTS RESULTS ...] [--in-water]
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
-thresholds whose answers are best; prints what they are worth with whole robots left out. What a
-model has to bring on the end of its swim to be offered is read off the other swims of the cases, as
-``sealed_grade.py`` says what each set foretells of them. Writes
+thresholds whose answers are best; prints what they are worth with whole robots left out. The others
+are those of ``pool_guess*.json``. What a model has to bring on the end of its swim to be offered is
+read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them.
+Writes
 ``decisions`` of ``sim/inference/law_error.json``, or of ``law_error_in_water.json``.
 """
 
@@ -21,25 +22,26 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decision_curves import logistic
+from benchmarks.pool_law_error import GUESS, GUESS_IN_WATER
 from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim2real.output import write_json
 
 Numbers = dict[str, float]
 
-SPANS: dict[str, tuple[float, float]] = {
-    "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.9999),
-    "something alone": (0.5, 0.9999),
-    "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "most_certain": (0.95, 0.99),
+LEVELS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.999)
+FLAGGED = {
+    "something": LEVELS, "something alone": LEVELS, "unlisted from": (0.15, 0.2, 0.3, 0.4, 0.5),
 }  # fmt: skip
-"""Where thresholds are looked for."""
-_LOOKS, _NARROW, _AT_ONCE = 120, 0.2, 3
+"""Where thresholds are looked for: of the probability that anything is there, and that something is
+that the catalogue lacks, from which a swim counts as flagged."""
+_AT_ONCE = 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
-_WORSE, _RARELY = 0.01, 0.01
+_WORSE, _RARELY = 0.01, 0.02
 """Share by which an error may grow, and share of cases in which it may grow by more."""
-_PRIOR = 1.0
+_PRIOR = 0.5
 """Of the weights, over the size of what they weigh."""
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
@@ -141,7 +143,7 @@ def usually(cases: Cases) -> Numbers:
 def choose(
     sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[Path], target: Path
 ) -> None:
-    """Thresholds whose answers to the development set are best, by a random search that narrows."""
+    """Numbers whose answers to the development set are best."""
     cases = []
     for challenge, place, results in zip(sets, verdicts, graded, strict=True):
         foretold = {row["case"]: row["heldout"] for row in json.loads(results.read_text())["cases"]}
@@ -156,7 +158,11 @@ def choose(
     robots = sorted({truth["robot"] for truth, _ in cases})
     out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
     parts = [[c for c in cases if c[0]["robot"] not in some] for some in out]
-    begun = [content["decisions"]] * (_FOLDS + 1)
+    guess = GUESS_IN_WATER if target == IN_WATER else GUESS
+    first = json.loads(guess.read_text())["decisions"] | {
+        name: levels[-1] for name, levels in FLAGGED.items()
+    }
+    begun = [first] * (_FOLDS + 1)
     with ProcessPoolExecutor(_AT_ONCE) as pool:
         *found, best = pool.map(tuned, [*parts, cases], begun)
     best |= offering(cases, best)
@@ -169,7 +175,7 @@ def choose(
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
     best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
-    content["decided"] = f"{len(cases)} cases of {len(robots)} robots, {_LOOKS} looks at random"
+    content["decided"] = f"{len(cases)} cases of {len(robots)} robots"
     write_json(target, content)
     print("all:", judged([(t, decide(f, best)) for t, f in cases]))
 
@@ -219,33 +225,20 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> f
 
 
 def tuned(cases: Cases, begun: Numbers) -> Numbers:
-    """Numbers that decide best: curves of odds, and thresholds by a random search that narrows."""
-    rng = np.random.default_rng(0)
-    own = ("odds", "strange")
-    best = {k: v for k, v in begun.items() if not k.startswith(own)} | usually(cases)
-    best = curves(cases, best)
-    for turn in range(2):
-        top = worth(judged([(t, decide(f, best)) for t, f in cases]))
-        for look in range(_LOOKS):
-            wide = look < _LOOKS // 6 and turn == 0
-            trial = dict(best)
-            for name, (low, high) in SPANS.items():
-                drawn = rng.uniform(low, high)
-                if not wide and rng.random() < 0.6:
-                    drawn = best[name]
-                elif not wide:
-                    drawn = best[name] + _NARROW * (drawn - (low + high) / 2)
-                trial[name] = float(np.clip(drawn, low, high))
-            got = worth(judged([(t, decide(f, trial)) for t, f in cases]))
-            if got > top:
-                top, best = got, trial
-        best = curves(cases, best)
-    return best
+    """Numbers that decide best: curves of odds, and from where a swim is flagged.
+
+    The others stay as they begin: searched at random, they answered robots left out worse.
+    """
+    best = curves(cases, begun | usually(cases))
+    for name, levels in FLAGGED.items():
+        trials = [best | {name: level} for level in levels]
+        best = max(trials, key=lambda one: worth(judged([(t, decide(f, one)) for t, f in cases])))
+    return curves(cases, best)
 
 
 def curves(cases: Cases, numbers: Numbers) -> Numbers:
     """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
-    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(12)}
+    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(8)}
     said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
     strange = logistic(
         np.array([strange_terms(one.strange) for _, one in said]),

@@ -101,17 +101,19 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     strange = (more, off, worth[best] - worth[frozenset()], helps, alone)
     enough = numbers["something alone" if alone else "something"]
     unlisted = _odds(strange_terms(strange), "strange", numbers)
+    gains = {
+        name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
+    }
     named = []
-    for name in best:
+    for name, gain in gains.items():
         group = _group(name, best, worth, numbers)
         if something >= enough and len(best) == 1:
             group = _widened(group, keys, share)
         rest = best - {name}
-        gain = worth[best] - worth.get(rest, min(worth.values())) + cost
+        margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
         spoken = (
-            _there(group, keys, share), gain, float(len(group)), more, off,
-            _helps(best, rest, held), float(name[0] in IMITATORS), alone, strange[2],
-            float(name[1] == "camera"), _closer(best, rest, held),
+            margin, gain, float(len(group)), more, off, _helps(best, rest, held),
+            float(name[0] in IMITATORS), float(gain < max(gains.values())),
         )  # fmt: skip
         certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
@@ -122,7 +124,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: -one[1])
-    flagged = unlisted >= LIKELY or something >= enough
+    flagged = unlisted >= numbers["unlisted from"] or something >= enough
     return Decided(
         _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
         unlisted, shape, strange,
@@ -132,11 +134,6 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
 def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
     """How much likelier a set makes what was held out than another."""
     return held[rest][0] - held[now][0] if now in held and rest in held else 0.0
-
-
-def _closer(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
-    """By how many percent a set's error of the speed that was held out is below another's."""
-    return 100 * (1 - held[now][1] / max(held[rest][1], 1e-9)) if {now, rest} <= set(held) else 0.0
 
 
 def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
@@ -165,18 +162,15 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
     """What the odds of a name are a sum of.
 
     Args:
-        spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
-            without a name would add, how much more is left than usual, how much likelier it makes
-            what was held out, whether it is an imitator, whether no references were known, the
-            evidence of the whole set, whether it is of the camera, and by how many percent it
-            lowers the error of the speed that was held out.
+        spoken: By how much evidence the set is ahead of all that lack its group, what it adds
+            itself, how many its group has, how much a shape without a name would add, how much more
+            is left than usual, how much likelier it makes what was held out, whether it is an
+            imitator, and whether another brings more.
     """
-    there, gain, many, more, off, helps, imitates, alone, best, camera, speed = spoken
-    there = min(max(there, 1e-3), 1 - 1e-3)
+    margin, gain, many, more, off, helps, imitates, second = spoken
     return (
-        1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
-        float(np.clip(off, -2, 4)), _log(helps), imitates, alone,
-        _log(gain) - _log(best), camera, _log(speed),
+        1.0, _log(margin), float(np.log(many)), max(_log(more) - _log(gain), 0.0),
+        float(np.clip(off, -2, 4)), _log(helps), imitates, second,
     )  # fmt: skip
 
 
