@@ -99,10 +99,11 @@ def failures(results: Row) -> list[str]:
             f"{' or '.join(e['group'])} {e['probability']:.2f}" for e in row["entries"]
         )
         held = row["heldout"]
+        errors = f"{held['base']:.3f} to {held['enriched']:.3f}" if held else "not swum"
         lines.append(
             f"| {row['case'].removeprefix('case_')} | {row['kind']} | {hidden or '-'} | "
             f"{row['llr']:.0f} | {row['verdict'].replace('_', ' ')}{': ' + said if said else ''} | "
-            f"{held['base']:.3f} to {held['enriched']:.3f} | {', '.join(row['failures'])} |"
+            f"{errors} | {', '.join(row['failures'])} |"
         )
     return lines
 

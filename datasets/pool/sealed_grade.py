@@ -70,8 +70,10 @@ def judge(
     challenge: Path,
     waters: Sequence[Path] = (),
     again: Path | None = None,
+    *,
+    predict: bool = True,
 ) -> Row:
-    """What was said of one case beside what is true of it."""
+    """What was said of one case beside what is true of it; ``predict``: and of its other swim."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, kind = truth["effects"], truth["kind"]
     entries = [_entry(one, [] if kind == "outside" else hidden) for one in said["effects"]]
@@ -86,7 +88,7 @@ def judge(
         "llr": truth["oracle"]["llr_total"], "verdict": said["verdict"],
         "unlisted": said["unknown"].get("body"), "flagged": said["verdict"] != "consistent",
         "entries": entries, "cost": json.loads((folder / "cost.json").read_text()),
-        "heldout": _held_out(truth, folder, challenge, waters, again),
+        "heldout": _held_out(truth, folder, challenge, waters, again) if predict else None,
     }  # fmt: skip
     if kind == "single":
         row["group_right"] = bool(first and first["right"])
@@ -191,7 +193,7 @@ def _failures(row: Row) -> list[str]:
         ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
         ("not both", kind == "double" and not row["both"]),
         ("does not abstain", kind == "outside" and not row["abstains"]),
-        ("worse held out", held["enriched"] > (1 + WORSE) * held["base"]),
+        ("worse held out", bool(held) and held["enriched"] > (1 + WORSE) * held["base"]),
     ]
     return [name for name, failed in wrong if failed]
 
@@ -209,6 +211,8 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     calibrated, bins = grader.calibration([e for r in rows for e in r["entries"]])
     intervals = [one for r in rows for one in r["intervals"]]
     held = lambda r: r["heldout"]  # noqa: E731
+    told = {kind: [r for r in each if held(r)] for kind, each in of.items()}
+    listed = told["single"] + told["double"]
     metrics = {
         "false_alarm": share(
             any(e["probability"] >= SURE for e in r["entries"]) for r in of["null"]
@@ -230,13 +234,13 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
         "confident_wrong": share(not e["right"] for e in sure),
         **calibrated,
         "parameter_covered": share(one["covered"] for one in intervals),
-        "no_worse": share(held(r)["enriched"] <= (1 + WORSE) * held(r)["base"] for r in rows),
-        "within_noise": share(
-            held(r)["enriched"] <= NOISES * held(r)["noise"] for r in of["single"] + of["double"]
+        "no_worse": share(
+            held(r)["enriched"] <= (1 + WORSE) * held(r)["base"] for r in rows if held(r)
         ),
-        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in of["null"]),
+        "within_noise": share(held(r)["enriched"] <= NOISES * held(r)["noise"] for r in listed),
+        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in told["null"]),
         "enriched_over_noise": grader.quantile(
-            [held(r)["enriched"] / held(r)["noise"] for r in of["single"] + of["double"]], 0.5
+            [held(r)["enriched"] / held(r)["noise"] for r in listed], 0.5
         ),
         "wall_s": grader.quantile([r["cost"]["wall_s"] for r in rows], 0.5),
         "cpu_s": grader.quantile([r["cost"]["cpu_s"] for r in rows], 0.5),
