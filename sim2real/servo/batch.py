@@ -221,7 +221,7 @@ class Batch:
             products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
             wp.launch(
                 whitening.lag_products,
-                dim=products.shape,
+                dim=products.shape[:2],
                 inputs=[*layout, self._counts, angle],
                 outputs=[products],
                 device=dev,

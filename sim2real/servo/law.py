@@ -47,7 +47,7 @@ def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], 
 
 def _chain(site: str) -> wp.Function:
     """The function that passes a number through all active effects of one site."""
-    terms, columns, cells, bits, _ = _at(site)
+    terms, columns, cells, bits, every = _at(site)
 
     @wp.func
     def through(
@@ -61,6 +61,8 @@ def _chain(site: str) -> wp.Function:
         z: Row,
         active: int,
     ) -> wp.float64:
+        if (active & wp.static(every)) == 0:
+            return x
         for k in range(wp.static(len(terms))):
             if (active & wp.static(bits[k])) != 0:
                 x = wp.static(terms[k])(
