@@ -85,6 +85,8 @@ measured_angle = _chain("sensor")
 _LIMIT = FIRST_COLUMN["torque_saturation"]
 SENSOR_BITS = _at("sensor")[-1]
 """Bits of the effects on the sensor, which must follow every sub-step."""
+ARRIVAL_BITS = _at("arrival")[-1]
+"""Bits of the effects on when, and whether, a set-point arrives."""
 
 
 @wp.func
