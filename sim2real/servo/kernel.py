@@ -7,7 +7,7 @@ import warp as wp
 from sim2real.effects import SIGNATURE
 from sim2real.servo.law import (
     ARRIVAL_BITS,
-    SENSOR_BITS,
+    FOLLOWING_BITS,
     Row,
     arrival_time,
     exact_motion,
@@ -86,17 +86,14 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
         end = wp.min(place + together, order.shape[0])
         while place < end:
             row = order[place]
-            row_b = int(row)
             place += 1
             both = bool(False)
-            if wp.static(pairs):
-                if place < end:
-                    row_b = order[place]
-                    both = _same_clock(row, row_b, theta, active, signal, longest)
-                    if both:
-                        place += 1
-                    else:
-                        row_b = row
+            if wp.static(pairs) and place < end:
+                both = _same_clock(row, order[place], theta, active, signal, longest)
+            row_b = int(row)
+            if both:
+                row_b = order[place]
+                place += 1
             p = theta[row]
             p_b = theta[row_b]
             z = memory[row]
@@ -124,6 +121,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             state_b = at_rest(u, kp_b, p_b)
             angle = wp.float64(state[0])
             angle_b = wp.float64(state_b[0])
+            following = (others | others_b) & wp.static(FOLLOWING_BITS)
             start = t[0]
             now = wp.float64(start)
             sample = int(0)
@@ -157,22 +155,29 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                 if until > now:
                     count = int(wp.ceil((until - now) / longest_step))
                     h = (until - now) / wp.float64(count)
-                    for k in range(count):
-                        time = now - start + wp.float64(k) * h
-                        look = tick and k == 0
-                        state = substep(
-                            state, u, time, h, kp, kd, inertia, m, p, z, effects, look
-                        )
-                        if (others & wp.static(SENSOR_BITS)) != 0:
-                            angle = measured(state, time, h, p, z, effects)
-                        if wp.static(pairs):
-                            if both:
-                                state_b = substep(
-                                    state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
-                                    effects_b, look,
-                                )  # fmt: skip
-                                if (others_b & wp.static(SENSOR_BITS)) != 0:
-                                    angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
+                    if both:
+                        for k in range(count):
+                            time = now - start + wp.float64(k) * h
+                            look = tick and k == 0
+                            state = substep(
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                            )
+                            state_b = substep(
+                                state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
+                                effects_b, look,
+                            )  # fmt: skip
+                            if following != 0:
+                                angle = measured(state, time, h, p, z, effects)
+                                angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
+                    else:
+                        for k in range(count):
+                            time = now - start + wp.float64(k) * h
+                            look = tick and k == 0
+                            state = substep(
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                            )
+                            if following != 0:
+                                angle = measured(state, time, h, p, z, effects)
                     now = until
                     tick = False
                 if arrives <= until:
@@ -185,18 +190,14 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                         kd_b = zero
                         u = zero
                 elif until == t[sample]:
-                    if (others & wp.static(SENSOR_BITS)) == 0:
-                        angle = state[0]
-                    elif sample == 0:
-                        angle = measured(state, zero, zero, p, z, effects)
+                    asked = sample == 0 or following == 0
+                    if asked:
+                        angle = measured(state, now - start, zero, p, z, others)
                     position[row, sample] = angle
-                    if wp.static(pairs):
-                        if both:
-                            if (others_b & wp.static(SENSOR_BITS)) == 0:
-                                angle_b = state_b[0]
-                            elif sample == 0:
-                                angle_b = measured(state_b, zero, zero, p_b, z_b, effects_b)
-                            position[row_b, sample] = angle_b
+                    if both:
+                        if asked:
+                            angle_b = measured(state_b, now - start, zero, p_b, z_b, others_b)
+                        position[row_b, sample] = angle_b
                     sample += 1
 
     return simulate_servos

@@ -84,7 +84,9 @@ measured_angle = _chain("sensor")
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
 SENSOR_BITS = _at("sensor")[-1]
-"""Bits of the effects on the sensor, which must follow every sub-step."""
+"""Bits of the effects on the sensor."""
+FOLLOWING_BITS = SENSOR_BITS & ~sum(1 << k for k, effect in enumerate(CATALOGUE) if effect.steady)
+"""Bits of those that must follow every sub-step."""
 ARRIVAL_BITS = _at("arrival")[-1]
 """Bits of the effects on when, and whether, a set-point arrives."""
 

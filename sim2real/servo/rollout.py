@@ -181,7 +181,9 @@ class Simulator:
             wp.launch(solve_servos, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
         else:
             longest = np.full(len(rows), substep_s)
-            simulate(active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle)
+            simulate(
+                active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
+            )
         return angle
 
 

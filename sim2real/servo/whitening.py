@@ -72,16 +72,18 @@ def lag_products(
         s = signal[row]
         counted = int(0)
         for k in range(order, length[s] + 1):
-            counts_now = int(0)
+            here = int(0)
             if k < length[s]:
-                counts_now = counts[s, k]
-            if counts_now != counted:
-                sign = wp.float64(counts_now - counted)
+                here = counts[s, k]
+            if here != counted:
+                sign = wp.float64(here - counted)
                 for i in range(1, order + 1 - apart):
-                    out[problem, i, i + apart] += sign * angle[row, k - i] * angle[row, k - i - apart]
-            if counts_now != 0:
+                    out[problem, i, i + apart] += (
+                        sign * angle[row, k - i] * angle[row, k - i - apart]
+                    )
+            if here != 0:
                 total += angle[row, k] * angle[row, k - apart]
-            counted = counts_now
+            counted = here
     for i in range(order + 1 - apart):
         total += out[problem, i, i + apart]
         out[problem, i, i + apart] = total
