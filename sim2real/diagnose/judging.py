@@ -27,7 +27,7 @@ class Evidence:
     """What speaks for and against all that could be said of a joint.
 
     Attributes:
-        groups: Groups of effects, that which explains most first, each with what speaks for it.
+        groups: Groups of effects, each with what speaks for it.
         whole: What speaks for something missing, and for something that has no name.
         link: What speaks for an uneven link; None where it is even.
     """
@@ -50,17 +50,17 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
     "changes": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
     "change": lambda x: float(np.clip(x, -0.5, 1.0)),
     "lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
-    "members": lambda n: float(np.log(n)),
     "size": _logarithm(1e-2, 30.0),
+    "margin": lambda x: float(np.log1p(np.clip(x, 0.0, 60.0))),
     "left": _logarithm(0.3, 30.0),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
-    **dict.fromkeys(("alone", "without", "smooth", "windows", "own", "gain"), _gain),
+    **dict.fromkeys(("without", "smooth", "windows", "own", "gain"), _gain),
 }
 """How a measure enters a curve: what is none of these as it is."""
 
 
 _ALMOST = 0.89
-_BESIDE = ("excess_plain", "explained", "smooth", "windows", "change")
+_BESIDE = ("excess_plain", "smooth", "windows", "change")
 """Measures of the whole joint that count for each effect as well."""
 
 
@@ -74,11 +74,6 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     tried, best, link = finding.tried, finding.best, finding.link
     groups = [g for g in finding.groups if g.members != (ROUNDING,)]
     groups = [g for g in groups if link is None or link.effect not in g.members]
-    explains = {
-        g: [tried.tried[s].evidence for e in g.members if (s := tried.base | {e}) in tried.tried]
-        for g in groups
-    }
-    groups.sort(key=lambda g: -max(explains[g], default=-np.inf))
     without = finding.unmodelled
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a function without a name is ahead of the best set.
@@ -103,28 +98,24 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
         change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
     )
     weighed = []
-    for place, group in enumerate(groups):
-        head = group.members[0]
-        alone = max((x - tried.plain.evidence for x in explains[group]), default=0.0)
-        fewer = tried.tried.get(best.members - {head})
-        changes = finding.changes(unseen, head)
+    for group in groups:
+        head, known = group.members[0], set(group.members)
+        fewer = tried.tried.get(best.members - {head}, tried.plain)
+        others = [h.evidence for s, h in tried.tried.items() if not s & known]
         features = scaled(
             probability=group.probability,
             stability=group.stability,
-            alone=alone,
-            without=alone if fewer is None else best.evidence - fewer.evidence,
-            changes=changes,
-            untold=not changes < 1e6,
-            second=place == 1,
-            later=place > 1,
+            without=best.evidence - fewer.evidence,
+            margin=best.evidence - max(others, default=-np.inf),
+            changes=finding.changes(unseen, head),
             groups=len(groups) - 1,
-            members=len(group.members),
             excess=finding.excess,
             lead=lead,
             left=left,
         )
         beside = {f"all {name}": whole[name] for name in _BESIDE}
-        weighed.append((group, features | beside | {f"is {head}": 1.0}))
+        names = {f"is {name}": 1 / len(known) for name in known}
+        weighed.append((group, features | beside | names))
     uneven = None
     if link is not None:
         uneven = scaled(
