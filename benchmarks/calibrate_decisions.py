@@ -65,7 +65,8 @@ def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[Sample]]:
         def add(name: str, features: dict[str, float], right: bool, row: Row = row) -> None:
             found[name].append(Sample(row["set"], row["case"], features, right))
 
-        for group in row["groups"]:
+        # How likely a name is, given that what is missing has one.
+        for group in () if row["outside"] else row["groups"]:
             add("effect", group["features"], bool(known & set(group["members"])))
         matters = row["outside"] or bool(truth - {"encoder_quantization"})
         # What nobody could see, or would act on, is no example of something there.

@@ -15,7 +15,6 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.effects import named
 from sim2real.residuals.holdout import Unseen
 from sim2real.residuals.problem import Set
 
@@ -95,6 +94,7 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
         lead=lead,
         own=best.evidence - servo.evidence,
         left=left,
+        groups=len(groups),
         change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
     )
     weighed = []
@@ -132,16 +132,17 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     """The finding with probabilities that were read off cases of known answer."""
     found = evidence(finding, unseen)
     unknown = ODDS["nameless"].probability(found.whole)
-    groups = [
-        replace(group, probability=_stated(ODDS["effect"].probability(features)))
-        for group, features in found.groups
-        # Beside something nameless, what every servo has a little of is no finding.
-        if unknown <= DECISION.named or not named(group.members[0]).everywhere
-    ]
+
+    def stated(curve: str, features: Features) -> float:
+        """That a name is right: what is missing has one, and it is this."""
+        probability = (1 - unknown) * ODDS[curve].probability(features)
+        # Not 0.9 where those that are said with 0.9 would too often be wrong.
+        return probability if probability >= DECISION.sure else min(probability, _ALMOST)
+
+    groups = [replace(g, probability=stated("effect", told)) for g, told in found.groups]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:
-        sure = _stated(ODDS["link"].probability(found.link))
-        groups.append(Group((finding.link.effect,), sure, 1.0))
+        groups.append(Group((finding.link.effect,), stated("link", found.link), 1.0))
     likely = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     there = ODDS["there"].probability(found.whole) >= DECISION.there
@@ -156,8 +157,3 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         left=unknown > DECISION.named or unsolved,
         unknown=unknown,
     )
-
-
-def _stated(probability: float) -> float:
-    """A probability, below 0.9 where those that are said with 0.9 would too often be wrong."""
-    return probability if probability >= DECISION.sure else min(probability, _ALMOST)
