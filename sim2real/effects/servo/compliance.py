@@ -68,4 +68,5 @@ EFFECT = Effect(
     parameters=(Parameter("compliance_rad_per_Nm", low=0.0, high=0.5, typical=0.02),),
     memory=2,
     also=(("sensor", twist),),
+    steady=True,
 )

@@ -63,4 +63,5 @@ EFFECT = Effect(
     order=2,
     everywhere=True,
     never_named=True,
+    steady=True,
 )
