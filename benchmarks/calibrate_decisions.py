@@ -30,7 +30,7 @@ from benchmarks.decision_values import of_sensors, values_of
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = 0.975
 """Share of joints with nothing missing of which nothing must be said."""
-MEASURED_WITH = ("structured", "clean", "coarser", "line_room", "most_certain")
+MEASURED_WITH = ("structured", "clean", "coarser", "most_certain")
 """Numbers by which the rows themselves are measured: with others the curves would not be theirs."""
 LARGEST_NUISANCE = 8.0
 """Noise levels up to which a wave in a foreign servo may be one of its nuisances."""

@@ -217,19 +217,14 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointResult, case: Case) -> Row:
-    import numpy as np
-
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
-    from sim2real.identification.motor_line import on_its_line
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
     outside = answer["kind"] == "outside"
     link, tries = finding.link, tried.tried
-    servo = next(j.servo for j in case.robot.joints if j.name == one.name)
-    line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
     # What was judged has the curve's probabilities; the curve looks at those before.
     before = {g.members[0]: g.probability for g in finding.posterior.groups(tried.base)}
     raw = tuple(
@@ -284,7 +279,6 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
             }
             for group, features in told.groups
         ],
-        "line": line and [line[1], line[0].motor["stall_torque_Nm"] / servo.max_torque_Nm],
         "link": link and {
             "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
             "changes": finding.changes(one.unseen, link.effect), "features": told.link,
@@ -297,8 +291,6 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
 
 FAR = 60.0
 """Evidence behind the likeliest set from which a set is not taken down."""
-WIDE = 3.0
-"""How many times the data sheet's a motor's line may be, either way, to see what lines are."""
 VARIED = {"law_error": (0.0, 0.01, 0.1), "group_share": (0.03, 0.3)}
 """Other values of numbers whose decisions can be taken again from the sets that were tried."""
 
