@@ -44,7 +44,6 @@ class Decision:
     turn_s: float  # jitter below which a set-point only waits for the controller's next turn
     sheet: float  # share of what a data sheet states from which a limit is the data sheet's own
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
-    link_masked: float  # excess of a joint from which nothing can be seen of single set-points
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came
     change_farthest: float  # prior standard deviation of a change, in multiples of its start
     nameless: float  # probability that what is missing has no name, where effects leave most of it
