@@ -71,7 +71,15 @@ def search(
         large = [DECISION.ripple * sd for sd in noise]
         if best is None:
             first_look(problem, ledgers, large)
-        ledgers = with_nuisances(problem, ledgers, large, best or [one.best for one in ledgers])
+        before = best or [one.best for one in ledgers]
+        ledgers = with_nuisances(problem, ledgers, large, before)
+        jobs = [
+            (one, one.base | h.members, h.fit.servos.theta[0])
+            for one, h in zip(ledgers, before, strict=True)
+            if not h.members <= one.base
+        ]
+        for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+            one.keep(found)
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
@@ -216,13 +224,16 @@ class ServoSearch:
     def remains(self, ledger: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
 
-        What every servo has a little of does not count: it is named only where it is large.
+        What every servo has a little of must explain as much as is never left to chance.
         """
         gain, limit = self.left(ledger, members)
-        return gain > limit
+        return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
 
     def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
-        """Largest gain that an effect would still make, and what chance would make."""
+        """Largest gain that an effect would still make, and what chance would make.
+
+        What every servo has a little of does not count: it is named only where it is large.
+        """
         seen, given = self.seen(ledger, members)
         counted = seen.of(np.array([not c.effect.everywhere for c in given]))
         limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
