@@ -12,6 +12,7 @@ from sim2real.diagnose.case import Joint
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.effects import named
+from sim2real.identification.motor_line import with_stated_line
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.model import FittedEffect, JointModel
@@ -100,9 +101,11 @@ class JointResult:
 
     def model(self, *, enriched: bool) -> JointModel:
         """The servo with what is named, or the plain one as ``identify`` fits it."""
-        if enriched and self.richer:
-            return servo(self.joint, self.rich.fit.servos.theta[0], self.rich)
-        return servo(self.joint, self.least_squares, self.finding.tried.plain)
+        rich = enriched and self.richer
+        theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
+        if self.joint.servo is not None:
+            theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
+        return servo(self.joint, theta, self.rich if rich else self.finding.tried.plain)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not."""
