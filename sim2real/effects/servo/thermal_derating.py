@@ -1,8 +1,9 @@
 """Thermal derating: the motor weakens as it warms.
 
-A warmth z follows the square of the torque, relative to the largest that PD control of one radian
-would ask, with a time constant of 30 s; ``torque *= 1 - loss z / (1 + z)``. A lumped stand-in for
-the rise of winding resistance and the fall of the magnets' field.
+A warmth z follows the square of the torque over ``half_torque_Nm``, which takes half of the loss if
+it is held for long, with a time constant of 30 s; ``torque *= 1 - loss z / (1 + z)``. A lumped
+stand-in for the rise of winding resistance and the fall of the magnets' field. Where that torque is
+not known it is what PD control of 0.1 rad asks.
 
 Leaves gain that falls over minutes of work and comes back with rest. Taken for: supply droop; a
 pause tells.
@@ -27,8 +28,11 @@ def weaken(
     s: int,
 ) -> wp.float64:
     """Torque that the motor makes in N m."""
-    relative = torque / wp.max(p[0], wp.float64(1e-12))
-    z[s] += h / wp.float64(30.0) * (wp.float64(100.0) * relative * relative - z[s])
+    half = p[c + 1]
+    if half == wp.float64(0.0):
+        half = wp.max(wp.float64(0.1) * p[0], wp.float64(1e-12))
+    relative = torque / half
+    z[s] += h / wp.float64(30.0) * (relative * relative - z[s])
     return x * (wp.float64(1.0) - p[c] * z[s] / (wp.float64(1.0) + z[s]))
 
 
@@ -38,7 +42,10 @@ EFFECT = Effect(
     says="the motor loses up to {loss} of its torque as it warms",
     site="motor",
     term=weaken,
-    parameters=(Parameter("loss", low=0.0, high=0.9, typical=0.4),),
+    parameters=(
+        Parameter("loss", low=0.0, high=0.9, typical=0.4),
+        Parameter("half_torque_Nm", low=0.02, high=2.0, typical=0.2),
+    ),
     memory=1,
     order=1,
 )
