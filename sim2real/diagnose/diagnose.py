@@ -212,8 +212,7 @@ def _enriched(finding: Finding) -> Hypothesis:
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
     wanted = heads if finding.link is not None else best.members - (finding.said - heads)
     wanted = tried.base | (wanted & best.members)
-    found = tried.tried.get(wanted, best if heads else tried.plain)
-    return finding.search.freed(tried, found)
+    return tried.tried.get(wanted, best if heads else tried.plain)
 
 
 def _all_sets(finding: Finding) -> list[Set]:

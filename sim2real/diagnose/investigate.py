@@ -162,8 +162,6 @@ def _with_links(
     Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
     what was found on its joints and without.
     """
-    clear = [[j for j in robot if findings[j].excess < DECISION.link_masked] for robot in robots]
-    robots = [robot for robot in clear if robot]
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
