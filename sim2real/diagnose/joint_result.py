@@ -24,6 +24,8 @@ from sim2real.servo.parameters import COLUMNS, stated
 Array = NDArray[np.float64]
 
 _Q95 = 1.645
+_DIGIT_RAD = 1e-9
+"""To which a sensor's step is read off recorded numbers."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ class JointResult:
             ends = max(link.value - _Q95 * link.sd, 0.0), link.value + _Q95 * link.sd
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
-            return {first: Estimate(step, 0.0, step, step)}
+            return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
         servos = self.rich.fit.servos
         columns = [COLUMNS[k] for k in servos.columns[0]]
         variance = _spread2(self.rich)
