@@ -115,7 +115,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             latency = p[2]
             inertia = shaft_inertia(p[3], p, z, others)
             inertia_b = shaft_inertia(p_b[3], p_b, z_b, others_b)
-            longest_step = longest[row]
+            per_longest = wp.float64(1.0) / longest[row]
             u = wp.float64(sent[0])
             state = at_rest(u, kp, p)
             state_b = at_rest(u, kp_b, p_b)
@@ -153,8 +153,10 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                         looks = start + m.phase + ticks * period
                     until = wp.min(until, looks)
                 if until > now:
-                    count = int(wp.ceil((until - now) / longest_step))
-                    h = (until - now) / wp.float64(count)
+                    h = until - now
+                    count = int(wp.ceil(h * per_longest))
+                    if count > 1:
+                        h = h / wp.float64(count)
                     if both:
                         for k in range(count):
                             time = now - start + wp.float64(k) * h

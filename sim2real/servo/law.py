@@ -145,7 +145,7 @@ def substep_of(effects: bool) -> wp.Function:
         speed = v + half * state[3]  # about that of the middle
         per_h = wp.float64(1.0) / h
         impulse = h / inertia
-        damp = half / inertia
+        damp = wp.float64(0.5) * impulse
         damping = damp * kd
         stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
         load = pendulum_torque(q, p[4])
