@@ -8,7 +8,7 @@
 Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the curves that they were
 read from. No sealed set is looked at before it is answered. Four logistic curves
 (``decision_curves``) say how likely a finding is: an effect, anything missing, something without a
-name, an uneven link. A number with too few cases behind it stays as it was, and says so; one that
+name, an uneven link. A number or a curve with too few cases behind it stays as it was; one that
 is a choice ("chosen") is none that data could make, and what is "kept" was set by hand.
 """
 
@@ -102,7 +102,6 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
         n = len(given[name])
         if fitted is None:
             report["odds"][name] = {"samples": n, "kept": True}
-            content["odds_from"][name] = f"kept, set by hand: {n} samples say too little"
             continue
         content["odds"][name], report["odds"][name] = fitted.weights, fitted.report()
         content["odds_from"][name] = (

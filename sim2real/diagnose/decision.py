@@ -43,6 +43,7 @@ class Decision:
     crystals: float  # relative difference of two clocks up to which it is none, and is taken off
     turn_s: float  # jitter below which a set-point only waits for the controller's next turn
     sheet: float  # share of what a data sheet states from which a limit is the data sheet's own
+    drawing: float  # share of the stated inertia by which a drawing may be off
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came
     change_farthest: float  # prior standard deviation of a change, in multiples of its start

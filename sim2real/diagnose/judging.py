@@ -50,7 +50,6 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
     "change": lambda x: float(np.clip(x, -0.5, 1.0)),
     "lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
     "size": _logarithm(1e-2, 30.0),
-    "margin": lambda x: float(np.log1p(np.clip(x, 0.0, 60.0))),
     "left": _logarithm(0.3, 30.0),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
     **dict.fromkeys(("without", "smooth", "windows", "own", "gain"), _gain),
@@ -59,7 +58,7 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
 
 
 _ALMOST = 0.89
-_BESIDE = ("excess_plain", "smooth", "windows", "change")
+_BESIDE = ("excess_plain", "change")
 """Measures of the whole joint that count for each effect as well."""
 
 
@@ -99,19 +98,15 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     )
     weighed = []
     for group in groups:
-        head, known = group.members[0], set(group.members)
+        head, known = group.members[0], group.members
         fewer = tried.tried.get(best.members - {head}, tried.plain)
-        others = [h.evidence for s, h in tried.tried.items() if not s & known]
         features = scaled(
             probability=group.probability,
-            stability=group.stability,
             without=best.evidence - fewer.evidence,
-            margin=best.evidence - max(others, default=-np.inf),
             changes=finding.changes(unseen, head),
             groups=len(groups) - 1,
             excess=finding.excess,
             lead=lead,
-            left=left,
         )
         beside = {f"all {name}": whole[name] for name in _BESIDE}
         names = {f"is {name}": 1 / len(known) for name in known}
