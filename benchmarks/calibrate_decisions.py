@@ -115,7 +115,7 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
     level = least_sure([one for k in ("effect", "link") if (one := curves[k]) is not None])
     if level is not None:
         n = sum(one.right.size for k in ("effect", "link") if (one := curves[k]) is not None)
-        read_off["sure"] = level, n, "99 % of what plants left out are told with more is right"
+        read_off["sure"] = level, n, "98.5 % of what plants left out are told with more is right"
     for name, (value, n, why) in read_off.items():
         before = values[name]["value"]
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}
