@@ -35,7 +35,7 @@ class JointResult:
     Attributes:
         joint: Its recordings.
         finding: What it is missing.
-        rich: The servo with what is named.
+        rich: The servo that is offered.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
         after: Those of the enriched one.
         least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
@@ -103,7 +103,7 @@ class JointResult:
         return self.finding.changes(self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
-        """The servo with what is named, or the plain one as ``identify`` fits it."""
+        """The offered servo, or the plain one as ``identify`` fits it, on its motor's stated line."""
         rich = enriched and self.richer
         theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
         if self.joint.servo is not None:
