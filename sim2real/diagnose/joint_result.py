@@ -103,7 +103,7 @@ class JointResult:
         return self.finding.changes(self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
-        """The offered servo, or the plain one as ``identify`` fits it, on its motor's stated line."""
+        """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
         rich = enriched and self.richer
         theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
         if self.joint.servo is not None:
