@@ -154,7 +154,7 @@ def _spread2(found: Hypothesis) -> Array:
     independent = np.diag(inverse) * float(found.fit.error2[0] / found.fit.count[0])
     by_block = gram[:, 1:, 0] @ inverse
     freedom = len(gram) / max(len(gram) - len(inverse), 1)
-    return np.maximum(np.maximum(independent, freedom * (by_block**2).sum(axis=0)), 0.0)
+    return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
 
 
 def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
