@@ -125,7 +125,8 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
     known = {name: entry["value"] for name, entry in values.items()}
     report["sensitivity"] = sensitivity(rows, known, content["odds"]["effect"])
     for name, entry in values.items():
-        if entry["from"].startswith(("kept", "from")) and (why := alike(name, report["sensitivity"])):
+        why = alike(name, report["sensitivity"])
+        if why and entry["from"].startswith(("kept", "from")):
             entry["from"] = why
     content["made_by"], content["cases"] = "benchmarks/calibrate_decisions.py", cases
     order = ("schema", "made_by", "cases", "values", "odds", "odds_from")
