@@ -154,7 +154,7 @@ def loss(p: Array, y: Array) -> float:
     return float(-np.mean(y * np.log(p) + (1 - y) * np.log(1 - p)))
 
 
-def least_sure(curves: Sequence[Curve], least: float = 0.9, right: float = 0.99) -> float | None:
+def least_sure(curves: Sequence[Curve], least: float = 0.9, right: float = 0.985) -> float | None:
     """Probability from which so large a share of what is foretold is right; None where never."""
     if not curves:
         return None

@@ -155,15 +155,9 @@ def measured(
         if "effects" not in answer:
             rows.append({**answer, "verdict": found.verdict})
             continue
-        linked, varied = _link_gains(joints), _varied(joints)
         rows += [
-            {
-                **_row(answer, one, case),
-                "verdict": found.verdict,
-                "links": linked,
-                "varied": v,
-            }
-            for one, v in zip(joints, varied, strict=True)
+            {**_row(answer, one, case), "verdict": found.verdict, "varied": varied}
+            for one, varied in zip(joints, _varied(joints), strict=True)
         ]
     cost = {
         "cpu_s": (time.process_time() - start) / len(answers),
@@ -223,20 +217,14 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointResult, case: Case) -> Row:
-    import numpy as np
-
-    from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.judging import evidence
     from sim2real.diagnose.nuisances import size_in_noise
     from sim2real.effects import named
-    from sim2real.identification.motor_line import on_its_line
 
     finding, best = one.finding, one.finding.best
     tried, hidden = finding.tried, answer["effects"]
     outside = answer["kind"] == "outside"
     link, tries = finding.link, tried.tried
-    servo = next(j.servo for j in case.robot.joints if j.name == one.name)
-    line = on_its_line(one.joint.traces, servo, np.random.default_rng(0), room=WIDE)
     # What was judged has the curve's probabilities; the curve looks at those before.
     before = {g.members[0]: g.probability for g in finding.posterior.groups(tried.base)}
     raw = tuple(
@@ -252,10 +240,7 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     }
     alone = {e: float(tries[s].fit.loglikelihood[0]) for e in (h["effect"] for h in hidden)
              if (s := tried.base | {e}) in tries}  # fmt: skip
-    found = finding.unmodelled.windows or ()
-    windows = [b - a for some in found for a, b in some]
-    paid = DECISION.surely * sum(1 + seconds for seconds in windows)
-    lengths = [t.t[-1] - t.t[0] for t in one.joint.traces]
+    likely = sorted(tries.values(), key=lambda h: -h.evidence)
     return {
         "case": answer["case"],
         "set": answer.get("plant", "concealed"),
@@ -277,9 +262,10 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
         "excess": finding.excess,
         "left": finding.search.left(tried, tried.base),
         "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
-        "windows": windows,
-        "windows_gain": finding.unmodelled.windows_evidence + paid if found else None,
-        "length_s": float(sum(lengths)),
+        "tried": [
+            [sorted(h.members - tried.base), h.evidence, float(h.fit.loglikelihood[0])]
+            for h in likely if h.evidence > likely[0].evidence - FAR
+        ],
         "count": float(best.fit.count[0]),
         "error_over_noise": one.error / one.joint.noise,
         "step": _step(case, next(j for j in case.robot.joints if j.name == one.name)) or 0.0,
@@ -293,7 +279,6 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
             }
             for group, features in told.groups
         ],
-        "line": line and [line[1], line[0].motor["stall_torque_Nm"] / servo.max_torque_Nm],
         "link": link and {
             "effect": link.effect, "gain": link.gain, "value": link.value, "shares": link.shares,
             "changes": finding.changes(one.unseen, link.effect), "features": told.link,
@@ -304,8 +289,8 @@ def _row(answer: Row, one: JointResult, case: Case) -> Row:
     }  # fmt: skip
 
 
-WIDE = 3.0
-"""How many times the data sheet's a motor's line may be, either way, to see what lines are."""
+FAR = 60.0
+"""Evidence behind the likeliest set from which a set is not taken down."""
 VARIED = {"law_error": (0.0, 0.01, 0.1), "group_share": (0.03, 0.3)}
 """Other values of numbers whose decisions can be taken again from the sets that were tried."""
 
@@ -328,30 +313,6 @@ def _varied(joints: Sequence[JointResult]) -> list[Row]:
             row[f"{name}={value:g}" if name else ""] = [sorted(probable.sets[0]), groups]
     posterior.DECISION = DECISION
     return found
-
-
-def _link_gains(joints: Sequence[JointResult]) -> Row:
-    """What an uneven link would gain on all joints and on each, plain and with what was found."""
-    import numpy as np
-
-    from sim2real.diagnose.investigate import link_data
-    from sim2real.link.uneven import links
-    from sim2real.servo.batch import Batch
-
-    batch = Batch([one.joint.traces for one in joints])
-    told = []
-    for fits in ([x.finding.tried.plain for x in joints], [x.finding.best for x in joints]):
-        at = [
-            replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=np.array([j], "i4"))))
-            for j, h in enumerate(fits)
-        ]
-        data = link_data(batch, [one.joint for one in joints], range(len(joints)), at, 0.0)
-        (found,) = links([data])
-        told.append({"effect": found.effect, "gain": found.gain, "value": found.value,
-                     "shares": found.shares})  # fmt: skip
-    own = [x.finding.best.evidence - x.finding.tried.plain.evidence for x in joints]
-    return {"plain": told[0], "best": told[1], "own": own,
-            "excess": [x.finding.excess for x in joints]}  # fmt: skip
 
 
 if __name__ == "__main__":

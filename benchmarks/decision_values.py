@@ -14,8 +14,6 @@ Reading = tuple[float, int, str]
 """A value, how many joints it was read off, and how."""
 
 FEWEST = 20
-CLEAR = 0.9
-"""Share of the linear servo's error below which a motor's line is what the recordings show."""
 UNFITTED = frozenset(e.name for e in CATALOGUE if not e.fitted)
 
 
@@ -33,7 +31,7 @@ def values_of(rows: Sequence[Row]) -> dict[str, Reading]:
             max(float(np.quantile(excess, 0.9)), 1.02), len(excess),
             "90 % of joints that miss nothing leave less",
         )  # fmt: skip
-    return found | _of_lines(rows) | _of_gains(rows)
+    return found | _of_gains(rows)
 
 
 def of_sensors(rows: Sequence[Row]) -> dict[str, Reading]:
@@ -50,19 +48,6 @@ def of_sensors(rows: Sequence[Row]) -> dict[str, Reading]:
         "coarser": (level, len(coarse), "between sensors as stated and coarser"),
         "most_certain": ((right + 1) / (right + wrong + 2), right + wrong, why),
     }
-
-
-def _of_lines(rows: Sequence[Row]) -> dict[str, Reading]:
-    """How far the torque-speed lines of motors that hide nothing are from their data sheets."""
-    ratios = [
-        row["line"][1] for row in rows
-        if row.get("line") and row["line"][0] < CLEAR and row["kind"] != "trap"
-        and not row["outside"] and not row["truth"]
-    ]  # fmt: skip
-    if len(ratios) < FEWEST:
-        return {}
-    room = float(np.exp(np.quantile(np.abs(np.log(ratios)), 0.99)))
-    return {"line_room": (room, len(ratios), "99 % of motors that hide nothing are within")}
 
 
 def _of_gains(rows: Sequence[Row]) -> dict[str, Reading]:

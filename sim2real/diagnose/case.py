@@ -110,7 +110,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
         if before is not None and (before.law != "pd" or before.effects):
             continue
         given = traces(case.recordings, joint.name)
-        line = on_its_line(given, joint.servo, rng, room=DECISION.line_room) if given else None
+        line = on_its_line(given, joint.servo, rng, room=1 / DECISION.sheet) if given else None
         # What changes the error by less, nobody would miss.
         if line is not None and line[1] < 1 - DECISION.negligible:
             found[joint.name] = line[0]

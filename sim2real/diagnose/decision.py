@@ -42,9 +42,9 @@ class Decision:
     ripple: float  # what every servo has a little of is a finding from so many noises on
     crystals: float  # relative difference of two clocks up to which it is none, and is taken off
     turn_s: float  # jitter below which a set-point only waits for the controller's next turn
-    sheet: float  # share of the stated stall torque from which a limit is the data sheet's own
+    sheet: float  # share of what a data sheet states from which a limit is the data sheet's own
+    drawing: float  # share of the stated inertia by which a drawing may be off
     coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
-    link_masked: float  # excess of a joint from which nothing can be seen of single set-points
     change_retuned: float  # log odds that a plain parameter was set anew, not that an effect came
     change_farthest: float  # prior standard deviation of a change, in multiples of its start
     nameless: float  # probability that what is missing has no name, where effects leave most of it
@@ -52,8 +52,6 @@ class Decision:
     change_explained: float  # share of what changed that names must explain, or it has none
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
-    # how many times the data sheet's the line may be, either way; beyond that it is a finding
-    line_room: float
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -175,12 +175,16 @@ def _joint_results(
         for joint, finding, now, known in zip(joints, findings, changed, unseen, strict=True)
     ]
     plain = [finding.tried.plain for finding in findings]
-    rich = [_enriched(finding) for finding in findings]
+    rich = [_with_what_is_named(finding) for finding in findings]
     more = [
         [h.members] if h.members not in known else [] for h, known in zip(rich, unseen, strict=True)
     ]
     for known, added in zip(unseen, _unseen(joints, more, findings, device), strict=True):
         known.update(added)
+    rich = [
+        h if joint.before else _enriched(finding, h, known)
+        for joint, finding, h, known in zip(joints, findings, rich, unseen, strict=True)
+    ]
     before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
     ordinary = [
         refitted(
@@ -206,14 +210,24 @@ def _first_look(joints: Sequence[Joint], rng: np.random.Generator, device: str) 
     return ledgers
 
 
-def _enriched(finding: Finding) -> Hypothesis:
+def _enriched(finding: Finding, named: Hypothesis, unseen: Mapping[Set, Unseen]) -> Hypothesis:
+    """The servo that foretells best: with what is named, or with all of the likeliest set.
+
+    What is too unsure to be named may well be there, or stand in for what is.
+    """
+    best, fewer = unseen.get(finding.best.members), unseen.get(named.members)
+    if not finding.mismatch or finding.link is not None or best is None or fewer is None:
+        return named
+    return finding.best if best.rmse < fewer.rmse else named
+
+
+def _with_what_is_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
     wanted = heads if finding.link is not None else best.members - (finding.said - heads)
     wanted = tried.base | (wanted & best.members)
-    found = tried.tried.get(wanted, best if heads else tried.plain)
-    return finding.search.freed(tried, found)
+    return tried.tried.get(wanted, best if heads else tried.plain)
 
 
 def _all_sets(finding: Finding) -> list[Set]:

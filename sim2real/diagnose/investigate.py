@@ -32,6 +32,7 @@ _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
 _LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
+_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -162,8 +163,6 @@ def _with_links(
     Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
     what was found on its joints and without.
     """
-    clear = [[j for j in robot if findings[j].excess < DECISION.link_masked] for robot in robots]
-    robots = [robot for robot in clear if robot]
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
@@ -315,6 +314,9 @@ def _no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
         return size_in_noise(best, effect, joint.noise) < DECISION.ripple
-    limit = float(best.fit.servos.theta[0, _LIMIT])
+    theta = best.fit.servos.theta[0]
+    if effect == "unmodelled_inertia":
+        small = DECISION.drawing * joint.traces[0].load.inertia_kgm2
+        return bool(abs(theta[_INERTIA]) < small)
     stated = effect == "torque_saturation" and joint.stall_Nm is not None
-    return stated and limit > DECISION.sheet * (joint.stall_Nm or 0.0)
+    return stated and theta[_LIMIT] > DECISION.sheet * (joint.stall_Nm or 0.0)

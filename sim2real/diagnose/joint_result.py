@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Joint
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.effects import named
+from sim2real.identification.motor_line import with_stated_line
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import RESIDUAL_WANDER
 from sim2real.model import FittedEffect, JointModel
@@ -22,6 +24,8 @@ from sim2real.servo.parameters import COLUMNS, stated
 Array = NDArray[np.float64]
 
 _Q95 = 1.645
+_DIGIT_RAD = 1e-9
+"""To which a sensor's step is read off recorded numbers."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class JointResult:
     Attributes:
         joint: Its recordings.
         finding: What it is missing.
-        rich: The servo with what is named.
+        rich: The servo that is offered.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
         after: Those of the enriched one.
         least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
@@ -99,31 +103,35 @@ class JointResult:
         return self.finding.changes(self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
-        """The servo with what is named, or the plain one as ``identify`` fits it."""
-        if enriched and self.richer:
-            return servo(self.joint, self.rich.fit.servos.theta[0], self.rich)
-        return servo(self.joint, self.least_squares, self.finding.tried.plain)
+        """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
+        rich = enriched and self.richer
+        theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
+        if self.joint.servo is not None:
+            theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
+        return servo(self.joint, theta, self.rich if rich else self.finding.tried.plain)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
-        """Parameters of an effect with their spread, by name; empty where the fit has it not."""
+        """Parameters of an effect with their spread, by name; empty where the fit has it not.
+
+        A law is wrong by a share of its own effect, which no recording tells: ``law_error``.
+        """
         link, step = self.finding.link, self.finding.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:
             ends = max(link.value - _Q95 * link.sd, 0.0), link.value + _Q95 * link.sd
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
-            return {first: Estimate(step, 0.0, step, step)}
+            return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
         servos = self.rich.fit.servos
         columns = [COLUMNS[k] for k in servos.columns[0]]
-        total = self.rich.fit.gram[0].sum(axis=0)[1:, 1:]
-        variance = float(self.rich.fit.error2[0] / self.rich.fit.count[0])
-        covariance = variance * np.linalg.pinv(total, rcond=1e-12, hermitian=True)
+        variance = _spread2(self.rich)
         found = {}
         for k, name in enumerate(columns):
             if not name.startswith(f"{effect}."):
                 continue
             mean = float(servos.theta[0, servos.columns[0, k]])
-            sd = float(np.sqrt(max(covariance[k, k], 0.0)) * servos.unit[0, k])
+            law = 0.0 if name.endswith("phase_rad") else DECISION.law_error * mean
+            sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
             low, high = mean - _Q95 * sd, mean + _Q95 * sd
             low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
             found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
@@ -132,6 +140,21 @@ class JointResult:
     def _train(self, residual: Array) -> float:
         pairs = zip(residual, self.joint.traces, strict=False)
         return rms([row[: t.t.size][t.used] for row, t in pairs])
+
+
+def _spread2(found: Hypothesis) -> Array:
+    """Variances of a fit's free parameters, in units, shape (F,).
+
+    Of independent innovations, or of blocks of them where these agree less: the sandwich of White,
+    Econometrica 50 (1982) 1-25, with blocks as clusters.
+    """
+    gram = found.fit.gram[0]
+    gram = gram[gram[:, 0, 0] > 0]
+    inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
+    independent = np.diag(inverse) * float(found.fit.error2[0] / found.fit.count[0])
+    by_block = gram[:, 1:, 0] @ inverse
+    freedom = len(gram) / max(len(gram) - len(inverse), 1)
+    return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
 
 
 def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:

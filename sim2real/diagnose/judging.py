@@ -15,7 +15,6 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
-from sim2real.effects import named
 from sim2real.residuals.holdout import Unseen
 from sim2real.residuals.problem import Set
 
@@ -27,7 +26,7 @@ class Evidence:
     """What speaks for and against all that could be said of a joint.
 
     Attributes:
-        groups: Groups of effects, that which explains most first, each with what speaks for it.
+        groups: Groups of effects, each with what speaks for it.
         whole: What speaks for something missing, and for something that has no name.
         link: What speaks for an uneven link; None where it is even.
     """
@@ -50,17 +49,16 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
     "changes": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
     "change": lambda x: float(np.clip(x, -0.5, 1.0)),
     "lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
-    "members": lambda n: float(np.log(n)),
     "size": _logarithm(1e-2, 30.0),
     "left": _logarithm(0.3, 30.0),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
-    **dict.fromkeys(("alone", "without", "smooth", "windows", "own", "gain"), _gain),
+    **dict.fromkeys(("without", "smooth", "windows", "own", "gain"), _gain),
 }
 """How a measure enters a curve: what is none of these as it is."""
 
 
 _ALMOST = 0.89
-_BESIDE = ("excess_plain", "explained", "smooth", "windows", "change")
+_BESIDE = ("excess_plain", "change")
 """Measures of the whole joint that count for each effect as well."""
 
 
@@ -74,11 +72,6 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     tried, best, link = finding.tried, finding.best, finding.link
     groups = [g for g in finding.groups if g.members != (ROUNDING,)]
     groups = [g for g in groups if link is None or link.effect not in g.members]
-    explains = {
-        g: [tried.tried[s].evidence for e in g.members if (s := tried.base | {e}) in tried.tried]
-        for g in groups
-    }
-    groups.sort(key=lambda g: -max(explains[g], default=-np.inf))
     without = finding.unmodelled
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a function without a name is ahead of the best set.
@@ -100,31 +93,24 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
         lead=lead,
         own=best.evidence - servo.evidence,
         left=left,
+        groups=len(groups),
         change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
     )
     weighed = []
-    for place, group in enumerate(groups):
-        head = group.members[0]
-        alone = max((x - tried.plain.evidence for x in explains[group]), default=0.0)
-        fewer = tried.tried.get(best.members - {head})
-        changes = finding.changes(unseen, head)
+    for group in groups:
+        head, known = group.members[0], group.members
+        fewer = tried.tried.get(best.members - {head}, tried.plain)
         features = scaled(
             probability=group.probability,
-            stability=group.stability,
-            alone=alone,
-            without=alone if fewer is None else best.evidence - fewer.evidence,
-            changes=changes,
-            untold=not changes < 1e6,
-            second=place == 1,
-            later=place > 1,
+            without=best.evidence - fewer.evidence,
+            changes=finding.changes(unseen, head),
             groups=len(groups) - 1,
-            members=len(group.members),
             excess=finding.excess,
             lead=lead,
-            left=left,
         )
         beside = {f"all {name}": whole[name] for name in _BESIDE}
-        weighed.append((group, features | beside | {f"is {head}": 1.0}))
+        names = {f"is {name}": 1 / len(known) for name in known}
+        weighed.append((group, features | beside | names))
     uneven = None
     if link is not None:
         uneven = scaled(
@@ -141,16 +127,17 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     """The finding with probabilities that were read off cases of known answer."""
     found = evidence(finding, unseen)
     unknown = ODDS["nameless"].probability(found.whole)
-    groups = [
-        replace(group, probability=_stated(ODDS["effect"].probability(features)))
-        for group, features in found.groups
-        # Beside something nameless, what every servo has a little of is no finding.
-        if unknown <= DECISION.named or not named(group.members[0]).everywhere
-    ]
+
+    def stated(curve: str, features: Features) -> float:
+        """That a name is right: what is missing has one, and it is this."""
+        probability = (1 - unknown) * ODDS[curve].probability(features)
+        # Not 0.9 where those that are said with 0.9 would too often be wrong.
+        return probability if probability >= DECISION.sure else min(probability, _ALMOST)
+
+    groups = [replace(g, probability=stated("effect", told)) for g, told in found.groups]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:
-        sure = _stated(ODDS["link"].probability(found.link))
-        groups.append(Group((finding.link.effect,), sure, 1.0))
+        groups.append(Group((finding.link.effect,), stated("link", found.link), 1.0))
     likely = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     there = ODDS["there"].probability(found.whole) >= DECISION.there
@@ -165,8 +152,3 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         left=unknown > DECISION.named or unsolved,
         unknown=unknown,
     )
-
-
-def _stated(probability: float) -> float:
-    """A probability, below 0.9 where those that are said with 0.9 would too often be wrong."""
-    return probability if probability >= DECISION.sure else min(probability, _ALMOST)

@@ -21,6 +21,7 @@ from sim2real.servo.parameters import COLUMNS
 if TYPE_CHECKING:
     from sim2real.diagnose.search import Job, ServoSearch
 
+NAMES = frozenset(e.name for e in NUISANCES)
 _BESIDE = 4
 """Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
 _STARTS = 2
@@ -105,7 +106,7 @@ def with_nuisances(
 
 
 def _missing(members: Set) -> list[str]:
-    return [e.name for e in NUISANCES if e.name not in members]
+    return sorted(NAMES - members)
 
 
 def _jobs(
@@ -138,14 +139,16 @@ def _jobs(
 
 
 def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
-    """The likeliest set whose nuisances are all small, if they are worth it."""
-    nuisances = {e.name for e in NUISANCES}
-    small = [h for h in tried if _small(h, large_rad) == h.members & nuisances]
-    best = max([beside, *small], key=lambda h: h.evidence)
+    """The likeliest set with those nuisances that are small where all are tried, if worth it."""
+    top = max(tried, key=lambda h: h.evidence)
+    # Where a large wave is likeliest, a small one in its place only stands in for it.
+    small = beside.members | _small(top, large_rad)
+    sets = [h for h in tried if h.members <= small and _small(h, large_rad) >= h.members & NAMES]
+    best = max([beside, *sets], key=lambda h: h.evidence)
     return best if best.evidence > beside.evidence + _WORTH else beside
 
 
 def _small(found: Hypothesis, large_rad: float) -> Set:
     """Those of its nuisances that are small."""
-    given = [e.name for e in NUISANCES if e.name in found.members]
+    given = NAMES & found.members
     return frozenset(name for name in given if size_in_noise(found, name, large_rad) < 1)

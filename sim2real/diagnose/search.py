@@ -32,6 +32,8 @@ Job = tuple[Tried, Set, Array]
 
 BREADTH = selection.Breadth()
 _BETTER = 1.0
+_RIVALS, _NEAR = 10, 80.0
+"""Sets that are refitted with nothing held, and how far their evidence may be behind."""
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
 
@@ -69,7 +71,15 @@ def search(
         large = [DECISION.ripple * sd for sd in noise]
         if best is None:
             first_look(problem, ledgers, large)
-        ledgers = with_nuisances(problem, ledgers, large, best or [one.best for one in ledgers])
+        before = best or [one.best for one in ledgers]
+        ledgers = with_nuisances(problem, ledgers, large, before)
+        jobs = [
+            (one, one.base | h.members, h.fit.servos.theta[0])
+            for one, h in zip(ledgers, before, strict=True)
+            if not h.members <= one.base
+        ]
+        for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+            one.keep(found)
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
@@ -77,7 +87,8 @@ def search(
     if again:
         selection.select(problem, again, selection.Breadth(most=1))
     problem.singles = False
-    selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.6 * share))
+    selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.5 * share))
+    problem.release(ledgers)
     return ledgers, problem
 
 
@@ -196,30 +207,33 @@ class ServoSearch:
             for one, s, _ in jobs
         ]
 
-    def freed(self, ledger: Tried, found: Hypothesis) -> Hypothesis:
-        """A set with all of its parameters free, those that were held as well."""
-        held = self.held.get(ledger.case, frozenset()) & found.members
-        if not held or not found.members - ledger.base:
-            return found
-        theta, fit = np.array(found.fit.servos.theta[0]), found.fit
-        servos = with_effects(ledger.plain.fit.servos, found.members, theta, *self.strength(ledger))
-        servos = replace(servos, joint=np.array([ledger.case], dtype=np.int32))
-        free = minimise(self.batch, servos, iterations=8, blocks=BLOCKS)
-        if free.loglikelihood[0] < fit.loglikelihood[0]:
-            return found
-        free = replace(free, servos=replace(free.servos, joint=fit.servos.joint))
-        return replace(found, fit=free.one(0))
+    def release(self, ledgers: Sequence[Tried]) -> None:
+        """Refit the likeliest sets of each case, and the plain one, with nothing held.
+
+        What was held was fitted beside what was likeliest then, and speaks for that.
+        """
+        held = [(one, h) for one in ledgers if self.held.get(one.case) for h in _likely(one)]
+        self.held.clear()
+        jobs = [(one, h.members, h.fit.servos.theta[0]) for one, h in held]
+        for (one, h), found in zip(held, self.refit(jobs), strict=True):
+            more = float(found.fit.loglikelihood[0] - h.fit.loglikelihood[0])
+            # All are as free: what freedom costs is the same for each.
+            if more > 0:
+                one.tried[h.members] = replace(found, evidence=h.evidence + more)
 
     def remains(self, ledger: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
 
-        What every servo has a little of does not count: it is named only where it is large.
+        What every servo has a little of must explain as much as is never left to chance.
         """
         gain, limit = self.left(ledger, members)
-        return gain > limit
+        return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
 
     def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
-        """Largest gain that an effect would still make, and what chance would make."""
+        """Largest gain that an effect would still make, and what chance would make.
+
+        What every servo has a little of does not count: it is named only where it is large.
+        """
         seen, given = self.seen(ledger, members)
         counted = seen.of(np.array([not c.effect.everywhere for c in given]))
         limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
@@ -241,6 +255,15 @@ class ServoSearch:
         """The plain servo's gain and inertia."""
         first = self.batch.first_signal[ledger.case]
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
+
+
+def _likely(ledger: Tried) -> list[Hypothesis]:
+    """The sets that what is said rests on: the best, what it is without each effect, its rivals."""
+    best, tried = ledger.best, ledger.tried
+    near = sorted(tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
+    sets = [h.members for h in near if h.evidence > best.evidence - _NEAR]
+    sets += [ledger.base, *(best.members - {e} for e in best.members - ledger.base)]
+    return [tried[s] for s in dict.fromkeys(sets) if s in tried]
 
 
 def _evidence(fit: Fits, added: Set) -> float:

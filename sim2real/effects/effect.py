@@ -97,6 +97,7 @@ class Effect:
         order: Effects at one site act in ascending order, those of equal order by name.
         family: Effects of one family describe the same mechanism: a joint has one of them at most.
         also: Further terms of the effect, each with its site.
+        steady: Whether what it does to the sensor is said by the moment alone: asked at samples.
         fitted: Whether a fit can follow it; not so where it is drawn anew for each set-point, or
             read off the recorded numbers themselves.
         everywhere: Whether every servo has a little of it, which is then no finding.
@@ -118,6 +119,7 @@ class Effect:
     order: int = 0
     family: str = ""
     also: tuple[tuple[Site, Any], ...] = ()
+    steady: bool = False
     fitted: bool = True
     everywhere: bool = False
     never_named: bool = False

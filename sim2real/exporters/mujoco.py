@@ -117,7 +117,9 @@ def _shaft(given: Actuator, world: Element, tendons: Element) -> None:
     inertia, armature = given.inertia, given.value("unmodelled_inertia", "inertia_kgm2")
     if armature < 0:
         inertia, armature = inertia + armature, 0.0
-    spring = given.value("compliance", "compliance_rad_per_Nm")
+    rotor = given.value("compliance", "rotor_inertia_kgm2")
+    # A rotor would ring on its spring: as the law has it, what the motor feels of it is softer.
+    spring = given.value("compliance", "compliance_rad_per_Nm") * (1 - rotor / inertia) ** 2
     shaft = SHAFT_SHARE * (inertia + armature) if spring > 0 else 0.0
     body = SubElement(world, "body", name=f"{given.joint}_link")
     attributes = {"name": given.joint, "type": "hinge", "axis": "0 1 0"}

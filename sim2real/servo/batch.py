@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sim2real.inference.noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
-from sim2real.servo.parameters import BASE, CELLS, COLUMNS
-from sim2real.servo.rollout import active_effects, kernel_for, longest_substep, to_warp
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.rollout import active_effects, longest_substep, simulate, to_warp
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -199,15 +199,8 @@ class Batch:
             device=dev,
         )
         angle = wp.empty((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
-        memory = wp.zeros((rows.size, CELLS), dtype=wp.float64, device=dev)
-        masks = put(active[problem, variant])
-        wp.launch(
-            kernel_for(active[problem, variant]),
-            dim=rows.size,
-            inputs=[theta, masks, memory, signals, *self._signals, put(steps)],
-            outputs=[angle],
-            device=dev,
-        )
+        latency = problems.theta[problem, variant, 2]
+        simulate(active[problem, variant], latency, theta, signal, self._signals, steps, angle)
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
         wp.launch(whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev)
@@ -221,7 +214,7 @@ class Batch:
             products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
             wp.launch(
                 whitening.lag_products,
-                dim=products.shape,
+                dim=products.shape[:2],
                 inputs=[*layout, self._counts, angle],
                 outputs=[products],
                 device=dev,

@@ -6,21 +6,64 @@ import warp as wp
 
 from sim2real.effects import SIGNATURE
 from sim2real.servo.law import (
-    SENSOR_BITS,
+    ARRIVAL_BITS,
+    FOLLOWING_BITS,
     Row,
     arrival_time,
     exact_motion,
     measured_angle,
-    other_inertia,
     resting_angle,
+    shaft_inertia,
     substep_of,
 )
 from sim2real.servo.motor import MOTOR_BIT, read_motor
-from sim2real.servo.parameters import HELD_CELL
+from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
+
+_CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
+"""Columns that say when a servo hears of its set-points, and when it looks."""
 
 
-def _simulating(effects: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The kernel that simulates a servo from rest on its signal's first set-point."""
+@wp.func
+def at_rest(u: wp.float64, kp: wp.float64, p: Row) -> wp.vec4d:
+    """State of a servo that holds its first set-point."""
+    zero = wp.float64(0.0)
+    q = resting_angle(u, kp, p[4])
+    return wp.vec4d(q, zero, kp * (u - q), zero)
+
+
+@wp.func
+def measured(
+    state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: int
+) -> wp.float64:
+    """What the sensor says at the end of a sub-step."""
+    return measured_angle(state[0], state[0], state[1], state[2], time, h, p, z, active)
+
+
+@wp.func
+def _same_clock(
+    row: int,
+    other: int,
+    theta: wp.array2d(dtype=wp.float64),
+    active: wp.array(dtype=wp.int32),
+    signal: wp.array(dtype=wp.int32),
+    longest: Row,
+) -> bool:
+    """Whether two rows stop at the same events and take the same sub-steps between them."""
+    uneven = (active[row] | active[other]) & wp.static(~MOTOR_BIT & ARRIVAL_BITS)
+    if signal[row] != signal[other] or longest[row] != longest[other] or uneven != 0:
+        return False
+    for k in range(wp.static(len(_CLOCK))):
+        if theta[row, wp.static(_CLOCK[k])] != theta[other, wp.static(_CLOCK[k])]:
+            return False
+    return True
+
+
+def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that simulates servos from rest on their signal's first set-point.
+
+    A thread takes ``together`` of the rows in ``order``. With ``pairs`` neighbours of one clock
+    go side by side: a sub-step is one long chain of operations, and a core has room for two.
+    """
     substep = substep_of(effects)
     mask = ~MOTOR_BIT if effects else 0
 
@@ -30,6 +73,8 @@ def _simulating(effects: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
         active: wp.array(dtype=wp.int32),
         memory: wp.array2d(dtype=wp.float64),
         signal: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        together: int,
         times: wp.array2d(dtype=wp.float64),
         command: wp.array2d(dtype=wp.float64),
         length: wp.array(dtype=wp.int32),
@@ -37,90 +82,131 @@ def _simulating(effects: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
         position: wp.array2d(dtype=wp.float64),
     ) -> None:
         _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
-        row = wp.tid()
-        p = theta[row]
-        z = memory[row]
-        effects = active[row]
-        others = effects & wp.static(mask)
-        m = read_motor(p)
-        t = times[signal[row]]
-        sent = command[signal[row]]
-        samples = length[signal[row]]
-        zero = wp.float64(0.0)
-        kp = wp.float64(p[0])
-        kd = wp.float64(p[1])
-        latency = p[2]
-        inertia = wp.float64(p[3])
-        inertia += m.rotor
-        if others != 0:
-            inertia = other_inertia(inertia, zero, zero, zero, zero, zero, p, z, others)
-        longest_step = longest[row]
-        u = wp.float64(sent[0])
-        state = wp.vec4d(resting_angle(u, kp, p[4]), zero, zero, zero)
-        state[2] = kp * (u - state[0])
-        angle = wp.float64(state[0])
-        start = t[0]
-        now = wp.float64(start)
-        sample = int(0)
-        arrival = int(0)
-        period = m.period
-        looks = wp.float64(start) + m.phase
-        z[wp.static(HELD_CELL)] = state[2]
-        tick = bool(False)
-        ticks = wp.float64(0.0)
-        while sample < samples:
-            arrives = t[samples - 1] + wp.float64(1.0)
-            if arrival < samples:
-                arrives = t[arrival] + latency
-                if others != 0:
-                    number = wp.float64(arrival)
-                    since = t[arrival] - start
-                    arrives = arrival_time(arrives, number, zero, zero, since, zero, p, z, effects)
-                    if wp.isinf(arrives):
-                        arrival += 1
-                        continue
-            until = wp.min(t[sample], arrives)
-            if period > zero:
-                if now >= looks:
-                    tick = True
-                    ticks += wp.float64(1.0)
-                    looks = start + m.phase + ticks * period
-                until = wp.min(until, looks)
-            if until > now:
-                count = int(wp.ceil((until - now) / longest_step))
-                h = (until - now) / wp.float64(count)
-                for k in range(count):
-                    time = now - start + wp.float64(k) * h
-                    look = tick and k == 0
-                    state = substep(state, u, time, h, kp, kd, inertia, m, p, z, effects, look)
-                    if (others & wp.static(SENSOR_BITS)) != 0:
-                        angle = measured_angle(
-                            state[0], state[0], state[1], state[2], time, h, p, z, effects
+        place = int(wp.tid() * together)
+        end = wp.min(place + together, order.shape[0])
+        while place < end:
+            row = order[place]
+            place += 1
+            both = bool(False)
+            if wp.static(pairs) and place < end:
+                both = _same_clock(row, order[place], theta, active, signal, longest)
+            row_b = int(row)
+            if both:
+                row_b = order[place]
+                place += 1
+            p = theta[row]
+            p_b = theta[row_b]
+            z = memory[row]
+            z_b = memory[row_b]
+            effects = active[row]
+            effects_b = active[row_b]
+            others = effects & wp.static(mask)
+            others_b = effects_b & wp.static(mask)
+            m = read_motor(p)
+            m_b = read_motor(p_b)
+            t = times[signal[row]]
+            sent = command[signal[row]]
+            samples = length[signal[row]]
+            zero = wp.float64(0.0)
+            kp = wp.float64(p[0])
+            kd = wp.float64(p[1])
+            kp_b = wp.float64(p_b[0])
+            kd_b = wp.float64(p_b[1])
+            latency = p[2]
+            inertia = shaft_inertia(p[3], p, z, others)
+            inertia_b = shaft_inertia(p_b[3], p_b, z_b, others_b)
+            per_longest = wp.float64(1.0) / longest[row]
+            u = wp.float64(sent[0])
+            state = at_rest(u, kp, p)
+            state_b = at_rest(u, kp_b, p_b)
+            angle = wp.float64(state[0])
+            angle_b = wp.float64(state_b[0])
+            following = (others | others_b) & wp.static(FOLLOWING_BITS)
+            start = t[0]
+            now = wp.float64(start)
+            sample = int(0)
+            arrival = int(0)
+            period = m.period
+            looks = wp.float64(start) + m.phase
+            z[wp.static(HELD_CELL)] = state[2]
+            z_b[wp.static(HELD_CELL)] = state_b[2]
+            tick = bool(False)
+            ticks = wp.float64(0.0)
+            while sample < samples:
+                arrives = t[samples - 1] + wp.float64(1.0)
+                if arrival < samples:
+                    arrives = t[arrival] + latency
+                    if others != 0:
+                        number = wp.float64(arrival)
+                        since = t[arrival] - start
+                        arrives = arrival_time(
+                            arrives, number, zero, zero, since, zero, p, z, effects
                         )
-                now = until
-                tick = False
-            if arrives <= until:
-                u = sent[arrival]
-                arrival += 1
-                if wp.isnan(u):
-                    kp = zero
-                    kd = zero
-                    u = zero
-            elif until == t[sample]:
-                if (others & wp.static(SENSOR_BITS)) == 0:
-                    angle = state[0]
-                elif sample == 0:
-                    angle = measured_angle(
-                        state[0], state[0], state[1], state[2], zero, zero, p, z, effects
-                    )
-                position[row, sample] = angle
-                sample += 1
+                        if wp.isinf(arrives):
+                            arrival += 1
+                            continue
+                until = wp.min(t[sample], arrives)
+                if period > zero:
+                    if now >= looks:
+                        tick = True
+                        ticks += wp.float64(1.0)
+                        looks = start + m.phase + ticks * period
+                    until = wp.min(until, looks)
+                if until > now:
+                    h = until - now
+                    count = int(wp.ceil(h * per_longest))
+                    if count > 1:
+                        h = h / wp.float64(count)
+                    if both:
+                        for k in range(count):
+                            time = now - start + wp.float64(k) * h
+                            look = tick and k == 0
+                            state = substep(
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                            )
+                            state_b = substep(
+                                state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
+                                effects_b, look,
+                            )  # fmt: skip
+                            if following != 0:
+                                angle = measured(state, time, h, p, z, effects)
+                                angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
+                    else:
+                        for k in range(count):
+                            time = now - start + wp.float64(k) * h
+                            look = tick and k == 0
+                            state = substep(
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                            )
+                            if following != 0:
+                                angle = measured(state, time, h, p, z, effects)
+                    now = until
+                    tick = False
+                if arrives <= until:
+                    u = sent[arrival]
+                    arrival += 1
+                    if wp.isnan(u):
+                        kp = zero
+                        kd = zero
+                        kp_b = zero
+                        kd_b = zero
+                        u = zero
+                elif until == t[sample]:
+                    asked = sample == 0 or following == 0
+                    if asked:
+                        angle = measured(state, now - start, zero, p, z, others)
+                    position[row, sample] = angle
+                    if both:
+                        if asked:
+                            angle_b = measured(state_b, now - start, zero, p_b, z_b, others_b)
+                        position[row_b, sample] = angle_b
+                    sample += 1
 
     return simulate_servos
 
 
-simulate_any, simulate_motors = _simulating(True), _simulating(False)
-"""Kernels for servos with and without effects; see ``rollout.rollout``. The second is faster."""
+KERNELS = {(e, p): _simulating(e, p) for e in (False, True) for p in (False, True)}
+"""By whether servos may have effects (those that have none are faster), and may go in pairs."""
 
 
 @wp.kernel(enable_backward=False)

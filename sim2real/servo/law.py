@@ -47,7 +47,7 @@ def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], 
 
 def _chain(site: str) -> wp.Function:
     """The function that passes a number through all active effects of one site."""
-    terms, columns, cells, bits, _ = _at(site)
+    terms, columns, cells, bits, every = _at(site)
 
     @wp.func
     def through(
@@ -61,6 +61,8 @@ def _chain(site: str) -> wp.Function:
         z: Row,
         active: int,
     ) -> wp.float64:
+        if (active & wp.static(every)) == 0:
+            return x
         for k in range(wp.static(len(terms))):
             if (active & wp.static(bits[k])) != 0:
                 x = wp.static(terms[k])(
@@ -82,7 +84,11 @@ measured_angle = _chain("sensor")
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
 SENSOR_BITS = _at("sensor")[-1]
-"""Bits of the effects on the sensor, which must follow every sub-step."""
+"""Bits of the effects on the sensor."""
+FOLLOWING_BITS = SENSOR_BITS & ~sum(1 << k for k, effect in enumerate(CATALOGUE) if effect.steady)
+"""Bits of those that must follow every sub-step."""
+ARRIVAL_BITS = _at("arrival")[-1]
+"""Bits of the effects on when, and whether, a set-point arrives."""
 
 
 @wp.func
@@ -139,7 +145,7 @@ def substep_of(effects: bool) -> wp.Function:
         speed = v + half * state[3]  # about that of the middle
         per_h = wp.float64(1.0) / h
         impulse = h / inertia
-        damp = half / inertia
+        damp = wp.float64(0.5) * impulse
         damping = damp * kd
         stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
         load = pendulum_torque(q, p[4])

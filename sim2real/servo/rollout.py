@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.kernel import simulate_any, simulate_motors, solve_servos
+from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
@@ -74,28 +74,22 @@ def rollout(
         to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
     ]
 
-    def simulate(part: slice) -> None:
-        memory = np.zeros((part.stop - part.start, CELLS))
-        given = (rows[part], active[part], memory, signal[part])
-        step = to_warp(longest[part], device)
+    def some(part: slice) -> None:
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
-        wp.launch(
-            kernel_for(active[part]),
-            dim=out.shape[0],
-            inputs=[*(to_warp(x, device) for x in given), *signals, step],
-            outputs=[out],
-            device=device,
-        )
+        simulate(
+            active[part], rows[part, 2], to_warp(rows[part], device), signal[part], signals,
+            longest[part], out,
+        )  # fmt: skip
         if out.device.is_cuda:  # on a CPU it is the same memory
             position[part] = out.numpy()
 
     edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
     if len(parts) == 1:
-        simulate(parts[0])
+        some(parts[0])
     else:
         with ThreadPoolExecutor(len(parts)) as pool:
-            list(pool.map(simulate, parts))
+            list(pool.map(some, parts))
     return np.moveaxis(position.reshape(B, J, T), 1, 2)
 
 
@@ -178,18 +172,18 @@ class Simulator:
         S = len(self.traces)
         rows = np.repeat(theta, S, axis=0)
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
-        signal = to_warp(np.tile(np.arange(S, dtype=np.int32), theta.shape[0]), "cpu")
+        signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
-        servos, inputs = to_warp(rows, "cpu"), [signal, *self._signals]
+        servos = to_warp(rows, "cpu")
         if np.isinf(substep_s):
-            given, kernel = [servos, *inputs], solve_servos
+            given = [servos, to_warp(signal, "cpu"), *self._signals]
+            wp.launch(solve_servos, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
         else:
-            own = (active_effects(rows), np.zeros((len(rows), CELLS)))
-            longest = to_warp(np.full(len(rows), substep_s), "cpu")
-            given = [servos, *(to_warp(x, "cpu") for x in own), *inputs, longest]
-            kernel = kernel_for(own[0])
-        wp.launch(kernel, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
+            longest = np.full(len(rows), substep_s)
+            simulate(
+                active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
+            )
         return angle
 
 
@@ -212,9 +206,42 @@ def active_effects(rows: Array) -> NDArray[np.int32]:
     return active
 
 
-def kernel_for(active: NDArray[np.int32]) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The kernel that simulates servos with these masks (N,), the fast one where it may."""
-    return simulate_any if np.any(active & (~MOTOR_BIT)) else simulate_motors
+def simulate(
+    active: NDArray[np.int32],
+    latency: Array,
+    theta: Any,  # noqa: ANN401 - Warp has no stubs
+    signal: NDArray[np.int32],
+    signals: Sequence[Any],
+    longest: Array,
+    out: Any,  # noqa: ANN401
+) -> None:
+    """Launch N rollouts, on the CPU those of one clock side by side.
+
+    Args:
+        active: Effects of each, see ``active_effects``, shape (N,).
+        latency: Latency of each in s, shape (N,).
+        theta: Their parameters, a Warp array (N, P).
+        signal: Which signal each follows, shape (N,).
+        signals: Times, commands and lengths of the signals, Warp arrays.
+        longest: Longest sub-step of each in s, shape (N,).
+        out: Where their angles go, a Warp array (N, T).
+    """
+    N, device = signal.size, str(out.device)
+    pairs = device == "cpu"
+    order = np.lexsort((latency, longest, signal)) if pairs else np.arange(N)
+    effects = bool(np.any(active & ~MOTOR_BIT))
+    memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
+    given = [to_warp(x, device) for x in (active, signal, order.astype(np.int32))]
+    wp.launch(
+        KERNELS[effects, pairs],
+        dim=1 if pairs else N,
+        inputs=[
+            theta, given[0], memory, *given[1:], N if pairs else 1, *signals,
+            to_warp(longest, device),
+        ],
+        outputs=[out],
+        device=device,
+    )  # fmt: skip
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs

@@ -60,19 +60,34 @@ def lag_products(
     angle: Table,
     out: wp.array3d(dtype=wp.float64),
 ) -> None:
-    """Sums of products of each problem's residual at two lags, over samples that count."""
-    problem, i, j = wp.tid()
-    if j > i:
-        return
+    """Sums of products of each problem's residual at two lags, over samples that count.
+
+    One lag further back for both, the sums differ only where samples begin or cease to count.
+    """
+    problem, apart = wp.tid()
+    order = out.shape[1] - 1
     total = wp.float64(0.0)
     for r in range(recordings[problem]):
         row = first[problem] + r * variants[problem]
         s = signal[row]
-        for k in range(out.shape[1] - 1, length[s]):
-            if counts[s, k] != 0:
-                total += angle[row, k - i] * angle[row, k - j]
-    out[problem, i, j] = total
-    out[problem, j, i] = total
+        counted = int(0)
+        for k in range(order, length[s] + 1):
+            here = int(0)
+            if k < length[s]:
+                here = counts[s, k]
+            if here != counted:
+                sign = wp.float64(here - counted)
+                for i in range(1, order + 1 - apart):
+                    out[problem, i, i + apart] += (
+                        sign * angle[row, k - i] * angle[row, k - i - apart]
+                    )
+            if here != 0:
+                total += angle[row, k] * angle[row, k - apart]
+            counted = here
+    for i in range(order + 1 - apart):
+        total += out[problem, i, i + apart]
+        out[problem, i, i + apart] = total
+        out[problem, i + apart, i] = total
 
 
 @wp.kernel(enable_backward=False)
@@ -88,15 +103,24 @@ def whiten(
     row = wp.tid()
     s = signal[row]
     order = autoregression.shape[1]
+    fours = order - order % 4  # so that four sums go at once
     for back in range(length[s]):
         k = length[s] - 1 - back
         if k < order or counts[s, k] == 0:
             angle[row, k] = wp.float64(0.0)
         else:
-            value = angle[row, k]
-            for i in range(order):
-                value -= autoregression[problem[row], i] * angle[row, k - 1 - i]
-            angle[row, k] = value
+            x0 = angle[row, k]
+            x1 = wp.float64(0.0)
+            x2 = wp.float64(0.0)
+            x3 = wp.float64(0.0)
+            for i in range(0, fours, 4):
+                x0 -= autoregression[problem[row], i] * angle[row, k - 1 - i]
+                x1 -= autoregression[problem[row], i + 1] * angle[row, k - 2 - i]
+                x2 -= autoregression[problem[row], i + 2] * angle[row, k - 3 - i]
+                x3 -= autoregression[problem[row], i + 3] * angle[row, k - 4 - i]
+            for i in range(fours, order):
+                x0 -= autoregression[problem[row], i] * angle[row, k - 1 - i]
+            angle[row, k] = x0 + x1 + x2 + x3
 
 
 @wp.kernel(enable_backward=False)

@@ -109,16 +109,6 @@ def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
     assert found["most_certain"][0] == pytest.approx(10 / 11)
 
 
-def test_the_room_of_a_line_is_that_of_motors_that_hide_nothing(script):
-    rng = np.random.default_rng(0)
-    rows = [row(case=str(k), line=[0.3, float(rng.uniform(0.9, 1.1))]) for k in range(100)]
-    weak = [row(case=f"x{k}", line=[0.3, 0.5], truth=["torque_saturation"]) for k in range(20)]
-    linear = [row(case=f"y{k}", line=[1.0, 3.0]) for k in range(20)]
-    room, count, _ = script.values_of(rows + weak + linear)["line_room"]
-    assert count == 100
-    assert 1.05 < room < 1.12
-
-
 def test_the_detection_gain_is_that_from_which_most_are_named(script):
     """An eighth of those below are named by chance, and as many of those above are not."""
     rows = []
@@ -131,24 +121,16 @@ def test_the_detection_gain_is_that_from_which_most_are_named(script):
     assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
 
 
-def uneven(gain, shares):
-    return {"effect": "packet_loss", "gain": gain, "value": 0.02, "shares": shares}
-
-
 def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
-    from benchmarks.decision_sensitivity import sensitivity
+    from benchmarks.decision_sensitivity import alike, sensitivity
 
-    values = json.loads(FILE.read_text())
-    now = {name: entry["value"] for name, entry in values["values"].items()}
-    links = {"plain": uneven(30.0, [30.0]), "best": uneven(30.0, [30.0]), "own": [0.0]}
-    usual = {
-        "links": links | {"excess": [1.0]}, "varied": {"": [[], []]}, "windows": [],
-        "windows_gain": None, "length_s": 20.0, "count": 100.0, "left": [0.0, 9.0],
-    }  # fmt: skip
-    told = sensitivity([row(case=str(k), **usual) for k in range(5)], now, values["odds"])
-    assert told["joints"] == 5
-    assert told["link_gain"]["40"] == 5, "from 40 on a gain of 30 is none"
-    assert told["link_gain"]["5"] == 0
-    assert "from 3 to inf at most 0 of 5 joints" in importlib.import_module(
-        "benchmarks.decision_sensitivity"
-    ).alike("link_masked", told)
+    group = {"members": ["backlash"], "features": {"one": 1.0}}
+    named, less = (
+        [["backlash"], [[["backlash"], 0.9, 1.0]]],
+        [["backlash"], [[["backlash"], 0.4, 1.0]]],
+    )
+    varied = {"": named, "law_error=0": named, "law_error=0.1": less}
+    rows = [row(case=str(k), groups=[group], varied=varied) for k in range(5)]
+    told = sensitivity(rows, {"law_error": 0.03}, {"one": -0.5, "probability": 1.0})
+    assert told["law_error"] == {"value": 0.03, "0": 0, "0.1": 5}
+    assert alike("law_error", told).startswith("from 0 to 0.03 at most 0 of 5 joints")

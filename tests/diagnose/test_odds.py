@@ -9,18 +9,11 @@ from sim2real.errors import InputError
 
 EFFECT = {
     "probability": 0.9,
-    "stability": 0.9,
-    "alone": 50.0,
     "without": 40.0,
     "changes": 0.3,
-    "untold": False,
-    "second": False,
-    "later": False,
     "groups": 0,
-    "members": 1,
     "excess": 1.0,
     "lead": -20.0,
-    "left": 0.5,
 }
 WHOLE = {
     "excess_plain": 1.0,
@@ -31,6 +24,7 @@ WHOLE = {
     "lead": -5.0,
     "own": 0.0,
     "left": 0.5,
+    "groups": 0,
     "change": 0.0,
 }
 
@@ -47,7 +41,7 @@ def test_a_feature_without_a_weight_counts_nothing():
 @pytest.mark.parametrize("extreme", [np.inf, -np.inf, 1e12, 0.0])
 def test_all_features_are_finite_whatever_was_measured(extreme):
     """Also where nothing was held out, nothing tried, or nothing is left."""
-    names = ("changes", "alone", "without", "left", "excess", "lead", "gain", "size", "windows")
+    names = ("changes", "without", "left", "excess", "lead", "gain", "size", "windows")
     assert np.isfinite(list(scaled(**dict.fromkeys(names, extreme)).values())).all()
 
 
@@ -63,8 +57,8 @@ def test_the_curves_that_ship_call_a_servo_that_fits_well():
 
 
 def test_the_effect_that_explains_all_of_a_large_error_is_likely():
-    sure = {**EFFECT, "probability": 0.99, "alone": 2000.0, "without": 2000.0, "changes": 0.9}
-    weak = {**EFFECT, "probability": 0.6, "alone": 6.0, "without": 6.0, "changes": 0.02}
+    sure = {**EFFECT, "probability": 0.99, "without": 2000.0, "changes": 0.9}
+    weak = {**EFFECT, "probability": 0.6, "without": 6.0, "changes": 0.02}
     strong, faint = (
         ODDS["effect"].probability(scaled(**x) | {"is backlash": 1.0}) for x in (sure, weak)
     )

@@ -22,6 +22,7 @@ SERVO_STEPS = Path("datasets/servo_steps")
 WITHIN_RAD = 1e-3
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 TYPICAL["cogging"]["phase_rad"] = 0.7
+TYPICAL["compliance"]["compliance_rad_per_Nm"] = 0.03
 ROUGH = {"stribeck_friction"}  # expressed, but not within a milliradian at this timestep
 
 

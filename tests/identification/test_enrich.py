@@ -38,7 +38,7 @@ def bench():
     [
         {"coulomb_friction": {"torque_Nm": 0.04}},
         {"torque_saturation": {"limit_Nm": 0.6}},
-        {"backlash": {"gap_rad": 0.03}},
+        {"backlash": {"gap_rad": 0.03, "rotor_inertia_kgm2": 5e-4}},
         {"rate_limit": {"limit_rad_s": 4.0}},
         {"load_friction": {"ratio": 0.2}, "sensor_offset": {"offset_rad": 0.02}},
     ],

@@ -1,10 +1,15 @@
 """Backlash: play between the motor's side, which is controlled, and the output, which is seen.
 
-The output lies against the flank that the torque pushes it to, half of ``gap_rad`` to either side;
-when the torque turns round, it crosses the gap as the load's inertia lets it, and stops at the
-other flank without bouncing: ``z'' = -torque / inertia`` while ``|z| < gap / 2``, the angle seen
-being ``q + z`` (two masses and a dead zone, Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2,
-with stiff flanks and what the crossing does to the motor left out).
+Two masses and a dead zone with stiff flanks (Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec.
+2). With r the rotor's share of all inertia J, T the motor's torque and g the load's weight, their
+common centre moves as one body does, and the motor is ahead of the load by x::
+
+    r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and from a flank that lets go
+    motor's angle   = q + (1 - r) x        load's angle = q - r x
+
+The controller sees the motor's angle; a flank that is met is not left bouncing. Angles are counted
+from the flank on which the recording starts. Where nothing is known of the rotor it is all of the
+inertia, and the crossing does nothing to it.
 
 Leaves jumps of the gap's size where the torque changes its sign. Taken for: dead band, Coulomb
 friction; three amplitudes tell.
@@ -13,6 +18,62 @@ friction; three amplitudes tell.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def rotor_share(p: wp.array(dtype=wp.float64), c: int) -> wp.float64:
+    """The rotor's share of the inertia; all of it where nothing is known."""
+    if p[c + 1] == wp.float64(0.0):
+        return wp.float64(1.0)
+    return wp.clamp(p[c + 1] / p[3], wp.float64(0.02), wp.float64(0.98))
+
+
+@wp.func
+def start(
+    torque: wp.float64, p: wp.array(dtype=wp.float64), c: int, z: wp.array(dtype=wp.float64), s: int
+) -> None:
+    """The flank on which the output lies at first."""
+    if z[s + 3] == wp.float64(0.0):
+        z[s] = wp.float64(0.5) * p[c] * wp.sign(torque)
+        z[s + 2] = z[s]
+        z[s + 3] = wp.float64(1.0)
+
+
+@wp.func
+def cross(
+    x: wp.float64,
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque of the motor in N m, whose side moves while it crosses the gap."""
+    start(torque, p, c, z, s)
+    half = wp.float64(0.5) * p[c]
+    share = rotor_share(p, c)
+    rest = wp.float64(1.0) - share
+    before = z[s]
+    one = wp.float64(1.0)
+    per = h / (share * p[3])
+    felt = rest / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
+    push = x - felt * p[0] * (before - z[s + 2])
+    if rest > wp.float64(0.0) and p[4] != wp.float64(0.0):
+        push += share * p[4] * wp.sin(q) / rest
+    damping = wp.float64(0.5) * per * felt * (p[1] + wp.float64(0.5) * h * p[0])
+    speed = ((one - damping) * z[s + 1] + per * push) / (one + damping)  # trapezoidal
+    place = before + wp.float64(0.5) * h * (z[s + 1] + speed)
+    if wp.abs(place) >= half:
+        place = wp.clamp(place, -half, half)
+        speed = wp.float64(0.0)
+    z[s] = place
+    z[s + 1] = speed
+    middle = wp.float64(0.5) * (before + place) - z[s + 2]
+    return x - rest * (p[0] * middle + p[1] * (place - before) / h)
 
 
 @wp.func
@@ -29,27 +90,23 @@ def play(
     s: int,
 ) -> wp.float64:
     """Measured angle in rad."""
-    half = wp.float64(0.5) * p[c]
-    if z[s + 2] == wp.float64(0.0):
-        z[s] = -half * wp.sign(torque)
-        z[s + 2] = wp.float64(1.0)
-    speed = z[s + 1] - h * torque / p[3]
-    place = z[s] + wp.float64(0.5) * h * (z[s + 1] + speed)
-    if wp.abs(place) >= half:
-        place = wp.clamp(place, -half, half)
-        speed = wp.float64(0.0)
-    z[s] = place
-    z[s + 1] = speed
-    return x + place
+    start(torque, p, c, z, s)
+    share = rotor_share(p, c)
+    return x - share * z[s] - (wp.float64(1.0) - share) * z[s + 2]
 
 
 EFFECT = Effect(
     name="backlash",
     plain="play in the gears",
     says="the gears have {gap_rad} of play",
-    site="sensor",
-    term=play,
-    parameters=(Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),),
-    memory=3,
+    site="motor",
+    term=cross,
+    parameters=(
+        Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
+        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
+    ),
+    memory=4,
     order=1,
+    also=(("sensor", play),),
+    steady=True,
 )

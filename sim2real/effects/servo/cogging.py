@@ -42,7 +42,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("torque_Nm", low=0.0, high=0.5, typical=0.05, starts=(0.3,)),
         Parameter("period_rad", low=0.002, high=1.6, typical=0.2, starts=_PERIODS),
-        Parameter("phase_rad", low=-3.15, high=3.15, typical=1.0, starts=_PHASES),
+        Parameter("phase_rad", low=-6.3, high=6.3, typical=1.0, starts=_PHASES),
     ),
     everywhere=True,
 )

@@ -1,10 +1,14 @@
 """Compliance: a spring between the shaft, whose angle is controlled and seen, and its load.
 
-Below the resonance of load and spring the shaft leads the load by ``compliance * torque``, and the
-motor works against load and spring in series: with x what PD control of the load's angle would ask,
-``torque (1 + kp compliance) + kd compliance torque' = x``; the angle seen is
-``q + compliance * torque`` (two masses and a spring, the shaft's own inertia left out; any text on
-flexible-joint robots, such as Spong, Journal of Dynamic Systems 109 (1987) 310-318).
+Two masses and a spring (any text on flexible-joint robots, such as Spong, Journal of Dynamic
+Systems 109 (1987) 310-318) below their resonance. With r the rotor's share of all inertia, T the
+motor's torque and g the load's weight, the spring carries what moves the load::
+
+    F = (1 - r) T - r g                    shaft's angle = q + (1 - r) compliance (F - F0)
+
+where q is the angle of their common centre, which moves as one body does, and F0 what the spring
+carries at the start. With x what PD control of q would ask, the motor works against load and
+spring in series: ``T + (1 - r) compliance (kp (F - F0) + kd F') = x``.
 
 Leaves error in proportion to torque, most where it changes fast. Taken for: kp, kd, a filter; known
 added inertia tells.
@@ -13,6 +17,27 @@ added inertia tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+
+
+@wp.func
+def carried(
+    torque: wp.float64,
+    q: wp.float64,
+    p: wp.array(dtype=wp.float64),
+    c: int,
+    z: wp.array(dtype=wp.float64),
+    s: int,
+) -> wp.float64:
+    """Torque on the spring in N m, beyond what it carries at the start."""
+    share = wp.min(p[c + 1] / p[3], wp.float64(0.98))
+    load = (wp.float64(1.0) - share) * torque
+    if p[4] != wp.float64(0.0):
+        load += share * p[4] * wp.sin(q)
+    if z[s + 1] == wp.float64(0.0):
+        z[s] = torque
+        z[s + 1] = wp.float64(1.0)
+        z[s + 2] = load
+    return load - z[s + 2]
 
 
 @wp.func
@@ -29,15 +54,15 @@ def soften(
     s: int,
 ) -> wp.float64:
     """Torque that the motor makes in N m."""
-    share = wp.float64(1.0) + p[0] * p[c]
-    settled = x / share
-    if z[s + 1] == wp.float64(0.0):
-        z[s] = settled
-        z[s + 1] = wp.float64(1.0)
+    rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
+    others = carried(x, q, p, c, z, s) - rest * x  # of the spring's torque: all but the motor's
+    give = rest * p[c]
+    share = wp.float64(1.0) + p[0] * give * rest
+    settled = (x - p[0] * give * others) / share
     before = z[s]
     left = wp.float64(0.0)
     if p[1] > wp.float64(0.0):
-        left = wp.exp(-h * share / (p[1] * p[c]))
+        left = wp.exp(-h * share / (p[1] * give * rest))
     z[s] = settled + (before - settled) * left
     return wp.float64(0.5) * (before + z[s])
 
@@ -56,7 +81,8 @@ def twist(
     s: int,
 ) -> wp.float64:
     """Measured angle in rad."""
-    return x + p[c] * torque
+    rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
+    return x + rest * p[c] * carried(torque, q, p, c, z, s)
 
 
 EFFECT = Effect(
@@ -65,7 +91,11 @@ EFFECT = Effect(
     says="shaft and load are joined by a spring that gives {compliance_rad_per_Nm}",
     site="motor",
     term=soften,
-    parameters=(Parameter("compliance_rad_per_Nm", low=0.0, high=0.5, typical=0.02),),
-    memory=2,
+    parameters=(
+        Parameter("compliance_rad_per_Nm", low=0.0, high=0.5, typical=0.02),
+        Parameter("rotor_inertia_kgm2", low=0.0, high=0.0018, typical=4e-4, starts=(1.0,)),
+    ),
+    memory=3,
     also=(("sensor", twist),),
+    steady=True,
 )

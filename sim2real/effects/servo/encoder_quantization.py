@@ -36,4 +36,5 @@ EFFECT = Effect(
     parameters=(Parameter("step_rad", low=0.0, high=0.1, typical=0.00419),),
     order=5,
     fitted=False,
+    steady=True,
 )

@@ -57,10 +57,11 @@ EFFECT = Effect(
     parameters=(
         Parameter("amplitude_rad", low=0.0, high=0.03, typical=0.005, starts=(0.002,)),
         Parameter("period_rad", low=0.2, high=7.0, typical=0.5, starts=_PERIODS),
-        Parameter("phase_rad", low=-3.15, high=3.15, typical=1.0, starts=_PHASES),
+        Parameter("phase_rad", low=-6.3, high=6.3, typical=1.0, starts=_PHASES),
     ),
     memory=3,
     order=2,
     everywhere=True,
     never_named=True,
+    steady=True,
 )

@@ -36,4 +36,5 @@ EFFECT = Effect(
     term=scale,
     parameters=(Parameter("gain", low=-0.5, high=0.5, typical=0.02),),
     order=2,
+    steady=True,
 )

@@ -33,4 +33,5 @@ EFFECT = Effect(
     term=shift,
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.02),),
     order=3,
+    steady=True,
 )

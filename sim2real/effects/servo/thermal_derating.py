@@ -1,8 +1,8 @@
 """Thermal derating: the motor weakens as it warms.
 
-A warmth z follows the square of the torque, relative to the largest that PD control of one radian
-would ask, with a time constant of 30 s; ``torque *= 1 - loss z / (1 + z)``. A lumped stand-in for
-the rise of winding resistance and the fall of the magnets' field.
+A warmth z follows the square of the torque over ``warm_torque_Nm``, with a time constant of 30 s;
+``torque *= 1 - loss (1 - exp(-z))``. A lumped stand-in for the rise of winding resistance and the
+fall of the magnets' field. Where that torque is not known it is what PD control of 0.1 rad asks.
 
 Leaves gain that falls over minutes of work and comes back with rest. Taken for: supply droop; a
 pause tells.
@@ -27,9 +27,12 @@ def weaken(
     s: int,
 ) -> wp.float64:
     """Torque that the motor makes in N m."""
-    relative = torque / wp.max(p[0], wp.float64(1e-12))
-    z[s] += h / wp.float64(30.0) * (wp.float64(100.0) * relative * relative - z[s])
-    return x * (wp.float64(1.0) - p[c] * z[s] / (wp.float64(1.0) + z[s]))
+    warm = p[c + 1]
+    if warm == wp.float64(0.0):
+        warm = wp.max(wp.float64(0.1) * p[0], wp.float64(1e-12))
+    relative = torque / warm
+    z[s] += h / wp.float64(30.0) * (relative * relative - z[s])
+    return x * (wp.float64(1.0) - p[c] * (wp.float64(1.0) - wp.exp(-z[s])))
 
 
 EFFECT = Effect(
@@ -38,7 +41,10 @@ EFFECT = Effect(
     says="the motor loses up to {loss} of its torque as it warms",
     site="motor",
     term=weaken,
-    parameters=(Parameter("loss", low=0.0, high=0.9, typical=0.4),),
+    parameters=(
+        Parameter("loss", low=0.0, high=0.9, typical=0.4),
+        Parameter("warm_torque_Nm", low=0.02, high=2.0, typical=0.2),
+    ),
     memory=1,
     order=1,
 )
