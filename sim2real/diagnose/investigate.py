@@ -316,6 +316,7 @@ def _no_finding(best: Hypothesis, effect: str, joint: Joint) -> bool:
         return size_in_noise(best, effect, joint.noise) < DECISION.ripple
     theta = best.fit.servos.theta[0]
     if effect == "unmodelled_inertia":
-        return abs(theta[_INERTIA]) < DECISION.drawing * joint.traces[0].load.inertia_kgm2
+        small = DECISION.drawing * joint.traces[0].load.inertia_kgm2
+        return bool(abs(theta[_INERTIA]) < small)
     stated = effect == "torque_saturation" and joint.stall_Nm is not None
     return stated and theta[_LIMIT] > DECISION.sheet * (joint.stall_Nm or 0.0)

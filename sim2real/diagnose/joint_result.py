@@ -35,7 +35,7 @@ class JointResult:
     Attributes:
         joint: Its recordings.
         finding: What it is missing.
-        rich: The servo with what is named.
+        rich: The servo that is offered.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
         after: Those of the enriched one.
         least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
@@ -103,7 +103,7 @@ class JointResult:
         return self.finding.changes(self.unseen, effect)
 
     def model(self, *, enriched: bool) -> JointModel:
-        """The servo with what is named, or the plain one as ``identify`` fits it."""
+        """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
         rich = enriched and self.richer
         theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
         if self.joint.servo is not None:
@@ -154,7 +154,7 @@ def _spread2(found: Hypothesis) -> Array:
     independent = np.diag(inverse) * float(found.fit.error2[0] / found.fit.count[0])
     by_block = gram[:, 1:, 0] @ inverse
     freedom = len(gram) / max(len(gram) - len(inverse), 1)
-    return np.maximum(np.maximum(independent, freedom * (by_block**2).sum(axis=0)), 0.0)
+    return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
 
 
 def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:

@@ -154,7 +154,7 @@ class Ladder:
 
     Attributes:
         baseline: The plain servo.
-        enriched: With the named effects; equal to ``baseline`` where none is named.
+        enriched: The offered simulator; equal to ``baseline`` where that has nothing more.
         best_knockoff: With the best knockoff (it means nothing), chosen where it was fitted.
         black_box: With a black box that knows no physics, only commands and the plain servo.
         noise: Standard deviation of the measurement noise: no predictor does better.
@@ -178,7 +178,7 @@ class Evidence:
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, NaN where missing, shape (T,).
         baseline: Angles of the plain servo in rad, shape (T,).
-        enriched: Angles of the servo with the named effects in rad, shape (T,).
+        enriched: Angles of the offered servo in rad, shape (T,).
         speed: Smoothed speed in rad/s, shape (T,).
         torque: Torque that the plain servo lacks, smoothed, N m (per kg m2 where the load is
             unknown), shape (T,).
@@ -212,12 +212,13 @@ class Diagnosis:
         false_discovery_rate: Expected share of those that chance would name among the effects named
             on joints, from knockoffs; 0 where none is.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
-        enriched_fit: The same with the named effects.
+        enriched_fit: The same of the offered simulator.
         ladders: By signal.
         detection_limits: How small an effect could have been seen.
         next_experiment: What to record next, where a group has several members.
         gate: What the data gate found: timing, gaps, units; one sentence each.
-        model: The enriched simulator.
+        model: The simulator that is offered: with what is named, or with all of the likeliest
+            set where that foretells left-out recordings better.
         baseline: The simulator as fitted before anything was added.
         evidence: For the report.
         provenance: As ``sim2real.output.provenance`` gives it.
