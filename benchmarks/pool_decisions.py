@@ -1,9 +1,12 @@
 """Read the thresholds and the odds that decide a diagnosis of swims off development sets.
 
-    python benchmarks/pool_decisions.py SET VERDICTS [SET VERDICTS ...] [--in-water]
+    python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET VERDICTS RESULTS ...] [--in-water]
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
-thresholds whose answers are best; prints what they are worth with whole robots left out. Writes
+thresholds whose answers are best; prints what they are worth with whole robots left out. The others
+are those of ``pool_guess*.json``. What a model has to bring on the end of its swim to be offered is
+read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them.
+Writes
 ``decisions`` of ``sim/inference/law_error.json``, or of ``law_error_in_water.json``.
 """
 
@@ -18,24 +21,28 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.decision_curves import logistic
+from benchmarks.pool_law_error import GUESS, GUESS_IN_WATER
 from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim2real.output import write_json
 
 Numbers = dict[str, float]
 
-SPANS: dict[str, tuple[float, float]] = {
-    "cost": (0.0, 12.0), "temperature": (1.0, 8.0), "something": (0.5, 0.9999),
-    "something alone": (0.5, 0.9999),
-    "alike": (0.5, 6.0), "alike_imitated": (0.5, 8.0), "held_better": (0.03, 0.3),
-    "held_sure": (5.0, 200.0), "held_gain": (-3.0, 5.0), "held_worse": (0.0, 0.05),
-    "most_certain": (0.95, 0.99),
+LEVELS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.999)
+FLAGGED = {
+    "something": LEVELS, "something alone": LEVELS, "unlisted from": (0.15, 0.2, 0.3, 0.4, 0.5),
 }  # fmt: skip
-"""Where thresholds are looked for."""
-_LOOKS, _NARROW, _AT_ONCE = 120, 0.2, 3
+"""Where thresholds are looked for: of the probability that anything is there, and that something is
+that the catalogue lacks, from which a swim counts as flagged."""
+_AT_ONCE = 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
-_RIDGE = 1.0
+_GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
+_WORSE, _RARELY = 0.01, 0.02
+"""Share by which an error may grow, and share of cases in which it may grow by more."""
+_PRIOR = 0.5
+"""Of the weights, over the size of what they weigh."""
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
 Cases = list[tuple[dict[str, Any], dict[str, Any]]]
@@ -133,23 +140,32 @@ def usually(cases: Cases) -> Numbers:
     }
 
 
-def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None:
-    """Thresholds whose answers to the development set are best, by a random search that narrows."""
+def choose(
+    sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[Path], target: Path
+) -> None:
+    """Numbers whose answers to the development set are best."""
     cases = []
-    for challenge, place in zip(sets, verdicts, strict=True):
+    for challenge, place, results in zip(sets, verdicts, graded, strict=True):
+        foretold = {row["case"]: row["heldout"] for row in json.loads(results.read_text())["cases"]}
         for one in json.loads((challenge / "answers.json").read_text())["cases"]:
             path = place / one["case"] / "raw.json"
             if path.exists():
                 truth = one | {"robot": f"{challenge.name} {one['robot']}"}
+                truth["foretold"] = foretold[one["case"]]
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
     out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
     parts = [[c for c in cases if c[0]["robot"] not in some] for some in out]
-    begun = [content["decisions"]] * (_FOLDS + 1)
+    guess = GUESS_IN_WATER if target == IN_WATER else GUESS
+    first = json.loads(guess.read_text())["decisions"] | {
+        name: levels[-1] for name, levels in FLAGGED.items()
+    }
+    begun = [first] * (_FOLDS + 1)
     with ProcessPoolExecutor(_AT_ONCE) as pool:
         *found, best = pool.map(tuned, [*parts, cases], begun)
+    best |= offering(cases, best)
     apart = [
         (t, decide(f, numbers))
         for numbers, some in zip(found, out, strict=True)
@@ -157,17 +173,38 @@ def choose(sets: Sequence[Path], verdicts: Sequence[Path], target: Path) -> None
         if t["robot"] in some
     ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
-    best["relative"] = spread_of(sets, verdicts)
+    best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
-    content["decided"] = f"{len(cases)} cases of {len(robots)} robots, {_LOOKS} looks at random"
+    content["decided"] = f"{len(cases)} cases of {len(robots)} robots"
     write_json(target, content)
     print("all:", judged([(t, decide(f, best)) for t, f in cases]))
 
 
-def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
+def offering(cases: Cases, numbers: Numbers) -> Numbers:
+    """What a set has to bring on the end of a swim, so that hardly one foretells another worse."""
+    best, top = {}, -np.inf
+    for gain in _GAINS:
+        for better in _BETTER:
+            trial = numbers | {"held_gain": float(gain), "held_better": float(better)}
+            lower = np.array([_lower(truth, decide(found, trial)) for truth, found in cases])
+            if np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
+                top = lower.mean()
+                best = {name: trial[name] for name in ("held_gain", "held_better")}
+    return best
+
+
+def _lower(truth: dict[str, Any], said: Decided) -> float:
+    """Logarithm of the other swim's error without a model over that with it."""
+    for one in truth["foretold"]["tried"]:
+        if frozenset((str(a), str(b)) for a, b in one["names"]) == said.offered:
+            return float(np.log(truth["foretold"]["base"] / one["error"]))
+    return 0.0
+
+
+def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> float:
     """What estimates are off by beyond their own sd, of their size: then 90 % hold the truth.
 
-    Of verdicts whose intervals had no such spread, and of effects that were named exactly.
+    Of effects that were named exactly; ``known``: the spread that the verdicts' intervals have.
     """
     rows = []
     for challenge, place in zip(sets, verdicts, strict=True):
@@ -180,6 +217,7 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
                     if told:
                         rows.append((true - told["mean"], told["sd"], told["mean"]))
     off, sd, size = np.array(rows).T
+    sd = np.sqrt(np.maximum(sd**2 - (known * size) ** 2, 0.0))
     for relative in _SPREADS:
         if np.mean(np.abs(off) <= 1.645 * np.hypot(sd, relative * size)) >= _COVERED:
             break
@@ -187,73 +225,45 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path]) -> float:
 
 
 def tuned(cases: Cases, begun: Numbers) -> Numbers:
-    """Numbers that decide best: curves of odds, and thresholds by a random search that narrows."""
-    rng = np.random.default_rng(0)
-    own = ("odds", "strange")
-    best = {k: v for k, v in begun.items() if not k.startswith(own)} | usually(cases)
-    best = curves(cases, best)
-    for turn in range(2):
-        top = worth(judged([(t, decide(f, best)) for t, f in cases]))
-        for look in range(_LOOKS):
-            wide = look < _LOOKS // 6 and turn == 0
-            trial = dict(best)
-            for name, (low, high) in SPANS.items():
-                drawn = rng.uniform(low, high)
-                if not wide and rng.random() < 0.6:
-                    drawn = best[name]
-                elif not wide:
-                    drawn = best[name] + _NARROW * (drawn - (low + high) / 2)
-                trial[name] = float(np.clip(drawn, low, high))
-            got = worth(judged([(t, decide(f, trial)) for t, f in cases]))
-            if got > top:
-                top, best = got, trial
-        best = curves(cases, best)
-    return best
+    """Numbers that decide best: curves of odds, and from where a swim is flagged.
+
+    The others stay as they begin: searched at random, they answered robots left out worse.
+    """
+    best = curves(cases, begun | usually(cases))
+    for name, levels in FLAGGED.items():
+        trials = [best | {name: level} for level in levels]
+        best = max(trials, key=lambda one: worth(judged([(t, decide(f, one)) for t, f in cases])))
+    return curves(cases, best)
 
 
 def curves(cases: Cases, numbers: Numbers) -> Numbers:
     """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
-    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(11)}
+    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(8)}
     said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
     strange = logistic(
-        [strange_terms(one.strange) for _, one in said],
-        [truth["kind"] == "outside" for truth, _ in said],
-    )
+        np.array([strange_terms(one.strange) for _, one in said]),
+        np.array([truth["kind"] == "outside" for truth, _ in said], dtype=np.float64), _PRIOR,
+    )  # fmt: skip
     out = {k: v for k, v in numbers.items() if not k.startswith(("odds", "strange"))}
-    out |= {f"strange {k}": v for k, v in enumerate(strange)}
+    out |= {f"strange {k}": float(v) for k, v in enumerate(strange)}
     said = [(truth, decide(found, flat | out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
     odds = logistic(
-        [terms_of(one.spoken) for _, one in names],
-        [_right(one.group, _hidden(truth)) for truth, one in names],
+        np.array([terms_of(one.spoken) for _, one in names]),
+        np.array([_right(one.group, _hidden(truth)) for truth, one in names], dtype=np.float64),
+        _PRIOR,
     )
-    return out | {f"odds {k}": v for k, v in enumerate(odds)}
-
-
-def logistic(terms: Sequence[Sequence[float]], right: Sequence[bool]) -> list[float]:
-    """Weights by ridge regression."""
-    X, y = np.array(terms), np.array(right, dtype=np.float64)
-    size = np.maximum(X.std(axis=0), 1e-3)
-    size[0] = 1.0
-    X = X / size
-    penalty = _RIDGE * np.eye(X.shape[1])
-    penalty[0, 0] = 1e-3
-    w = np.zeros(X.shape[1])
-    for _ in range(30):
-        p = 1 / (1 + np.exp(-np.clip(X @ w, -30, 30)))
-        slope = X.T @ (p - y) + penalty @ w
-        curve = (X * (p * (1 - p))[:, None]).T @ X + penalty
-        w = w - np.linalg.solve(curve, slope)
-    return [float(v) for v in w / size]
+    return out | {f"odds {k}": float(v) for k, v in enumerate(odds)}
 
 
 def main() -> None:
     """Choose."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("sets", type=Path, nargs="+", help="sets and verdicts in turns")
+    parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")
     options = parser.parse_args()
-    choose(options.sets[::2], options.sets[1::2], IN_WATER if options.in_water else FILE)
+    sets, verdicts, graded = (options.sets[k::3] for k in range(3))
+    choose(sets, verdicts, graded, IN_WATER if options.in_water else FILE)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """How wrong the twin is, from swims in which nothing is missing (of a sealed set nobody may look).
 
-    python benchmarks/pool_law_error.py SET [SET ...] --cache FILE [--water INPUTS HELD_OUT ...]
+    python benchmarks/pool_law_error.py SET [SET ...] [--water INPUTS HELD_OUT ...]
 
 What a calibrated twin still gets wrong of them, by signal and band, and what effects it imitates,
 by expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
-(1977) 1). Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
+(1977) 1). A fit bends to what is thought to be the error, so fitting and learning take turns.
+Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
 ``datasets/pool/sealed_water.py`` for each set, ``law_error_in_water.json``.
 """
 
@@ -13,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import pickle
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -59,16 +59,15 @@ _WORTH, _WILD = 10.0, 0.1
 """Swims that the guess counts for; share of the largest that is left out."""
 
 
-def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum, LawError]:
-    """A robot, its model, its simulator, and where learning of its error begins."""
+def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum]:
+    """A robot, its model and its simulator."""
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
-    model, simulate = robot_in_water(robot, model, files, threads=1)
-    return robot, model, simulate, read_law_error(GUESS_IN_WATER if files else GUESS)
+    return robot, *robot_in_water(robot, model, files, threads=1)
 
 
-def law(folder: Path, files: Files, without: str = "") -> Belief:
+def law(folder: Path, files: Files, known: LawError, without: str = "") -> Belief:
     """What a robot's references say of its law, one of them left out if asked."""
-    robot, model, simulate, known = placed(folder, files)
+    robot, model, simulate = placed(folder, files)
     paths = [p for p in sorted(folder.glob("ref_*.csv")) if p.name != without]
     references = [swim_of(read_recording(p), robot) for p in paths]
     return replace(learned(references, model, robot, simulate, known), shares=known.shares)
@@ -76,37 +75,40 @@ def law(folder: Path, files: Files, without: str = "") -> Belief:
 
 def linear(folder: Path, path: Path, belief: Belief, files: Files) -> dict[str, Any]:
     """A swim in which nothing is missing, near its fit."""
-    robot, model, simulate, _ = placed(folder, files)
+    robot, model, simulate = placed(folder, files)
     c = Coordinates.of(robot, model)
     swim = swim_of(read_recording(path), robot)
     problem = TwinSwims(c, [swim], simulate, belief)
     fit = problem.plain().fit
+    spread = np.zeros(2 * [len(c.columns)])
+    own = np.diag(np.square(belief.imitation[c.base]))
+    spread[np.ix_(c.base, c.base)] = belief.covariance - own
     weight = problem.weights[0].ravel()
     blocks: Blocks = problem.blocks[0]
     return {
         "rows": (fit.rows / weight).astype(np.float32),
         "slope": (fit.near.slope / weight[:, None]).astype(np.float32),
-        "off": fit.x - problem.centre(frozenset()),
+        "off": fit.x - problem.centre(frozenset()), "spread": spread,
         "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
         "kinds": [one.kind for one in c.columns], "nominal": [one.nominal for one in c.columns],
         "robot": str(folder),
     }  # fmt: skip
 
 
-def of_robot(folder: Path, files: Files, nulls: list[str]) -> Learned:
+def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> Learned:
     """A robot's swims in which nothing is missing, each near its fit, and its law."""
     challenge = folder.parents[1]
-    whole = law(folder, files)
+    whole = law(folder, files, known)
     swims = [
-        linear(folder, folder / f"ref_{n}.csv", law(folder, files, f"ref_{m}.csv"), files)
-        for n, m in ((1, 1), (2, 2))
+        linear(folder, path, law(folder, files, known, path.name), files)
+        for path in sorted(folder.glob("ref_*.csv"))
     ]
     for case in nulls:
         held = challenge / "heldout" / case / "b.csv"
         for path in (folder / case / "a.csv", *([held] if len(files) != 1 else [])):
             if path.exists():
                 swims.append(linear(folder, path, whole, files))
-    robot, model, *_ = placed(folder, files)
+    robot, model, _ = placed(folder, files)
     c = Coordinates.of(robot, model)
     means = zip((c.columns[k] for k in c.base), whole.mean, strict=True)
     return swims, {
@@ -119,7 +121,9 @@ def of_robot(folder: Path, files: Files, nulls: list[str]) -> Learned:
 Learned = tuple[list[dict[str, Any]], dict[str, float]]
 
 
-def swims_near(sets: Sequence[Path], waters: Sequence[Path], processes: int) -> list[Learned]:
+def swims_near(
+    sets: Sequence[Path], waters: Sequence[Path], processes: int, known: LawError
+) -> list[Learned]:
     """``of_robot`` of every robot of some sets."""
     spawn = multiprocessing.get_context("spawn")
     jobs = []
@@ -132,7 +136,7 @@ def swims_near(sets: Sequence[Path], waters: Sequence[Path], processes: int) -> 
                 nulls = [
                     c["case"] for c in answers if c["robot"] == folder.name and c["kind"] == "null"
                 ]
-                jobs.append(pool.submit(of_robot, folder, files, nulls))
+                jobs.append(pool.submit(of_robot, folder, files, nulls, known))
         return [job.result() for job in tqdm(jobs, disable=None)]
 
 
@@ -150,7 +154,9 @@ def sizes(
             abs(n) if k in RELATIVE else 1.0
             for k, n in zip(one["kinds"], one["nominal"], strict=True)
         ])  # fmt: skip
-        prior = np.diag(1 / np.square(relative * [imitated[k] for k in one["kinds"]]))
+        own = np.diag(np.square(relative * [imitated[k] for k in one["kinds"]]))
+        prior = np.linalg.inv(own + one["spread"])
+        gain = own @ prior  # share of what is off that is not the references' uncertainty
         K = one["noise"].shape[1]
         rows = np.minimum(np.arange(K), 3)
         size = shares[rows][:, one["band"]].T
@@ -159,8 +165,9 @@ def sizes(
         error = one["rows"] * weight.ravel()
         inverse = np.linalg.inv(slope.T @ slope + prior)
         step = -inverse @ (slope.T @ error + prior @ one["off"])
-        mean = one["off"] + step
-        for kind, m, v, r in zip(one["kinds"], mean, np.diag(inverse), relative, strict=True):
+        mean = gain @ (one["off"] + step)
+        wide = np.diag(own - gain @ own + gain @ inverse @ gain.T)
+        for kind, m, v, r in zip(one["kinds"], mean, wide, relative, strict=True):
             square.setdefault(kind, []).append(float(m**2 + v) / r**2)
         rest = (one["rows"] + one["slope"] @ step).reshape(weight.shape) ** 2
         more = np.einsum("nf,fg,ng->n", one["slope"], inverse, one["slope"])
@@ -173,24 +180,17 @@ def sizes(
     fresh = {}
     for kind, values in square.items():
         kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
-        own = float(kept.sum()) + _WORTH * guess[kind] ** 2
-        size = float(np.sqrt(own / (len(kept) + _WORTH)))
+        total = float(kept.sum()) + _WORTH * guess[kind] ** 2
+        sd = float(np.sqrt(total / (len(kept) + _WORTH)))
         most = _MOST * (2 if kind == "added_mass.ratio" else 1)
-        fresh[kind] = float(np.clip(size, _LEAST * guess[kind], most * guess[kind]))
+        fresh[kind] = float(np.clip(sd, _LEAST * guess[kind], most * guess[kind]))
     found = np.array([[np.mean(cell) for cell in row] for row in left])
     return np.sqrt(np.maximum(found, 1e-6)), fresh
 
 
-def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: Path) -> None:
-    """The twin's error from swims in which nothing is missing."""
-    if not cache.exists():
-        cache.parent.mkdir(exist_ok=True)
-        cache.write_bytes(pickle.dumps(swims_near(sets, waters, processes)))
-    robots: list[Learned] = pickle.loads(cache.read_bytes())
+def learned_from(robots: Sequence[Learned], guess: LawError, *, in_water: bool) -> dict[str, Any]:
+    """What is kept of the twin's error, from swims near their fits."""
     swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
-    target = IN_WATER if waters else FILE
-    guess = read_law_error(GUESS_IN_WATER if waters else GUESS)
-    content = json.loads((target if target.exists() else FILE).read_text())
     shares, guessed = guess.shares, dict(guess.imitated)
     imitated = dict(guessed)
     for _ in range(_STEPS):
@@ -203,34 +203,34 @@ def learn(sets: Sequence[Path], waters: Sequence[Path], processes: int, cache: P
         unknown[k] = float(np.hypot(1.3 * spread, imitated[k]))
     for k in [k for k in unknown if k.startswith("servo")]:
         unknown[k] = float(np.hypot(unknown[k], imitated[k]))
-    content |= {
-        "schema": SCHEMA,
+    return {
         "shares": {
             row: dict(zip(BANDS, map(float, found), strict=True))
             for row, found in zip(ROWS, shares, strict=True)
         },
         "imitated": imitated, "unknown": unknown,
-        "usual": {} if waters else usual, "shift": usual if waters else {},
-        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing, of "
-        f"{len(sets)} sets of datasets/pool/sealed.py",
+        "usual": {} if in_water else usual, "shift": usual if in_water else {},
+        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing",
     }  # fmt: skip
-    write_json(target, content)
-    print(
-        json.dumps(
-            {k: content[k] for k in ("shares", "imitated", "unknown", "usual", "shift")}, indent=1
-        )
-    )
 
 
 def main() -> None:
-    """Learn."""
+    """Learn, in turns with fits that know what was learned."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", type=Path, nargs="+")
     parser.add_argument("--water", type=Path, nargs="*", default=[], help="two folders a set")
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--cache", type=Path, required=True, help="keeps what the swims said")
+    parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args()
-    learn(options.sets, options.water, options.processes, options.cache)
+    target, begun = (IN_WATER, GUESS_IN_WATER) if options.water else (FILE, GUESS)
+    content = json.loads((target if target.exists() else FILE).read_text()) | {"schema": SCHEMA}
+    guess = known = read_law_error(begun)
+    for _ in range(options.turns):
+        robots = swims_near(options.sets, options.water, options.processes, known)
+        found = learned_from(robots, guess, in_water=bool(options.water))
+        write_json(target, content | found)
+        print(json.dumps(found, indent=1))
+        known = read_law_error(target)
 
 
 if __name__ == "__main__":

@@ -99,10 +99,11 @@ def failures(results: Row) -> list[str]:
             f"{' or '.join(e['group'])} {e['probability']:.2f}" for e in row["entries"]
         )
         held = row["heldout"]
+        errors = f"{held['base']:.3f} to {held['enriched']:.3f}" if held else "not swum"
         lines.append(
             f"| {row['case'].removeprefix('case_')} | {row['kind']} | {hidden or '-'} | "
             f"{row['llr']:.0f} | {row['verdict'].replace('_', ' ')}{': ' + said if said else ''} | "
-            f"{held['base']:.3f} to {held['enriched']:.3f} | {', '.join(row['failures'])} |"
+            f"{errors} | {', '.join(row['failures'])} |"
         )
     return lines
 
@@ -118,7 +119,7 @@ def main() -> None:
     results = json.loads(options.results.read_text())
     columns = [("sealed", results)]
     if options.before:
-        columns.append(("first set, twin alone", json.loads(options.before.read_text())))
+        columns.append(("set before", json.loads(options.before.read_text())))
     for name, path in zip(("regression", "all drags"), options.rivals or (), strict=False):
         columns.append((name, json.loads(path.read_text())))
     found = results["results"]

@@ -20,6 +20,7 @@ import real_fish_twin_page as twin_page
 
 CLIPS = ("f0_75", "f1_25", "f1_75", "f2_25")
 RIVAL_M_S = 0.019
+_BY_HAND = ("<!-- by hand: begin -->", "<!-- by hand: end -->")
 _HEAD = """# A real fish, filmed: what the fluid and the twin say of it
 
 Four clips of a tendon-driven robot fish (0.56 m, filmed from above; M. Y. Michelis et al., arXiv
@@ -29,6 +30,7 @@ be calibrated and diagnosed (part 2). In short, errors of clips that no fit has 
 
 {short}
 
+{kept}
 ## 1. Speed, in the fluid
 
 `python benchmarks/real_fish.py`, on one H200. Speeds are m/s along the fish's own heading.
@@ -68,10 +70,17 @@ def main() -> None:
     twin = json.loads((folder / "real_fish_diagnosis.json").read_text())
     fluid_file = folder / "real_fish_fluid.json"
     fluid = json.loads(fluid_file.read_text()) if fluid_file.is_file() else None
-    text = table(found, short(found, twin)) + twin_page.section(twin, fluid)
-    (folder / "real_fish.md").write_text(text)
+    page = folder / "real_fish.md"
+    kept = by_hand(page.read_text() if page.is_file() else "")
+    page.write_text(table(found, short(found, twin), kept) + twin_page.section(twin, fluid))
     draw(found, folder / "real_fish.png")
     twin_figure.draw(twin, folder / "real_fish_diagnosis.png")
+
+
+def by_hand(page: str) -> str:
+    """What was written by hand into a page that is made anew: all between two marks, with them."""
+    begin, end = (page.find(mark) for mark in _BY_HAND)
+    return page[begin : end + len(_BY_HAND[1])] + "\n" if 0 <= begin < end else ""
 
 
 def short(found: dict[str, Any], twin: dict[str, Any]) -> str:
@@ -99,9 +108,9 @@ def short(found: dict[str, Any], twin: dict[str, Any]) -> str:
     )
 
 
-def table(found: dict[str, Any], said: str) -> str:
+def table(found: dict[str, Any], said: str, kept: str) -> str:
     """The first part of the report."""
-    lines = [_HEAD.format(short=said)]
+    lines = [_HEAD.format(short=said, kept=kept)]
     for frames in ("60", "80"):
         best = found["cells"][-1][f"at_{frames}"]
         base = "as published" if frames == "60" else "as the motor's label would have it"

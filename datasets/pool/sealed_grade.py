@@ -5,7 +5,7 @@
 The measures are those of the servos' grader (``datasets/concealed/grade.py``), by its own functions
 where they are of shares and of calibration. The other swim of each case, which no tool was given,
 judges the models: in the twin, on the speed over ground; ``--water``: put right by what the fluid
-swam of its commands (``sealed_water.py --heldout``).
+swam of its commands (``sealed_water.py --heldout``), with ``--again`` also with what was found.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.coordinates import seen_as
-from sim.inference.in_water import robot_in_water
+from sim.inference.coordinates import Swum, seen_as
+from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
 from sim2real.output import write_json
@@ -33,6 +34,7 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 
 DETECTABLE, SURE, LIKELY = 10.0, 0.9, 0.5
 WORSE, NOISES = 0.01, 1.5
@@ -62,8 +64,16 @@ def servo_grader() -> ModuleType:
     return module
 
 
-def judge(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path] = ()) -> Row:
-    """What was said of one case beside what is true of it."""
+def judge(
+    truth: Row,
+    folder: Path,
+    challenge: Path,
+    waters: Sequence[Path] = (),
+    again: Path | None = None,
+    *,
+    predict: bool = True,
+) -> Row:
+    """What was said of one case beside what is true of it; ``predict``: and of its other swim."""
     said = json.loads((folder / "diagnosis.json").read_text())
     hidden, kind = truth["effects"], truth["kind"]
     entries = [_entry(one, [] if kind == "outside" else hidden) for one in said["effects"]]
@@ -78,7 +88,7 @@ def judge(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path] = ()
         "llr": truth["oracle"]["llr_total"], "verdict": said["verdict"],
         "unlisted": said["unknown"].get("body"), "flagged": said["verdict"] != "consistent",
         "entries": entries, "cost": json.loads((folder / "cost.json").read_text()),
-        "heldout": _held_out(truth, folder, challenge, waters),
+        "heldout": _held_out(truth, folder, challenge, waters, again) if predict else None,
     }  # fmt: skip
     if kind == "single":
         row["group_right"] = bool(first and first["right"])
@@ -134,20 +144,41 @@ def _intervals(given: Row, hidden: list[Row]) -> list[Row]:
     return []
 
 
-def _held_out(truth: Row, folder: Path, challenge: Path, waters: Sequence[Path]) -> Row:
-    """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise."""
+def _held_out(
+    truth: Row, folder: Path, challenge: Path, waters: Sequence[Path], again: Path | None
+) -> Row:
+    """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise.
+
+    Those of every set of effects whose fit was tried on the end of the other swim as well.
+    """
     place = challenge / "inputs" / truth["robot"]
     robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
     files = [water / f"{truth['robot']}.npz" for water in waters]
     _, simulate = robot_in_water(robot, model, files, threads=1)
     swim = swim_of(read_recording(challenge / "heldout" / truth["case"] / "b.csv"), robot)
-    models = [read_model(folder / f"{name}.json") for name in ("baseline", "enriched")]
-    said = seen_as(models, swim, simulate)
-    error = np.sqrt(np.mean((said - swim.signals) ** 2, axis=1))
-    base, rich = (float(np.hypot(*e[:2])) for e in error)
-    noise = float(np.hypot(*np.broadcast_to(swim.noise, error.shape[1:])[:2]))
-    return {"base": base, "enriched": rich, "noise": noise,
-            "joints": [float(np.sqrt(np.mean(e[3:] ** 2))) for e in error]}  # fmt: skip
+    beside_it = simulate
+    if again and "again" in json.loads((folder / "cost.json").read_text()):
+        water = read_water_swims(again / f"{truth['robot']}.npz")
+        beside_it = by_twin_in_water(robot, read_model(folder / "beside.json"), water, threads=1)
+
+    def error(file: str, swum: Swum) -> Array:
+        said = seen_as([read_model(folder / file)], swim, swum)[0]
+        return np.asarray(np.sqrt(np.mean((said - swim.signals) ** 2, axis=0)))
+
+    base = error("baseline.json", simulate)
+    same = (folder / "enriched.json").read_bytes() == (folder / "baseline.json").read_bytes()
+    rich = base if same else error("enriched.json", beside_it)
+    noise = float(np.hypot(*np.broadcast_to(swim.noise, base.shape)[:2]))
+    kept = folder / "raw.json"
+    tried = [
+        {"names": one["names"], "error": float(np.hypot(*error(f"tried_{k}.json", beside_it)[:2]))}
+        for k, one in enumerate(json.loads(kept.read_text())["held"] if kept.exists() else ())
+        if one["names"]
+    ]
+    return {
+        "base": float(np.hypot(*base[:2])), "enriched": float(np.hypot(*rich[:2])), "noise": noise,
+        "joints": [float(np.sqrt(np.mean(e[3:] ** 2))) for e in (base, rich)], "tried": tried,
+    }  # fmt: skip
 
 
 def _failures(row: Row) -> list[str]:
@@ -162,7 +193,7 @@ def _failures(row: Row) -> list[str]:
         ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
         ("not both", kind == "double" and not row["both"]),
         ("does not abstain", kind == "outside" and not row["abstains"]),
-        ("worse held out", held["enriched"] > (1 + WORSE) * held["base"]),
+        ("worse held out", bool(held) and held["enriched"] > (1 + WORSE) * held["base"]),
     ]
     return [name for name, failed in wrong if failed]
 
@@ -180,6 +211,8 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     calibrated, bins = grader.calibration([e for r in rows for e in r["entries"]])
     intervals = [one for r in rows for one in r["intervals"]]
     held = lambda r: r["heldout"]  # noqa: E731
+    told = {kind: [r for r in each if held(r)] for kind, each in of.items()}
+    listed = told["single"] + told["double"]
     metrics = {
         "false_alarm": share(
             any(e["probability"] >= SURE for e in r["entries"]) for r in of["null"]
@@ -201,13 +234,13 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
         "confident_wrong": share(not e["right"] for e in sure),
         **calibrated,
         "parameter_covered": share(one["covered"] for one in intervals),
-        "no_worse": share(held(r)["enriched"] <= (1 + WORSE) * held(r)["base"] for r in rows),
-        "within_noise": share(
-            held(r)["enriched"] <= NOISES * held(r)["noise"] for r in of["single"] + of["double"]
+        "no_worse": share(
+            held(r)["enriched"] <= (1 + WORSE) * held(r)["base"] for r in rows if held(r)
         ),
-        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in of["null"]),
+        "within_noise": share(held(r)["enriched"] <= NOISES * held(r)["noise"] for r in listed),
+        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in told["null"]),
         "enriched_over_noise": grader.quantile(
-            [held(r)["enriched"] / held(r)["noise"] for r in of["single"] + of["double"]], 0.5
+            [held(r)["enriched"] / held(r)["noise"] for r in listed], 0.5
         ),
         "wall_s": grader.quantile([r["cost"]["wall_s"] for r in rows], 0.5),
         "cpu_s": grader.quantile([r["cost"]["cpu_s"] for r in rows], 0.5),
@@ -222,7 +255,9 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     }  # fmt: skip
 
 
-def grade(challenge: Path, verdicts: Path, waters: Sequence[Path] = ()) -> Row:
+def grade(
+    challenge: Path, verdicts: Path, waters: Sequence[Path] = (), again: Path | None = None
+) -> Row:
     """All results of a set, of the cases that were answered."""
     sealed = (challenge / "answers.json").read_bytes()
     published = json.loads((challenge / "hashes.json").read_text())
@@ -233,7 +268,8 @@ def grade(challenge: Path, verdicts: Path, waters: Sequence[Path] = ()) -> Row:
         if (verdicts / one["case"] / "cost.json").exists()
     ]
     rows = [
-        judge(one, verdicts / one["case"], challenge, waters) for one in tqdm(cases, disable=None)
+        judge(one, verdicts / one["case"], challenge, waters, again)
+        for one in tqdm(cases, disable=None)
     ]
     return {
         "schema": "sim2real.grade/1", "tier": "T4", "set": challenge.name,
@@ -249,8 +285,9 @@ def main() -> None:
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--water", type=Path, nargs=2, default=(), metavar=("INPUTS", "HELD_OUT"))
+    parser.add_argument("--again", type=Path, help="what it swam with what was found")
     options = parser.parse_args()
-    results = grade(options.set, options.verdicts, options.water)
+    results = grade(options.set, options.verdicts, options.water, options.again)
     write_json(options.out, results)
     shown = servo_grader().shown
     found = results["results"]

@@ -2,9 +2,11 @@
 
     python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--heldout HELD_OUT]
     python datasets/pool/sealed_water.py SET WATER --law
+    python datasets/pool/sealed_water.py SET WATER --again VERDICTS AGAIN [--heldout HELD_OUT]
 
 Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
-swims that the grader keeps too, in a folder of their own, for the grader.
+swims that the grader keeps too, in a folder of their own, for the grader. ``--again``: with what
+was found in each case, where the fluid can.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from sim.inference.in_water import (
     CELL_M,
     key,
     read_water_swims,
+    swum_again,
     swum_in_water,
     with_nearest_law,
     write_water,
@@ -25,7 +28,29 @@ from sim.inference.in_water import (
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
 from sim2real.recording import read_recording
-from sim2real.robot import read_robot
+from sim2real.robot import Robot, read_robot
+
+
+def again(options: argparse.Namespace, folder: Path, robot: Robot) -> None:
+    """The swims of a robot's cases once more, with what was found in each."""
+    verdicts, target = options.again
+    out = target / f"{folder.name}.npz"
+    start, models, swims = time.perf_counter(), [], []
+    for case in sorted(path.parent for path in folder.glob("case_*/case.json")):
+        there = verdicts / case.name / "beside.json"
+        held = [options.set / "heldout" / case.name / "b.csv"] if options.heldout else []
+        for path in [case / "a.csv", *held] if there.exists() else []:
+            models.append(read_model(there))
+            swims.append(swim_of(read_recording(path), robot))
+    if not swims or out.exists():
+        return
+    water = read_water_swims(options.water / out.name)
+    if options.heldout:
+        held_out = read_water_swims(options.heldout / out.name)
+        water = replace(water, steps={**water.steps, **held_out.steps})
+    made = swum_again(robot, models, swims, water, cell_m=options.cell_m, device=options.device)
+    write_water(out, made)
+    print(f"{folder.name}: {len(swims)} again, {time.perf_counter() - start:.0f} s", flush=True)
 
 
 def main() -> None:
@@ -44,12 +69,16 @@ def main() -> None:
         "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
     )
     parser.add_argument("--only", default="robot_*", help="robots by name")
+    parser.add_argument("--again", type=Path, nargs=2, metavar=("VERDICTS", "AGAIN"))
     options = parser.parse_args()
     first, step = (int(x) for x in options.share.split("/"))
     for folder in sorted((options.set / "inputs").glob(options.only))[first::step]:
         out = options.water / f"{folder.name}.npz"
         start = time.perf_counter()
         robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
+        if options.again:
+            again(options, folder, robot)
+            continue
         if out.exists():
             known = read_water_swims(out)
             if options.law and not known.law:

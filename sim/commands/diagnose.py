@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
 
+from sim.inference.coordinates import Swum
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.fluid_diagnosis import (
     diagnose_in_fluid,
@@ -24,6 +25,7 @@ from sim.inference.in_water import (
     by_twin_in_water,
     key,
     read_water_swims,
+    swims_again,
     swum_in_water,
     with_nearest_law,
     write_water,
@@ -65,10 +67,13 @@ def run(options: argparse.Namespace) -> int:
     given = [swim_of(one, robot) for one in swims]
     earlier = [swim_of(one, robot) for one in references]
     simulate, known = by_followed_twin(robot), LAW_ERROR
+    again: Callable[[Model], Swum | None] = lambda found: None  # noqa: E731
     if options.in_water:
         water = _swum(options, robot, model, [*given, *earlier])
         model, known = water.of(model), read_law_error(IN_WATER)
         simulate = by_twin_in_water(robot, model, water)
+        if options.device != "cpu":
+            again = swims_again(robot, model, given, water, device=options.device, threads=2)
     with tqdm(total=100, desc="diagnose", unit="%", disable=None) as bar:
         found = diagnose_swims(
             given,
@@ -77,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
             simulate,
             references=earlier,
             known=known,
+            again=again,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
     if options.water:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
-from sim.inference.pose_noise import PoseNoise
-from sim.inference.swims import Swim
+from sim.inference.swims import PoseNoise, Swim
 from sim2real.velocity import body_velocity
 
 Array = NDArray[np.float64]

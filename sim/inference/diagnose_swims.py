@@ -10,16 +10,40 @@ diagnosis abstains. Thresholds are in ``law_error.json``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from sim.inference.coordinates import Swum
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.coordinates import Swum, swum
 from sim.inference.law_error import LAW_ERROR, LawError
-from sim.inference.searched import learned, searched
-from sim.inference.swim_findings import diagnosis_of
+from sim.inference.next_swim import next_swim
+from sim.inference.search import Effect
+from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
+from sim.inference.swim_decision import LIKELY, Decided, decide
+from sim.inference.swim_findings import findings
 from sim.inference.swims import Swim
-from sim.inference.twin_search import Belief
-from sim2real.diagnose.result import Diagnosis
+from sim.inference.twin_search import Fit, TwinSwims
+from sim2real.body import body_effect
+from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
+from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
 from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+_DRAWN = 400
+_REPEATED = 0.005
+_ROLLS = 3.0
+"""Surge or sway at the beat, in squares of what the twin usually leaves, that no plane explains."""
+SHAPES = {
+    "wave": "a flow to and fro in the pool's frame, as of waves",
+    "gust": "a head that is shaken for a while, as by another swimmer's wake",
+    "bend": "poses that follow a joint, as of a marker that is not on the head",
+    "mount": "a heading that drifts, as of a camera that turns",
+    "change": "a robot that becomes another one on its way",
+}
+"""What shapes without a name would look like; guesses."""
 
 
 def diagnose_swims(
@@ -29,8 +53,8 @@ def diagnose_swims(
     simulate: Swum,
     *,
     references: Sequence[Swim] = (),
-    belief: Belief | None = None,
     known: LawError = LAW_ERROR,
+    again: Callable[[Model], Swum | None] = lambda found: None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
     """Find what the body's simulator leaves out.
@@ -41,13 +65,160 @@ def diagnose_swims(
         robot: The robot.
         simulate: The twin (``sim.twin.followed.by_followed_twin``).
         references: Swims of the same robot in which nothing is thought to be missing.
-        belief: What ``learned`` says of them, where it is known already.
         known: The twin's error and the thresholds.
+        again: From what was found to a simulator that is right beside it, to search with once more
+            (``in_water.swims_again``).
         progress: Called with the share that is done.
 
     Returns:
         The diagnosis; its errors are those of the speed over ground, in m/s, on what was held out.
     """
-    before = belief or learned(references, model, robot, simulate, known)
+    before = learned(references, model, robot, simulate, known)
     found = searched(swims, model, robot, simulate, before, progress)
-    return diagnosis_of(found, robot, known, referred=bool(references) or belief is not None)
+    said = diagnosis_of(found, robot, known, referred=bool(references))
+    beside = again(said.model)
+    if beside is None:
+        return said
+    found = searched(swims, model, robot, beside, before)
+    return diagnosis_of(found, robot, known, referred=bool(references))
+
+
+def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bool) -> Diagnosis:
+    """What a search in the twin found, decided and put into words.
+
+    Args:
+        found: The search.
+        robot: The robot.
+        known: The twin's error and the thresholds.
+        referred: Whether swims in which nothing is missing were known.
+    """
+    said = decide(raw(found, referred=referred), known.decisions)
+    problem, c = found.problem, found.problem.coordinates
+    chosen = next(h for h in found.found if frozenset(names_of(h.members)) == said.offered)
+    fitted = next(
+        h for h in found.found
+        if frozenset(names_of(h.members)) >= {one.name for one in said.named}
+    )  # fmt: skip
+    both = (found.plain, chosen)
+    errors = [_errors(problem, one.fit) for one in both]
+    speeds = {frozenset(names_of(m)): speed for m, (_, speed) in found.held.items()}
+    before, after = speeds[frozenset()], speeds.get(said.offered, speeds[frozenset()])
+    named = []
+    for one in said.named:
+        effect = next(e for e in c.effects if (e.name, e.component) == one.name)
+        parameters = _estimates(found, fitted, effect, known.decisions["relative"])
+        told = ", ".join(f"{name} {x.mean:.3g}" for name, x in parameters.items())
+        known_as = body_effect(effect.name)
+        where = f" ({effect.component})" if known_as.by_material else ""
+        others = ", ".join(f"{name} ({of})" for name, of in one.group[1:])
+        or_else = f" Or, as far as these swims tell: {others}." if others else ""
+        title = f"{known_as.title[0].upper()}{known_as.title[1:]}"
+        named.append(
+            NamedEffect(
+                effect=effect.name,
+                component=effect.component,
+                probability=one.probability,
+                group=tuple(dict.fromkeys(name for name, _ in one.group)),
+                parameters=parameters,
+                heldout={
+                    "rmse_before": before, "rmse_after": after, "recoverable_removed": None,
+                },
+                baseline_shift={
+                    c.columns[k].name: float(chosen.fit.x[k] - found.plain.fit.x[k])
+                    for k in c.base
+                },
+                stability=1.0,
+                statement=f"{title}{where}: {told}.{or_else}",
+            )
+        )  # fmt: skip
+    rivals = [Rival(name, of, p) for (name, of), p in said.rivals[:5]]
+    beside = "" if "water" not in c.model.body else ", put right by the fluid where it swam,"
+    gate = [
+        f"By the reduced-order twin{beside} whose own error counts as a part of the noise "
+        "(reports/pool_diagnosis)."
+    ]
+    if not referred:
+        gate.append(
+            "Without a swim in which nothing is missing: drag, friction and added mass that this "
+            "robot always has, and a law that is wrong for its shape, cannot be told from what is "
+            "missing."
+        )
+    if said.unlisted >= LIKELY:
+        gate.append(
+            f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
+        )
+    moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
+    if said.unlisted >= LIKELY and moved > _ROLLS and moved > 1.5 * turn:
+        gate.append(
+            f"What is left is how the head goes to and fro at the beat ({moved:.0f} times what is "
+            f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
+            "a camera above, and a model in the plane cannot follow it."
+        )
+    repeated = max(swim.repeated for swim in problem.swims)
+    if repeated > _REPEATED:
+        gate.append(f"{100 * repeated:.0f} % of the poses repeat the one before: lost frames.")
+    train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))
+    noise = np.mean([np.broadcast_to(s.noise, s.signals.shape[1]) for s in problem.swims], axis=0)
+    plain_model, model = (c.model_at(one.fit.x) for one in both)
+    made = findings(
+        robot, said.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
+    )
+    return replace(
+        made,
+        gate=tuple(gate),
+        unknown={"body": said.unlisted},
+        next_experiment=_experiment(found, fitted, said),
+    )
+
+
+def _experiment(found: Searched, fitted: Hypothesis[Fit], said: Decided) -> Experiment | None:
+    """What to record next, where the first group that is likely has several members."""
+    for one in said.named:
+        if one.probability >= LIKELY and len(one.group) > 1:
+            rest = frozenset(names_of(fitted.members)) - {one.name}
+            instead = rest | {one.group[1]}
+            for other in found.found:
+                if frozenset(names_of(other.members)) == instead:
+                    names = (one.name[0], one.group[1][0])
+                    return next_swim(found.problem, fitted.fit, other.fit, names)
+    return None
+
+
+def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
+    """Errors of each signal of a fit to all of the swims, in their first part and their last."""
+    parts: tuple[list[Array], list[Array]] = ([], [])
+    for swim in problem.swims:
+        (said,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)
+        cut = round(swim.t.size * (1 - HELD_OUT))
+        error = said - swim.signals
+        parts[0].append(error[:cut])
+        parts[1].append(error[cut:])
+    train, held = (np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts)
+    return train, held
+
+
+def _estimates(
+    found: Searched, chosen: Hypothesis[Fit], effect: Effect, relative: float
+) -> dict[str, Estimate]:
+    """What the fit says of an effect, by draws: its parameters bend with its coordinates.
+
+    ``relative``: what the twin is wrong of an effect's size, of that size (one sd).
+    """
+    problem, c = found.problem, found.problem.coordinates
+    own = c.of_effect(effect)
+    spread = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(own, own)]
+    spread = spread + np.diag(np.square(problem.belief.imitation[own]))
+    spread = spread + np.diag(np.square(relative * chosen.fit.x[own]))
+    rng = np.random.default_rng(0)
+    drawn = np.tile(chosen.fit.x, (_DRAWN, 1))
+    drawn[:, own] = rng.multivariate_normal(chosen.fit.x[own], spread, _DRAWN)
+    drawn = c.clipped(drawn)
+    drawn[0] = chosen.fit.x
+    told = [c.parameters(x) for x in drawn]
+    out = {}
+    for p in effect.free:
+        values = np.array([one.get(p.name, 0.0) for one in told])
+        low, high = np.quantile(values, (0.05, 0.95))
+        mean, sd = float(values[0]), float(values.std())
+        out[p.name.rpartition(".")[2]] = Estimate(mean, sd, float(low), float(high))
+    return out

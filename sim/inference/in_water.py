@@ -10,7 +10,7 @@ robot's water lies along each is fitted (``water.viscosity`` and so on), as a ga
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,11 @@ from sim.inference.coordinates import WATER, Coordinates, Swum
 from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned
-from sim.inference.swims import Swim
+from sim.inference.swims import Swim, with_values
 from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
+from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -47,6 +48,12 @@ VARIANTS: Mapping[str, Mapping[str, float]] = dict(
     zip(WATER, ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}), strict=True)
 )
 """Other waters, in larger cells: their viscosity and sub-grid constant over those of the first."""
+
+SWUM = (
+    "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
+    "trim_asymmetry",
+)  # fmt: skip
+"""Effects with which the fluid swims again: those that act wherever a robot is."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +79,14 @@ class InWater:
 
 
 def key(swim: Swim) -> bytes:
-    """What is kept of a swim: the fluid does not mind where it began."""
-    return swim.command.astype(np.float32).tobytes()
+    """What is kept of a swim: its commands, and the heading in which it began."""
+    heading = np.float32(np.round(swim.start[2], 2))
+    return swim.command.astype(np.float32).tobytes() + heading.tobytes()
 
 
 def swum_in_water(
     robot: Robot,
-    model: Model,
+    model: Model | Sequence[Model],
     swims: Sequence[Swim],
     *,
     cell_m: float = CELL_M,
@@ -91,8 +99,9 @@ def swum_in_water(
 
     Args:
         robot: The robot.
-        model: Its servos, as a bench has them.
-        swims: Whose commands are sent; their recordings are not looked at.
+        model: Its servos, as a bench has them; one for all swims, or one for each.
+        swims: Whose commands are sent, from where they began: speed in a box of cells depends on
+            the heading by some percent. Else their recordings are not looked at.
         cell_m: Side of a cell.
         device: Warp device.
         variants: Other waters.
@@ -110,6 +119,7 @@ def swum_in_water(
             smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
             substeps=SUBSTEPS,
         )  # fmt: skip
+        swimmer.reset(pose=np.array([swim.start for swim in swims]))
         track = []
         for row in [None, *sent[:-1]]:
             if row is not None:
@@ -120,9 +130,63 @@ def swum_in_water(
     every = np.stack(waters, axis=1)
     every[..., :3] /= CONTROL_S
     every[:, 2:] -= every[:, 1:2]
-    every[:, 1] -= every[:, 0]
+    every[:, 1:2] -= every[:, :1]
     known = {key(s): every[k, :, : len(s.t) - 1] for k, s in enumerate(swims)}
     return InWater(tuple(variants), known)
+
+
+def beside(model: Model, found: Model) -> Model:
+    """The model with what was found that the fluid can swim with: all but places and the camera."""
+    there = {name: v for name, v in values(found).items() if name.startswith(SWUM)}
+    return with_values(replace(model, joints=found.joints), there)
+
+
+def swum_again(
+    robot: Robot,
+    models: Sequence[Model],
+    swims: Sequence[Swim],
+    water: InWater,
+    **given: Any,  # noqa: ANN401
+) -> InWater:
+    """The swims with what was found in each: a strong effect makes another swim of it.
+
+    Args:
+        robot: The robot.
+        models: Of each swim, as ``beside`` has them.
+        swims: Whose commands are sent.
+        water: What the fluid swam before; how far other waters are from it stays.
+        given: As ``swum_in_water`` takes it.
+    """
+    again = swum_in_water(robot, models, swims, variants={}, **given).steps
+    steps = {k: np.concatenate([one[:1], water.steps[k][1:]]) for k, one in again.items()}
+    return replace(water, steps=steps)
+
+
+def swims_again(
+    robot: Robot,
+    model: Model,
+    swims: Sequence[Swim],
+    water: InWater,
+    **given: Any,  # noqa: ANN401
+) -> Callable[[Model], Swum | None]:
+    """From what was found to a simulator beside it: None where the fluid has nothing to add.
+
+    Args:
+        robot: The robot.
+        model: As ``InWater.of`` has it.
+        swims: Whose commands are sent.
+        water: What the fluid swam before.
+        given: As ``swum_in_water`` takes it.
+    """
+
+    def beside_it(found: Model) -> Swum | None:
+        there = beside(model, found)
+        if not values(there):
+            return None
+        again = swum_again(robot, [there] * len(swims), swims, water, **given)
+        return by_twin_in_water(robot, there, again)
+
+    return beside_it
 
 
 def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -> InWater:  # noqa: ANN401, D417
@@ -135,7 +199,8 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -
     """
     swims = []
     for number, (sent, steps) in enumerate(list(water.steps.items())[:2]):
-        command = np.frombuffer(sent, np.float32).reshape(-1, len(robot.joints)).astype(np.float64)
+        rows = np.frombuffer(sent, np.float32)[:-1].reshape(-1, len(robot.joints))
+        command = rows.astype(np.float64)
         ways = steps[:1].copy()
         ways[..., :3] *= CONTROL_S
         track = path_of(ways, np.zeros(3), np.zeros(len(robot.joints)))[0]
@@ -242,6 +307,6 @@ def read_water_swims(path: Path) -> InWater:
 
 
 __all__ = [
-    "InWater", "by_twin_in_water", "read_water_swims", "robot_in_water", "swum_in_water",
-    "with_nearest_law", "write_water",
+    "InWater", "beside", "by_twin_in_water", "read_water_swims", "robot_in_water", "swims_again",
+    "swum_again", "swum_in_water", "with_nearest_law", "write_water",
 ]  # fmt: skip

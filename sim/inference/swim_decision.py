@@ -23,8 +23,6 @@ Strange = tuple[float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
-_UNPROVEN = 0.49
-"""The most that is said of what does not make the rest of the swim likelier."""
 _ENOUGH, _WIDEST = 0.7, 4
 """Probability that makes a group of several worth telling, and how many it may have."""
 IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
@@ -103,37 +101,34 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     strange = (more, off, worth[best] - worth[frozenset()], helps, alone)
     enough = numbers["something alone" if alone else "something"]
     unlisted = _odds(strange_terms(strange), "strange", numbers)
+    gains = {
+        name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
+    }
     named = []
-    for name in best:
+    for name, gain in gains.items():
         group = _group(name, best, worth, numbers)
         if something >= enough and len(best) == 1:
             group = _widened(group, keys, share)
         rest = best - {name}
-        gain = worth[best] - worth.get(rest, min(worth.values())) + cost
+        margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
         spoken = (
-            _there(group, keys, share), gain, float(len(group)), more, off,
-            _helps(best, rest, held), float(name[0] in IMITATORS), alone, strange[2],
-            float(name[1] == "camera"),
+            margin, gain, float(len(group)), more, off, _helps(best, rest, held),
+            float(name[0] in IMITATORS), float(gain < max(gains.values())),
         )  # fmt: skip
-        certain = _odds(terms_of(spoken), "odds", numbers)
-        certain = min(certain, numbers["most_certain"] if name in offered else _UNPROVEN)
+        certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
-    offered = frozenset(one.name for one in named if one.probability >= LIKELY)
+    offered &= {one.name for one in named if one.probability >= LIKELY}
+    offered = offered if offered in held else frozenset()
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: -one[1])
-    flagged = unlisted >= LIKELY or something >= enough
+    flagged = unlisted >= numbers["unlisted from"] or something >= enough
     return Decided(
-        _verdict(named, unlisted, flagged), tuple(named), _tried(offered, held), tuple(rivals),
+        _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
         unlisted, shape, strange,
     )  # fmt: skip
-
-
-def _tried(offered: Names, held: Mapping[Names, tuple[float, float]]) -> Names:
-    """What is offered, if it was fitted alone; else nothing."""
-    return offered if offered in held else frozenset()
 
 
 def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
@@ -167,17 +162,15 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
     """What the odds of a name are a sum of.
 
     Args:
-        spoken: Its share of the evidence, what it adds, how many its group has, how much a shape
-            without a name would add, how much more is left than usual, how much likelier it makes
-            what was held out, whether it is an imitator, whether no references were known, the
-            evidence of the whole set, and whether it is of the camera.
+        spoken: By how much evidence the set is ahead of all that lack its group, what it adds
+            itself, how many its group has, how much a shape without a name would add, how much more
+            is left than usual, how much likelier it makes what was held out, whether it is an
+            imitator, and whether another brings more.
     """
-    there, gain, many, more, off, helps, imitates, alone, best, camera = spoken
-    there = min(max(there, 1e-3), 1 - 1e-3)
+    margin, gain, many, more, off, helps, imitates, second = spoken
     return (
-        1.0, float(np.log(there / (1 - there))), _log(gain), float(np.log(many)), _log(more),
-        float(np.clip(off, -2, 4)), _log(helps), imitates, alone,
-        _log(gain) - _log(best), camera,
+        1.0, _log(margin), float(np.log(many)), max(_log(more) - _log(gain), 0.0),
+        float(np.clip(off, -2, 4)), _log(helps), imitates, second,
     )  # fmt: skip
 
 
@@ -201,9 +194,10 @@ def _log(value: float) -> float:
     return float(np.sign(value) * np.log1p(abs(value)))
 
 
-def _verdict(named: list[Named], unlisted: float, flagged: bool) -> Verdict:
+def _verdict(named: list[Named], offered: Names, unlisted: float, flagged: bool) -> Verdict:
+    """In a word; explained is only what the model that is offered has."""
     likely = [one for one in named if one.probability >= LIKELY]
-    if likely and unlisted >= LIKELY:
+    if likely and (unlisted >= LIKELY or any(one.name not in offered for one in likely)):
         return "partly_explained"
     if not likely:
         return "unexplained" if flagged else "consistent"
@@ -214,7 +208,7 @@ def _predicting(
     best: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
     numbers: Mapping[str, float],
 ) -> Names:  # fmt: skip
-    """The best set whose every member makes what was held out likelier, and no speed worse."""
+    """The best set whose every member makes what was held out likelier, and its speed better."""
     now = best
     while now:
         parts = {now - {name}: name for name in now}
@@ -233,10 +227,8 @@ def _predicting(
 
 
 def _worse(gain: float, speed: float, numbers: Mapping[str, float]) -> bool:
-    """Whether what was held out gets worse: of all signals, or of the speed, by its factor."""
-    if gain < numbers["held_gain"]:
-        return speed > 1 - numbers["held_better"]
-    return speed > 1 + numbers["held_worse"] and gain < numbers["held_sure"]
+    """Whether what was held out is foretold no better: all signals, or the speed, by its factor."""
+    return gain < numbers["held_gain"] or speed > 1 - numbers["held_better"]
 
 
 def _group(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -15,20 +14,7 @@ from sim.robot.shape import hull_of
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[2] / "datasets" / "pool"
-NAMES = ("truth", "servos", "surfaces", "waters", "camera", "world", "make")
 H = 5e-4
-
-
-@pytest.fixture(scope="module")
-def code():
-    """The pool's modules by name; they import one another as scripts do."""
-    sys.path.insert(0, str(POOL))
-    try:
-        yield {name: importlib.import_module(name) for name in NAMES}
-    finally:
-        sys.path.remove(str(POOL))
-        for name in NAMES:
-            sys.modules.pop(name, None)
 
 
 @pytest.fixture
@@ -161,9 +147,9 @@ def test_a_stopped_box_is_not_seen(pool):
     assert np.isfinite(pose).all()
 
 
-def test_the_library_keeps_nothing_of_it(pool):
+def test_the_library_keeps_nothing_of_it(pool, code):
     files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-    ours = {Path(f).stem for f in files if f and Path(f).parent == POOL} - set(NAMES)
+    ours = {Path(f).stem for f in files if f and Path(f).parent == POOL} - set(code)
     assert ours == set(), "reality.py is run, not imported"
 
 

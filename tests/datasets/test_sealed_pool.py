@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +14,6 @@ from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[2] / "datasets" / "pool"
-NAMES = (
-    "truth", "servos", "surfaces", "waters", "camera", "world", "drawn", "knower", "sealed",
-    "sealed_grade",
-)  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def code():
-    """The modules by name; they import one another as scripts do."""
-    sys.path.insert(0, str(POOL))
-    try:
-        yield {name: importlib.import_module(name) for name in NAMES}
-    finally:
-        sys.path.remove(str(POOL))
-        for name in NAMES:
-            sys.modules.pop(name, None)
 
 
 def test_every_effect_has_its_turn(code):

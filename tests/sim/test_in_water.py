@@ -13,6 +13,7 @@ from sim.inference.emulator import steps_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     InWater,
+    beside,
     by_twin_in_water,
     key,
     read_water_swims,
@@ -22,6 +23,8 @@ from sim.inference.in_water import (
 )
 from sim.inference.swims import by_twin, with_values
 from sim.robot.swimmer import CONTROL_S
+from sim.twin.law import Coefficients
+from sim2real.body import values
 from sim2real.cli import main
 
 OTHER = {"twin.across": 2.5, "twin.along": 0.7, "twin.thrust": 0.9}
@@ -39,7 +42,7 @@ def water():
     model = servos()
     laws = [with_values(model, given) for given in (OTHER, OTHER | {"twin.linear": 0.5})]
     first, second = speeds(by_twin(FISH)(laws, SENT, np.zeros(3)))
-    steps = np.stack([first, second - first, 0 * first, 0 * first])
+    steps = np.stack([first, second - first, *[0 * first] * (len(WATER) - 1)])
     return InWater(WATER, {key(swum({})): steps})
 
 
@@ -70,6 +73,30 @@ def test_commands_that_the_fluid_has_not_swum_are_told(water):
     swim = replace(swum({}), command=1.1 * SENT)
     with pytest.raises(KeyError, match="has not swum"):
         by_twin_in_water(FISH, model, water)([model], swim)
+
+
+def test_the_heading_in_which_a_swim_began_counts():
+    swim = swum({})
+    turned = replace(swim, start=swim.start + [0.3, 0.2, 0.5])
+    moved = replace(swim, start=swim.start + [0.3, 0.2, 0.0])
+    assert key(swim) == key(moved) != key(turned)
+
+
+def test_the_fluid_swims_again_with_all_but_places_and_the_camera(water):
+    found = {"skin_elasticity.stiffness_Nm_per_rad": 0.3, "form_drag.coefficient": 0.2}
+    other = {"tether.stiffness_N_per_m": 0.1, "camera_scale.ratio": 0.1, "pool_current.u_m_s": 0.1}
+    model = water.of(servos())
+    there = beside(model, with_values(model, found | other | {"twin.across": 9.0}))
+    assert values(there) == found
+    assert Coefficients.of(there.body) == Coefficients.of(model.body)
+
+
+def test_beside_what_was_found_the_fluid_swims_as_it_did_with_it(water):
+    swim, model = swum({}), water.of(servos())
+    there = beside(model, with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3}))
+    again = replace(water, steps={k: 1.1 * one for k, one in water.steps.items()})
+    (track,) = by_twin_in_water(FISH, there, again)([there], swim)
+    np.testing.assert_allclose(speeds(track[None])[0], again.steps[key(swim)][0], atol=1e-9)
 
 
 def test_a_model_with_water_has_a_column_for_each(water):
