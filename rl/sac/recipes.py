@@ -51,12 +51,12 @@ RECIPES: Mapping[str, Recipe] = {
         ),
     ),
     "brief": Recipe(
-        energy=8e-4,
+        energy=4e-4,
         energy_start=1.0,
         steps=100_000,
         envs=32,
-        segment=50_000,
-        settings=Settings(batch=64, hidden=(64, 64)),
+        segment=100_000,
+        settings=Settings(batch=64, hidden=(64, 64), average=0.5),
     ),
 }
 """By the names that ``--recipe`` takes. "brief" goes on from small networks that swim
