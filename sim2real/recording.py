@@ -46,6 +46,10 @@ class Load:
         return self.pendulum_mass_kg * GRAVITY_M_S2 * self.pendulum_length_m
 
 
+PER_INERTIA = Load(inertia_kgm2=1.0)
+"""Stands in for a load that is not known: gains then come per unit of inertia."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """One recording, as read.

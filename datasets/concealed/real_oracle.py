@@ -40,10 +40,10 @@ from sim2real.identification.fit import best_of, gains, residuals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.start import first_guess
 from sim2real.noise import noise_floor
-from sim2real.recording import Load
+from sim2real.recording import PER_INERTIA, Load
 from sim2real.residuals.repeats import freed_of_the_common
 from sim2real.robot import Servo
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 SETTLED, STEADY = 3, 2.5
 """Samples without a new set-point, and most steps of the sensor to the last or next reading, of a

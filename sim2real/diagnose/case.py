@@ -14,10 +14,10 @@ from sim2real.errors import InputError
 from sim2real.identification.motor_line import on_its_line
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.recording import Recording
+from sim2real.recording import PER_INERTIA, Recording
 from sim2real.residuals.problem import Set
 from sim2real.robot import Robot, Servo, match_joints
-from sim2real.servo.trace import PER_INERTIA, Trace, traces
+from sim2real.servo.trace import Trace, traces
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.references import repeat
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
 from sim2real.inference.knockoffs import contest, false_discovery_rate
+from sim2real.recording import PER_INERTIA
 from sim2real.residuals.black_box import black_box
 from sim2real.residuals.formula import formula, what_is_left
 from sim2real.residuals.holdout import splits
@@ -25,7 +26,7 @@ from sim2real.residuals.linear import residual_torque, smooth_speed
 from sim2real.residuals.problem import Set
 from sim2real.residuals.screen import Candidate, Screen
 from sim2real.robot import Robot
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from sim2real.identification.loop_fit import hidden
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.holdout import rms
-from sim2real.recording import Load, Recording
+from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 _SHORT = {
     "kp_Nm_per_rad": "kp",

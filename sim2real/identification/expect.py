@@ -9,8 +9,8 @@ from sim2real.identification.fit import fit, gains, inertia_left_out
 from sim2real.identification.start import first_guess
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
-from sim2real.recording import Recording
-from sim2real.servo.trace import PER_INERTIA, traces
+from sim2real.recording import PER_INERTIA, Recording
+from sim2real.servo.trace import traces
 
 Array = NDArray[np.float64]
 

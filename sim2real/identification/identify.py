@@ -25,10 +25,10 @@ from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.noise import noise_floor
 from sim2real.output import provenance
-from sim2real.recording import Load, Recording
+from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia, split, traces
+from sim2real.servo.trace import Trace, shows_inertia, split, traces
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,10 @@ from sim2real.identification.motor_prior import Prior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import whiteness
+from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
-from sim2real.servo.trace import PER_INERTIA, Trace, shows_inertia
+from sim2real.servo.trace import Trace, shows_inertia
 
 _CLEAR = 6.0
 """What a choice must gain beyond chance."""

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LINE, LOOP
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from sim2real.inference.noise import counting
 from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
-from sim2real.recording import Load
+from sim2real.recording import PER_INERTIA, Load
 from sim2real.servo.batch import Batch
 from sim2real.servo.innovations import WhitenedServo
 from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN
-from sim2real.servo.trace import PER_INERTIA, Trace
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

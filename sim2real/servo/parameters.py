@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
-from sim2real.recording import Load
-from sim2real.servo.trace import PER_INERTIA
+from sim2real.recording import PER_INERTIA, Load
 
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""

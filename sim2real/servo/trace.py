@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.recording import Load, Recording
+from sim2real.recording import PER_INERTIA, Load, Recording
 
 Array = NDArray[np.float64]
-
-PER_INERTIA = Load(inertia_kgm2=1.0)
-"""Stands in for a load that is not known: gains then come per unit of inertia."""
 
 
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
