@@ -181,7 +181,12 @@ def _ablated(
 
 def agents_in(pool: Path) -> list[Path]:
     """The agents that arms go on from: they swim half way between no technique and all."""
-    return sorted((pool / "agents").glob("*.zip"))
+    found = sorted((pool / "agents").glob("*.zip"))
+    if not found:
+        raise InputError(
+            pool / "agents", "", "no agents", "NAME.zip files, such as of the arm midway"
+        )
+    return found
 
 
 def _ablation(told: dict[str, Any], plan: Plan) -> Section:
