@@ -3,9 +3,9 @@
     python benchmarks/quick_ablation.py --out FOLDER [--device cuda:0] [--runs 5]
 
 Trains the demo's arms for as many seeds as its ablation has, times ``--runs``, with the demo's own
-plan and shared beginning, swims the same turns in the twin with reality's numbers, and compares run
-by run: which arm loses most, whether its interval leaves out zero, whether another arm's does.
-Options change the plan, to see what a change would buy.
+plan and from the agents that it goes on from, swims the same turns in the twin with reality's
+numbers, and compares run by run: which arm loses most, whether its interval leaves out zero,
+whether another arm's does. Options change the plan, to see what a change would buy.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,12 @@ import torch
 
 import sim2real as s2r
 from rl.commands.ablate import tried_in
-from rl.commands.demo import ARMS, QUICK, SEEDS, SHARED
+from rl.commands.demo import QUICK, REPEATS, SEEDS, agents_in
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown
-from rl.experiments.arms import arm_of
+from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import differences
-from rl.experiments.shared import every, from_shared
+from rl.sac.train import train
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
 
@@ -40,13 +41,10 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--begin", choices=("none", "every", "all"), default="every")
-    parser.add_argument("--shared", type=int, default=SHARED.steps, help="steps in common")
+    parser.add_argument("--first", type=Path, nargs="+", default=agents_in(POOL))
     parser.add_argument("--steps", type=int, default=QUICK.steps, help="steps of each arm")
-    parser.add_argument("--energy-weight", type=float, default=QUICK.task.energy)
+    parser.add_argument("--learning-rate", type=float, default=QUICK.settings.rate)
     parser.add_argument("--updates-per-step", type=float, default=QUICK.settings.updates_per_step)
-    parser.add_argument("--energy-start", type=float, default=QUICK.energy_start)
-    parser.add_argument("--ramp", type=float, nargs=2, default=QUICK.ramp)
     options = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.perf_counter()
@@ -63,27 +61,20 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
     """What an ablation of all the runs' seeds tells."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges, reality = read_ranges(POOL / "ranges.json"), s2r.read_model(POOL / "reality.json")
-    arms = [arm_of(name, model, robot, ranges) for name in ARMS]
+    arms = [arm_of(name, model, robot, ranges) for name in PAPER]
     seeds = tuple(range(options.seed, options.seed + SEEDS * options.runs))
+    settings = replace(
+        QUICK.settings, rate=options.learning_rate, updates_per_step=options.updates_per_step
+    )
     plan = replace(
         QUICK, steps=options.steps, segment=options.steps, seeds=seeds, device=options.device,
-        energy_start=options.energy_start, ramp=tuple(options.ramp),
-        task=replace(QUICK.task, energy=options.energy_weight),
-        settings=replace(QUICK.settings, updates_per_step=options.updates_per_step),
+        settings=settings, threads=1,
     )  # fmt: skip
-    trainer = None
-    if options.shared:
-        begin = {"every": lambda: every(arms), "all": lambda: arms[0]}
-        first = begin.get(options.begin, lambda: arm_of("none", model, robot, ranges))()
-        common = replace(
-            plan, steps=options.shared, segment=options.shared, energy_start=QUICK.energy_start,
-            ramp=QUICK.ramp,
-        )  # fmt: skip
-        trainer = from_shared(first, common)
     testbeds = tried_in(robot, arms, plan, ranges, reality)
     return ablate(
-        options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=8, trainer=trainer
-    )
+        options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=REPEATS,
+        trainer=partial(train, first=options.first),
+    )  # fmt: skip
 
 
 def counted(told: dict[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,10 @@ from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.reality import RealityFile, read_reality
-from rl.experiments.shared import every, from_shared
 from rl.experiments.testbeds import Real, Simulated, Testbed
 from rl.randomize import noise_of
 from rl.sac import recipes
-from rl.sac.train import Arm, Plan
+from rl.sac.train import Arm, Plan, train
 from rl.world import Draws
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     known = known_of(options, reality)
     left = {"all-and-effects"} if enriched is None else set()
     left |= {"ceiling"} if known is None else set()
-    names = options.arms or [name for name in ARMS if name not in {*left, "none"}]
+    names = options.arms or [name for name in ARMS if name not in {*left, "none", "midway"}]
     if known is None and "ceiling" in names:
         raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
     if enriched is None and any(ARMS[name].effects for name in names):
@@ -53,12 +53,12 @@ def run(options: argparse.Namespace) -> int:
     testbeds = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
-    files += [options.truth] if options.truth else []
+    files += [*([options.truth] if options.truth else []), *(options.first or [])]
     made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
     found = ablate(
         options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=made,
-        trainer=trainer_of(options, arms),
+        trainer=trainer_of(options),
     )  # fmt: skip
     write_report(found, plan, options.out, made)
     print(markdown(found))
@@ -81,29 +81,19 @@ def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model
     return reality if isinstance(reality, Model) else None
 
 
-def trainer_of(
-    options: argparse.Namespace, arms: Sequence[Arm]
-) -> Callable[..., list[Path]] | None:
-    """What trains: all in one batch where None, a process each, or from a shared beginning."""
-    if not shared_steps(options):
-        return None if options.executor is None else by_jobs(options)
-    if options.executor is not None:
-        raise InputError("ablate", "--shared", "--executor beside it", "one of the two")
-    return from_shared(every(arms), plan_of(options, shared=True))
+def trainer_of(options: argparse.Namespace) -> Callable[..., list[Path]] | None:
+    """What trains: all in one batch where None, from agents that swim already, a process each."""
+    if options.first and options.executor is not None:
+        raise InputError("ablate", "--first", "--executor beside it", "one of the two")
+    if options.first:
+        return partial(train, first=options.first)
+    return None if options.executor is None else by_jobs(options)
 
 
-def shared_steps(options: argparse.Namespace) -> int:
-    """Steps that agents of one seed have in common; 0 where they have none."""
-    quick = recipes.SHARED if options.quick and options.executor is None else 0
-    return int(quick if options.shared is None else options.shared)
-
-
-def plan_of(options: argparse.Namespace, *, shared: bool = False) -> Plan:
-    """How to train, the quick settings first; or how what arms share is trained."""
+def plan_of(options: argparse.Namespace) -> Plan:
+    """How to train, the quick settings first."""
     given = {name: value for name, value in vars(options).items() if value is not None}
-    quick = {"recipe": "brief"} if options.quick else {}
-    if shared:
-        given |= {"steps": shared_steps(options)}
+    quick = {} if not options.quick else {"recipe": "brief"} if options.first else recipes.QUICK
     return recipes.plan_of(
         {**quick, **given},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
@@ -194,8 +184,6 @@ def train_one(
     plan: dict[str, Any],
 ) -> None:
     """One arm and seed, as a job; see ``rl.executor``."""
-    from rl.sac.train import train
-
     torch.set_num_threads(1)
     fish = read_robot(robot)
     more = None if enriched is None else read_model(enriched)

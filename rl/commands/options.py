@@ -8,7 +8,16 @@ from pathlib import Path
 from sim2real.commands.command import Command
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
-_ARMS = ("all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling", "none")
+_ARMS = (
+    "all",
+    "no-servo",
+    "no-density",
+    "no-randomization",
+    "all-and-effects",
+    "ceiling",
+    "none",
+    "midway",
+)
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -131,11 +140,11 @@ def _ablate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--task", choices=_TASKS, help="to train at (default chain)")
     command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
     command.add_argument(
-        "--shared",
-        type=int,
-        metavar="STEPS",
-        help="agents of a seed learn so long in common, in all arms' water, before the arms part "
-        "(default 0; with --quick 300000)",
+        "--first",
+        nargs="+",
+        type=Path,
+        metavar="POLICY",
+        help="policies that each arm's seeds go on from in turn, such as those of the arm midway",
     )
     _plan(command)
     _executor(command)

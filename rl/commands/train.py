@@ -115,7 +115,8 @@ def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Pa
         }
         one = {**given, **files, "seeds": [seed]}
         if "first" in given:
-            one["first"] = [given["first"][given["seeds"].index(seed)]]
+            chosen = given["seeds"].index(seed) % len(given["first"])
+            one["first"] = given["first"][chosen : chosen + 1]
         work = f"{TRAINERS[options.controller].__name__}:train_run"
         jobs.append(Job(name, work, one, options.out / name))
     outcomes = run_jobs(

@@ -49,7 +49,9 @@ class Settings:
             like sides would have done.
         norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
             networks", ICML 2023, among others): seeds fail less often.
-        average: Share by which the actor that is saved follows the one that learns; 1 for itself.
+        average: The actor that is saved is a mean of those that learned, most of it over this last
+            share of the updates so far (polynomial-decay averaging; Shamir and Zhang, "Stochastic
+            gradient descent for non-smooth optimization", ICML 2013); 0 for the last itself.
     """
 
     gamma: float = 0.99
@@ -66,12 +68,12 @@ class Settings:
     noise_s: float = 0.25
     mirror: bool = True
     norm: bool = True
-    average: float = 0.002
+    average: float = 0.2
 
 
 PLAIN = Settings(
     rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
-    entropy_target=(-1.0, -1.0), norm=False, average=1.0,
+    entropy_target=(-1.0, -1.0), norm=False, average=0.0,
 )  # fmt: skip
 """SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
 
@@ -303,7 +305,8 @@ class Agents:
             self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
         )
         self.target.flat.lerp_(self.critic.flat, s.tau)
-        self.average.lerp_(self.actor.flat, s.average)
+        # each update's weight, as t^(1 / average - 1), over the sum of those before
+        self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
 
     @torch.no_grad()
     def losses(self) -> Tensor:

@@ -51,23 +51,22 @@ RECIPES: Mapping[str, Recipe] = {
         ),
     ),
     "brief": Recipe(
-        energy=8e-4,
-        steps=200_000,
+        energy=4e-4,
+        energy_start=1.0,
+        steps=100_000,
         envs=32,
         segment=100_000,
-        settings=Settings(batch=64, hidden=(64, 64), updates_per_step=0.085),
+        settings=Settings(batch=64, hidden=(64, 64), average=0.5),
     ),
 }
-"""By the names that ``--recipe`` takes. "brief" is the default at a tenth of the cost, for what can
-swim elsewhere, such as each arm of a quick ablation. "fine" goes on from policies that nearly swim
-here, such as from the twin's in the fluid: all of the energy weight, little noise at once."""
+"""By the names that ``--recipe`` takes. "brief" goes on from small networks that swim
+elsewhere, for each arm of a quick ablation. "fine" goes on from policies that nearly swim here,
+such as from the twin's in the fluid: all of the energy weight, little noise at once."""
 QUICK: dict[str, Any] = {
     "steps": 300_000, "envs": 32, "segment": 60_000, "hidden": [64, 64], "updates_per_step": 0.12,
 }  # fmt: skip
 """What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
 not swim by their mean action yet."""
-SHARED = 300_000
-"""Steps that agents of a seed have in common in a quick ablation, before its arms part."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",
     "hidden", "energy_weight", "energy_start",

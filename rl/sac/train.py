@@ -150,8 +150,8 @@ def train(
         arms: What each group of agents trains in.
         plan: How to train.
         note: Provenance, kept in ``run.json``.
-        first: Policies to go on from, ``policy.zip`` of one agent each, in the agents' order; from
-            random networks where there are none. Their memories are not kept.
+        first: Policies to go on from, ``policy.zip`` of one agent each; the seeds of every arm take
+            them in turn. From random networks where there are none. Their memories are not kept.
 
     Returns:
         The agents' folders: all seeds of the first arm, then those of the next.
@@ -208,11 +208,10 @@ def _train(
     room = -(-plan.steps // plan.view.period)
     settings = replace(plan.settings, memory=min(plan.settings.memory, room))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
-    if first:
-        if len(first) != A:
-            raise InputError("train", "--first", f"{len(first)} policies", f"{A}, one an agent")
-        for model, path in zip(models, first, strict=True):
-            go_on_from(model, path)
+    if len(first) > S:
+        raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
+    for a, model in enumerate(models if first else []):
+        go_on_from(model, first[a % S % len(first)])
     agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(

@@ -11,13 +11,12 @@ import pytest
 
 import rl.experiments.testbeds
 from rl.commands.ablate import tried_in
-from rl.experiments.ablation import ablate, bootstrap, policy_in
+from rl.experiments.ablation import ablate, bootstrap
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.differences import differences, paired, seeds_needed
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import read_reality
-from rl.experiments.shared import every, from_shared
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
 from rl.task import TASKS, shortened
@@ -152,28 +151,22 @@ def test_the_report_is_written(run, tmp_path):
     assert set(differences(found)) == {"no-servo"}
 
 
-def test_arms_go_on_from_one_agent_a_seed(robot, model, tmp_path):
-    arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
-    still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10_000))  # nothing is learned
-    trainer = from_shared(arm_of("none", model, robot, RANGES), PLAN)
-    folders = trainer(tmp_path, robot, arms, still)
-    assert [one.name for one in folders] == ["all-0", "all-1", "no-servo-0", "no-servo-1"]
-    kept = [policy_in(one).weights for one in folders]
-    begun = [policy_in(tmp_path / "shared" / f"none-{seed}").weights for seed in (0, 1, 0, 1)]
-    assert all(np.array_equal(a[0], b[0]) for a, b in zip(kept, begun, strict=True))
-    assert not np.array_equal(kept[0][0], kept[1][0])
+def test_no_technique_is_the_old_simulator(robot, model):
     (first,) = arm_of("none", model, robot, RANGES).draws.models
     assert all(joint == STIFF for joint in first.joints.values())
     assert np.allclose(first.body["normalised_density"], one_density(robot))
 
 
-def test_what_all_arms_share_is_as_near_to_each_of_them(robot, model):
-    arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo", "no-randomization")]
-    shared = every(arms)
-    stiff = [all(j == STIFF for j in one.joints.values()) for one in shared.draws.models]
-    same = [one == arms[2].draws.models[0] for one in shared.draws.models]
-    assert np.mean(stiff) == np.mean(same) == pytest.approx(1 / 3)
-    assert shared.draws.noise == arms[0].draws.noise
+def test_what_arms_go_on_from_lies_half_way(robot, model):
+    middle, new = (arm_of(name, model, robot, RANGES).draws for name in ("midway", "all"))
+    for one, other in zip(middle.models, new.models, strict=True):
+        for name, joint in one.joints.items():
+            ends = (other.joints[name], STIFF)
+            assert joint.kp_Nm_per_rad**2 == pytest.approx(np.prod([e.kp_Nm_per_rad for e in ends]))
+            assert joint.latency_s == pytest.approx(np.mean([e.latency_s for e in ends]))
+        even = np.mean([other.body["normalised_density"], one_density(robot)], axis=0)
+        assert np.allclose(one.body["normalised_density"], even)
+    assert middle.noise == new.noise
 
 
 def test_a_return_is_what_agents_learn_to_earn():

@@ -15,7 +15,6 @@ from rl.observer import PAPER, View
 from rl.sac.agents import PLAIN, Agents, Batch, Settings, mirrored
 from rl.sac.sac import make_sac
 from rl.task import Task
-from rl.vec_env import FishVecEnv
 
 SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)
 
@@ -119,24 +118,6 @@ def test_memories_wrap_and_agents_draw_from_their_own(world_of):
     assert agents._sample().reward[0].min() >= 8, "energy is paid at the price of now"
 
 
-def test_learn_is_stable_baselines3s_and_saves_small_zips(world_of, tmp_path):
-    world = world_of(4)
-    settings = Settings(hidden=(16, 16), memory=2000, batch=32, warm_up=40, updates_per_step=1.0)
-    model = make_sac(world, settings, 0, FishVecEnv(world))
-    before = {k: v.clone() for k, v in model.policy.state_dict().items()}
-    model.learns(settings)
-    model.learn(400)
-    assert model.agents.filled == 400
-    assert model._n_updates >= 300
-    changed = [k for k, v in model.policy.state_dict().items() if not torch.equal(v, before[k])]
-    assert len(changed) == len(before)
-    model.save(tmp_path / "policy.zip")
-    loaded = SAC.load(tmp_path / "policy.zip", device="cpu")
-    seen = np.random.default_rng(0).normal(size=(9, View().size(3))).astype(np.float32)
-    ours, _ = model.predict(seen, deterministic=True)
-    assert np.array_equal(loaded.predict(seen, deterministic=True)[0], ours)
-
-
 @pytest.mark.parametrize("view", [View(), PAPER])
 def test_a_mirrored_transition_is_what_the_mirrored_robot_does(world_of, view):
     """The world itself, left and right exchanged."""
@@ -188,12 +169,14 @@ def test_the_saved_actor_follows_the_one_that_learns(world_of):
     settings = Settings(hidden=(8, 8), memory=100, batch=16, average=0.25)
     model = make_sac(world, settings, 0)
     agents = Agents([model], settings, world.device)
+    batch = batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16)
+    agents.update(batch)
     first = agents.actor.flat.clone()
-    agents.update(batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16))
+    agents.update(batch)
     own = agents.actor.flat.clone()
     bias = model.actor.mu.bias.clone()
     with agents.averaged():
-        assert torch.allclose(agents.actor.flat, 0.75 * first + 0.25 * own)
+        assert torch.allclose(agents.actor.flat, 0.2 * first + 0.8 * own)
         assert not torch.equal(model.actor.mu.bias, bias)
     assert torch.equal(agents.actor.flat, own)
     assert torch.equal(model.actor.mu.bias, bias)

@@ -186,8 +186,11 @@ def test_a_training_goes_on_from_policies(robot, model, tmp_path):
         for x, y in zip(one.policy.parameters(), other.policy.parameters(), strict=True):
             assert torch.equal(x, y)
     assert (swum[0] / "progress.csv").read_text() != (first[0].parent / "progress.csv").read_text()
-    with pytest.raises(InputError, match="one an agent"):
-        train(tmp_path / "c", robot, arms(model), PLAN, first=first)
+    both = train(tmp_path / "f", robot, arms(model), still, first=first[:1])
+    kept = [SAC.load(one / "policy.zip", device="cpu").actor.mu.weight for one in both]
+    assert all(torch.equal(one, kept[0]) for one in kept), "of both arms and seeds"
+    with pytest.raises(InputError, match="one a seed"):
+        train(tmp_path / "c", robot, arms(model), PLAN, first=[*first, *first])
     with pytest.raises(InputError, match="another run"):
         train(tmp_path / "b", robot, arms(model)[:1], still, first=first[::-1])
     with pytest.raises(InputError, match="view"):
