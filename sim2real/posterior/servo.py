@@ -35,7 +35,7 @@ def servo_priors(joint: JointModel) -> Priors:
 
     Gains span natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to 4, each order of
     magnitude alike; latency is anything up to 0.3 s; an effect's parameters are anywhere within the
-    limits that its file gives, for a servo of this strength.
+    limits that its file gives, for a servo of this strength. What a model does not state is held.
     """
     inertia = joint.inertia_kgm2
     (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
@@ -51,9 +51,10 @@ def servo_priors(joint: JointModel) -> Priors:
         if fitted.effect in RANDOM_EFFECTS:
             continue
         for one in named(fitted.effect).parameters:
-            p = scaled(one, joint.kp_Nm_per_rad, inertia)
-            name = f"{fitted.effect}.{p.name}"
-            parameters.append(Parameter(name, p.low, p.high, p.typical))
+            if one.name in fitted.parameters:
+                p = scaled(one, joint.kp_Nm_per_rad, inertia)
+                name = f"{fitted.effect}.{p.name}"
+                parameters.append(Parameter(name, p.low, p.high, p.typical))
     return Priors(tuple(parameters))
 
 
