@@ -242,6 +242,8 @@ def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
     if not whole:
         short = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
         monkeypatch.setattr(demo, "QUICK", short)
+        monkeypatch.setattr(demo, "SEEDS", 2)
+        monkeypatch.setattr(demo, "REPEATS", 2)
         monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
     assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
