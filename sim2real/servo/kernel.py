@@ -49,7 +49,7 @@ def _same_clock(
     longest: Row,
 ) -> bool:
     """Whether two rows stop at the same events and take the same sub-steps between them."""
-    uneven = (active[row] | active[other]) & wp.static(~MOTOR_BIT & ARRIVAL_BITS)
+    uneven = (active[row] | active[other]) & wp.static(ARRIVAL_BITS)
     if signal[row] != signal[other] or longest[row] != longest[other] or uneven != 0:
         return False
     for k in range(wp.static(len(_CLOCK))):
