@@ -150,8 +150,12 @@ def _practical(oracle: Row) -> bool:
 
     True where that was not worked out.
     """
-    each = oracle.get("practical_of_each")
-    return bool(all(each.values())) if each else bool(oracle.get("practical", True))
+    if each := oracle.get("practical_of_each"):
+        return all(each.values())
+    if "practical" not in oracle and (plain := oracle.get("heldout_plain_rad")):
+        floor = oracle["heldout_floor_rad"]
+        return any(plain[joint] > RECOVERABLE * floor[joint] for joint in plain)
+    return bool(oracle.get("practical", True))
 
 
 def _named(said: Row) -> list[Row]:

@@ -155,6 +155,16 @@ def test_only_detectable_effects_must_be_noticed(code, challenge):
     assert counted(metrics["detection_all"]) == (2, 4)
 
 
+def test_what_hardly_moves_the_held_out_error_need_not_be_noticed(code, challenge):
+    floor = {"j1": 0.002, "j2": 0.002}
+    for plain in ({"j1": 0.00209, "j2": 0.002}, {"j1": 0.002, "j2": 0.00211}):
+        oracle = {"llr_total": 50.0, "heldout_floor_rad": floor, "heldout_plain_rad": plain}
+        challenge.add("single", [hidden("backlash", "link")], "consistent", oracle=oracle)
+    metrics = challenge.metrics(code)
+    assert counted(metrics["detection"]) == (0, 1)
+    assert counted(metrics["detection_all"]) == (0, 2)
+
+
 def test_first_group_exact_name_and_oracles_group(code, challenge):
     true, oracle = [hidden("backlash", "j1")], {"llr_total": 50.0, "group": ["backlash", "cogging"]}
 
