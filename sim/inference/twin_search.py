@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 FIRST = 8
 """Single effects that are refitted, of those that promise most."""
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
-_EACH, _SURELY = 3.0, 60.0
+_EACH, _SURELY = 3.0, 600.0
 """Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
 _AT_MOST = 3.0
