@@ -230,7 +230,7 @@ def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -
     heading = swim.heading
     c, s = np.cos(heading), np.sin(heading)
     whole = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
-    shown = np.array([observed(swim.t, track[e, :, :3], parameters[e]) for e in whole])
+    shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in whole])
     out[whole, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
     out[whole, :, 3:] = track[whole, :, 3:]
     u, v = np.array([[one.get(name, 0.0) for one in parameters] for name in _CURRENT])[..., None]

@@ -139,18 +139,19 @@ def _shared(problem: TwinSwims, found: Hypothesis[Fit]) -> tuple[Array, Array, f
     known = np.linalg.inv(problem.belief.covariance)
     off = problem.belief.mean - fit.x[base]
     pull[:B] -= known @ off
-    best = (-np.inf, off, problem.belief.covariance, 1.0)
+    best = -np.inf
+    told: tuple[Array, Array, float] = (off, problem.belief.covariance, 1.0)
     for scale in _SCALES:
         prior = np.zeros_like(normal)
         prior[:B, :B] = known
         each = np.tile(1 / np.square(scale * problem.belief.imitation), count)
         prior[np.arange(B, len(prior)), np.arange(B, len(prior))] = each
-        whole = np.linalg.inv(normal + prior)
+        whole: Array = np.asarray(np.linalg.inv(normal + prior), dtype=np.float64)
         size = np.linalg.slogdet(normal + prior)[1] - np.log(each).sum()
         worth = 0.5 * float(pull @ whole @ pull) - 0.5 * size
-        if worth > best[0]:
-            best = (worth, -(whole @ pull)[:B], whole[:B, :B], scale)
-    return best[1:]
+        if worth > best:
+            best, told = worth, (-(whole[:B] @ pull), whole[:B, :B], scale)
+    return told
 
 
 def searched(
