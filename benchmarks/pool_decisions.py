@@ -4,9 +4,9 @@
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
 thresholds whose answers are best; prints what they are worth with whole robots left out. The others
-are those of ``pool_guess*.json``. What a model has to bring on the end of its swim to be offered is
-read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them.
-Writes
+stay as they are. What a model has to bring on the end of its swim to be offered is
+read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them,
+where RESULTS are there. Writes
 ``decisions`` of ``sim/inference/law_error.json``, or of ``law_error_in_water.json``.
 """
 
@@ -22,19 +22,22 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decision_curves import logistic
-from benchmarks.pool_law_error import GUESS, GUESS_IN_WATER
 from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim2real.output import write_json
 
 Numbers = dict[str, float]
 
-LEVELS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.999)
-FLAGGED = {
-    "something": LEVELS, "something alone": LEVELS, "unlisted from": (0.15, 0.2, 0.3, 0.4, 0.5),
+LEVELS = {
+    "alike": (1.0, 2.5, 4.0, 6.0), "alike_imitated": (2.5, 5.0, 8.0, 12.0),
+    "flagged from": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 }  # fmt: skip
-"""Where thresholds are looked for: of the probability that anything is there, and that something is
-that the catalogue lacks, from which a swim counts as flagged."""
+"""Where thresholds are looked for: evidence within which others do as well, and the probability
+that anything is there from which a swim counts as flagged."""
+_WIDE = 0.1
+"""What each further name in the first group of a single effect costs."""
+DETECTABLE = 10.0
+"""Log-likelihood ratio of one who knows the water from which something can be seen."""
 _AT_ONCE = 3
 _FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
@@ -60,6 +63,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
             "both",
             "abstains",
             "wrong",
+            "further",
         )
     }
     stated: list[tuple[float, bool]] = []
@@ -75,7 +79,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
         counts["wrong"] += [float(not ok) for ok in sure]
         likely = [one for one in said.named if one.probability >= 0.5]
         flagged = said.verdict != "consistent"
-        seen = truth["oracle"]["llr_total"] >= 10
+        seen = truth["oracle"]["llr_total"] >= DETECTABLE
         if truth["kind"] == "null":
             counts["false_alarm"].append(float(bool(sure)))
             counts["flagged_null"].append(float(flagged))
@@ -86,6 +90,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
             counts["detection"].append(float(flagged))
         if truth["kind"] == "single" and seen:
             counts["group_first"].append(float(bool(right) and right[0]))
+            counts["further"].append(len(said.named[0].group) - 1.0 if said.named else 0.0)
         if truth["kind"] == "double" and seen:
             met = sum(any(_right(one.group, [h]) for one in likely) for h in hidden)
             counts["both"].append(float(met == 2 and len(likely) == 2))
@@ -118,7 +123,7 @@ def worth(found: dict[str, float]) -> float:
     return (
         found["detection"] + found["group_first"] + 0.8 * found["both"] + found["abstains"]
         - 6 * over("false_alarm", 0.0) - 4 * over("wrong", 0.015) - 3 * over("ece", 0.05)
-        - max(0.0, found["flagged_null"] - 0.05)
+        - max(0.0, found["flagged_null"] - 0.05) - _WIDE * found["further"]
     )  # fmt: skip
 
 
@@ -146,26 +151,23 @@ def choose(
     """Numbers whose answers to the development set are best."""
     cases = []
     for challenge, place, results in zip(sets, verdicts, graded, strict=True):
-        foretold = {row["case"]: row["heldout"] for row in json.loads(results.read_text())["cases"]}
+        rows = json.loads(results.read_text())["cases"] if results.exists() else []
+        foretold = {row["case"]: row["heldout"] for row in rows}
         for one in json.loads((challenge / "answers.json").read_text())["cases"]:
             path = place / one["case"] / "raw.json"
             if path.exists():
                 truth = one | {"robot": f"{challenge.name} {one['robot']}"}
-                truth["foretold"] = foretold[one["case"]]
+                truth["foretold"] = foretold.get(one["case"])
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
     out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
     parts = [[c for c in cases if c[0]["robot"] not in some] for some in out]
-    guess = GUESS_IN_WATER if target == IN_WATER else GUESS
-    first = json.loads(guess.read_text())["decisions"] | {
-        name: levels[-1] for name, levels in FLAGGED.items()
-    }
-    begun = [first] * (_FOLDS + 1)
+    begun = [content["decisions"]] * (_FOLDS + 1)
     with ProcessPoolExecutor(_AT_ONCE) as pool:
         *found, best = pool.map(tuned, [*parts, cases], begun)
-    best |= offering(cases, best)
+    best |= offering([c for c in cases if c[0]["foretold"]], best)
     apart = [
         (t, decide(f, numbers))
         for numbers, some in zip(found, out, strict=True)
@@ -182,12 +184,13 @@ def choose(
 
 def offering(cases: Cases, numbers: Numbers) -> Numbers:
     """What a set has to bring on the end of a swim, so that hardly one foretells another worse."""
-    best, top = {}, -np.inf
+    best: Numbers = {}
+    top = -np.inf
     for gain in _GAINS:
         for better in _BETTER:
             trial = numbers | {"held_gain": float(gain), "held_better": float(better)}
             lower = np.array([_lower(truth, decide(found, trial)) for truth, found in cases])
-            if np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
+            if cases and np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
                 top = lower.mean()
                 best = {name: trial[name] for name in ("held_gain", "held_better")}
     return best
@@ -225,35 +228,43 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> f
 
 
 def tuned(cases: Cases, begun: Numbers) -> Numbers:
-    """Numbers that decide best: curves of odds, and from where a swim is flagged.
+    """Numbers that decide best: curves of odds, what is alike, and from where a swim is flagged.
 
     The others stay as they begin: searched at random, they answered robots left out worse.
     """
     best = curves(cases, begun | usually(cases))
-    for name, levels in FLAGGED.items():
-        trials = [best | {name: level} for level in levels]
+    for name, levels in LEVELS.items():
+        trials = [curves(cases, best | {name: level}) for level in levels]
         best = max(trials, key=lambda one: worth(judged([(t, decide(f, one)) for t, f in cases])))
-    return curves(cases, best)
+    return best
 
 
 def curves(cases: Cases, numbers: Numbers) -> Numbers:
-    """Weights of both logistic curves: of something that the catalogue lacks, and of names."""
-    flat = {f"{which} {k}": 0.0 for which in ("odds", "strange") for k in range(8)}
-    said = [(truth, decide(found, flat | numbers)) for truth, found in cases]
-    strange = logistic(
-        np.array([strange_terms(one.strange) for _, one in said]),
-        np.array([truth["kind"] == "outside" for truth, _ in said], dtype=np.float64), _PRIOR,
-    )  # fmt: skip
-    out = {k: v for k, v in numbers.items() if not k.startswith(("odds", "strange"))}
-    out |= {f"strange {k}": float(v) for k, v in enumerate(strange)}
-    said = [(truth, decide(found, flat | out)) for truth, found in cases]
+    """Weights of the logistic curves: of something that the catalogue lacks, anything, and names.
+
+    What nobody could see is no example of anything that is there.
+    """
+    terms = {"odds": 9, "strange": 8, "there": 8}
+    out = numbers | {f"{which} {k}": 0.0 for which, n in terms.items() for k in range(n)}
+    said = [(truth, decide(found, out)) for truth, found in cases]
+    outside = [truth["kind"] == "outside" for truth, _ in said]
+    out |= weights("strange", [strange_terms(one.strange) for _, one in said], outside)
+    clear = [
+        (truth["kind"] != "null", strange_terms(one.strange))
+        for truth, one in said
+        if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
+    ]
+    out |= weights("there", [terms for _, terms in clear], [there for there, _ in clear])
+    said = [(truth, decide(found, out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
-    odds = logistic(
-        np.array([terms_of(one.spoken) for _, one in names]),
-        np.array([_right(one.group, _hidden(truth)) for truth, one in names], dtype=np.float64),
-        _PRIOR,
-    )
-    return out | {f"odds {k}": float(v) for k, v in enumerate(odds)}
+    right = [_right(one.group, _hidden(truth)) for truth, one in names]
+    return out | weights("odds", [terms_of(one.spoken) for _, one in names], right)
+
+
+def weights(which: str, terms: Sequence[Sequence[float]], right: Sequence[bool]) -> Numbers:
+    """Of a curve, as decisions hold them."""
+    found = logistic(np.array(terms), np.array(right, dtype=np.float64), _PRIOR)
+    return {f"{which} {k}": float(v) for k, v in enumerate(found)}
 
 
 def main() -> None:

@@ -5,6 +5,7 @@
 What a calibrated twin still gets wrong of them, by signal and band, and what effects it imitates,
 by expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
 (1977) 1). A fit bends to what is thought to be the error, so fitting and learning take turns.
+Goes on from what was learned before, which counts for the swims and robots that it is from.
 Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
 ``datasets/pool/sealed_water.py`` for each set, ``law_error_in_water.json``.
 """
@@ -33,7 +34,6 @@ from sim.inference.law_error import (
     IN_WATER,
     RELATIVE,
     ROWS,
-    SCHEMA,
     LawError,
     read_law_error,
 )
@@ -47,16 +47,15 @@ from sim2real.robot import Robot, read_robot
 
 Array = NDArray[np.float64]
 
-GUESS = Path(__file__).with_name("pool_guess.json")
-"""Where learning begins, by hand: what few swims know nothing of stays near it."""
-GUESS_IN_WATER = Path(__file__).with_name("pool_guess_in_water.json")
-"""The same of a twin that the fluid puts right: a third of it."""
 Files = tuple[Path, ...]
 _STEPS = 20
-_LEAST, _MOST = 0.15, 3.5
-"""Of a guess, between which an imitation stays: columns that all but cancel would run away."""
-_WORTH, _WILD = 10.0, 0.1
-"""Swims that the guess counts for; share of the largest that is left out."""
+_LEAST, _MOST = 0.3, 3.0
+"""Of what was known, between which an imitation stays: columns that all but cancel would run
+away."""
+_WILD = 0.1
+"""Share of the largest that is left out."""
+_WIDER = 1.3
+"""What is allowed for in how far robots differ, since few were seen."""
 
 
 def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum]:
@@ -144,9 +143,12 @@ Numbers = dict[str, float]
 
 
 def sizes(
-    swims: list[dict[str, Any]], shares: Array, imitated: Numbers, guess: Numbers
+    swims: list[dict[str, Any]], shares: Array, imitated: Numbers, before: LawError, worth: float
 ) -> tuple[Array, Numbers]:
-    """One round of EM: shares and imitations from what is left of all swims."""
+    """One round of EM: shares and imitations from what is left of all swims.
+
+    What was known ``before`` counts for ``worth`` swims.
+    """
     square: dict[str, list[float]] = {}
     left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
     for one in swims:
@@ -179,30 +181,38 @@ def sizes(
                 left[rows[k]][b].append(float(share))
     fresh = {}
     for kind, values in square.items():
+        known = before.imitated[kind]
         kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
-        total = float(kept.sum()) + _WORTH * guess[kind] ** 2
-        sd = float(np.sqrt(total / (len(kept) + _WORTH)))
-        most = _MOST * (2 if kind == "added_mass.ratio" else 1)
-        fresh[kind] = float(np.clip(sd, _LEAST * guess[kind], most * guess[kind]))
-    found = np.array([[np.mean(cell) for cell in row] for row in left])
+        sd = float(np.sqrt((kept.sum() + worth * known**2) / (len(kept) + worth)))
+        fresh[kind] = float(np.clip(sd, _LEAST * known, _MOST * known))
+    sums, counts = (np.array([[f(cell) for cell in row] for row in left]) for f in (sum, len))
+    found = (sums + worth * before.shares**2) / (counts + worth)
     return np.sqrt(np.maximum(found, 1e-6)), fresh
 
 
-def learned_from(robots: Sequence[Learned], guess: LawError, *, in_water: bool) -> dict[str, Any]:
-    """What is kept of the twin's error, from swims near their fits."""
+def learned_from(
+    robots: Sequence[Learned], before: LawError, known_from: str, *, in_water: bool
+) -> dict[str, Any]:
+    """What is kept of the twin's error, from swims near their fits and from what was known."""
     swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
-    shares, guessed = guess.shares, dict(guess.imitated)
-    imitated = dict(guessed)
+    earlier = [int(word) for word in known_from.split() if word.isdigit()]
+    worth, others = (earlier + [0, 0])[:2]
+    shares, imitated = before.shares, dict(before.imitated)
     for _ in range(_STEPS):
-        shares, fresh = sizes(swims, shares, imitated, guessed)
+        shares, fresh = sizes(swims, shares, imitated, before, worth)
         imitated |= fresh
-    usual = {k: float(np.mean([law[k] for law in laws])) for k in laws[0]}
-    unknown = dict(guess.unknown)
-    for k in usual:
-        spread = float(np.std([law[k] for law in laws], ddof=1))
-        unknown[k] = float(np.hypot(1.3 * spread, imitated[k]))
-    for k in [k for k in unknown if k.startswith("servo")]:
-        unknown[k] = float(np.hypot(unknown[k], imitated[k]))
+    usual, unknown = {}, {}
+    for k in before.unknown:
+        own = max(before.unknown[k] ** 2 - before.imitated[k] ** 2, 0.0)
+        if k in laws[0]:
+            found = np.array([law[k] for law in laws])
+            was = (before.shift if in_water else before.usual).get(k, 0.0)
+            usual[k] = float((others * was + found.sum()) / (others + len(found)))
+            own = _WIDER**2 * np.sum((found - usual[k]) ** 2) + others * (
+                own + (_WIDER * (was - usual[k])) ** 2
+            )
+            own = own / (others + len(found) - 1)
+        unknown[k] = float(np.sqrt(own + imitated[k] ** 2))
     return {
         "shares": {
             row: dict(zip(BANDS, map(float, found), strict=True))
@@ -210,7 +220,8 @@ def learned_from(robots: Sequence[Learned], guess: LawError, *, in_water: bool) 
         },
         "imitated": imitated, "unknown": unknown,
         "usual": {} if in_water else usual, "shift": usual if in_water else {},
-        "from": f"{len(swims)} swims of {len(laws)} robots in which nothing is missing",
+        "from": f"{worth + len(swims)} swims of {others + len(laws)} robots in which nothing is "
+        "missing",
     }  # fmt: skip
 
 
@@ -222,12 +233,12 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args()
-    target, begun = (IN_WATER, GUESS_IN_WATER) if options.water else (FILE, GUESS)
-    content = json.loads((target if target.exists() else FILE).read_text()) | {"schema": SCHEMA}
-    guess = known = read_law_error(begun)
+    target = IN_WATER if options.water else FILE
+    content = json.loads(target.read_text())
+    before = known = read_law_error(target)
     for _ in range(options.turns):
         robots = swims_near(options.sets, options.water, options.processes, known)
-        found = learned_from(robots, guess, in_water=bool(options.water))
+        found = learned_from(robots, before, content["from"], in_water=bool(options.water))
         write_json(target, content | found)
         print(json.dumps(found, indent=1))
         known = read_law_error(target)

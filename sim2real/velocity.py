@@ -20,11 +20,11 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
 
     Args:
         t: Times in s, shape (T,), increasing; taken as even.
-        pose: x, y in m and heading in rad, shape (T, 3), NaN where missing.
+        pose: x, y in m and heading in rad, shape (..., T, 3), NaN where missing.
         window_s: Length of the window in s.
 
     Returns:
-        Surge and sway in m/s, yaw rate in rad/s, shape (T, 3).
+        Surge and sway in m/s, yaw rate in rad/s, shape (..., T, 3).
 
     Raises:
         ValueError: If there are fewer than five poses.
@@ -32,19 +32,25 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
     period = float(np.median(np.diff(t)))
     odd = 2 * max(1, round(window_s / period / 2)) + 1
     size = min(max(odd, 5), t.size - 1 + t.size % 2)
-    filled = np.empty_like(pose)
+    filled = np.array(pose, dtype=np.float64)
+    for place in np.ndindex(filled.shape[:-2]):
+        _bridge(t, filled[place])
+    slope = savgol_filter(filled, size, 2, deriv=1, delta=period, axis=-2)
+    heading = savgol_filter(filled[..., 2], size, 2, axis=-1)
+    c, s = np.cos(heading), np.sin(heading)
+    surge = c * slope[..., 0] + s * slope[..., 1]
+    sway = c * slope[..., 1] - s * slope[..., 0]
+    return np.stack([surge, sway, slope[..., 2]], axis=-1)
+
+
+def _bridge(t: Array, pose: Array) -> None:
+    """Draw lines where poses (T, 3) are missing; the heading goes on past half a turn."""
     for k in range(3):
         known = np.isfinite(pose[:, k])
         if known.sum() < 5:
             raise ValueError(f"{known.sum()} poses, five are needed")
         values = np.unwrap(pose[known, k]) if k == 2 else pose[known, k]
-        filled[:, k] = np.interp(t, t[known], values)
-    slope = savgol_filter(filled, size, 2, deriv=1, delta=period, axis=0)
-    heading = savgol_filter(filled[:, 2], size, 2)
-    c, s = np.cos(heading), np.sin(heading)
-    surge = c * slope[:, 0] + s * slope[:, 1]
-    sway = c * slope[:, 1] - s * slope[:, 0]
-    return np.stack([surge, sway, slope[:, 2]], axis=1)
+        pose[:, k] = values if known.all() else np.interp(t, t[known], values)
 
 
 NEWEST = 5

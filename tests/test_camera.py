@@ -24,6 +24,8 @@ def test_a_heading_that_wraps_and_poses_that_are_missing_do_no_harm():
     pose[50:54] = np.nan
     found = body_velocity(T, pose)[10:-10]
     assert found[:, 2] == pytest.approx(1.0, abs=1e-3)
+    many = body_velocity(T, np.stack([POSE, pose]))
+    np.testing.assert_array_equal(many[1, 10:-10], found)
     with pytest.raises(ValueError, match="five are needed"):
         body_velocity(T, np.full_like(pose, np.nan))
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.diagnose_swims import diagnosis_of
+from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import beside, by_twin_in_water, read_water_swims, robot_in_water
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
@@ -80,7 +80,7 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
     assert said.baseline is not None
     if not again:
         write_model(said.baseline, target / "baseline.json")
-        there = beside(model, said.model)
+        there = beside(model, likely_model(found, known, referred=referred))
         if values(there):
             write_model(there, target / BESIDE)
     offered = said.model if values(said.model) else read_model(target / "baseline.json")

@@ -229,14 +229,13 @@ def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -
     out = np.full((len(track), swim.t.size, track.shape[2]), np.nan)
     heading = swim.heading
     c, s = np.cos(heading), np.sin(heading)
-    for e, given in enumerate(parameters):
-        if not np.isfinite(track[e]).all():
-            continue
-        out[e, :, :3] = body_velocity(swim.t, observed(swim.t, track[e, :, :3], given))
-        out[e, :, 3:] = track[e, :, 3:]
-        u, v = (given.get(name, 0.0) for name in _CURRENT)
-        out[e, :, 0] += c * u + s * v
-        out[e, :, 1] += c * v - s * u
+    whole = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
+    shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in whole])
+    out[whole, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
+    out[whole, :, 3:] = track[whole, :, 3:]
+    u, v = np.array([[one.get(name, 0.0) for one in parameters] for name in _CURRENT])[..., None]
+    out[..., 0] += c * u + s * v
+    out[..., 1] += c * v - s * u
     return out
 
 

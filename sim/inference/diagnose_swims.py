@@ -75,12 +75,24 @@ def diagnose_swims(
     """
     before = learned(references, model, robot, simulate, known)
     found = searched(swims, model, robot, simulate, before, progress)
-    said = diagnosis_of(found, robot, known, referred=bool(references))
-    beside = again(said.model)
-    if beside is None:
-        return said
-    found = searched(swims, model, robot, beside, before)
+    beside = again(likely_model(found, known, referred=bool(references)))
+    if beside is not None:
+        found = searched(swims, model, robot, beside, before)
     return diagnosis_of(found, robot, known, referred=bool(references))
+
+
+def likely_model(found: Searched, known: LawError, *, referred: bool) -> Model:
+    """The model with what is likely, whether it is offered or not: the fluid swims again with it.
+
+    Args:
+        found: The search.
+        known: The twin's error and the thresholds.
+        referred: Whether swims in which nothing is missing were known.
+    """
+    said = decide(raw(found, referred=referred), known.decisions)
+    likely = {one.name for one in said.named if one.probability >= LIKELY}
+    fit = next(h.fit for h in found.found if set(names_of(h.members)) == likely)
+    return found.problem.coordinates.model_at(fit.x)
 
 
 def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bool) -> Diagnosis:

@@ -231,7 +231,9 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         known = water.steps.get(key(swim))
-        track = twin(models, swim)
+        still = [repr(replace(one, body={**one.body, "water": None})) for one in models]
+        _, first, which = np.unique(still, return_index=True, return_inverse=True)
+        track = twin([models[k] for k in first], swim)[which]
         if known is None and swim.pose is None:
             return track  # a swim that is only planned
         if known is None:

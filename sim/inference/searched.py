@@ -35,6 +35,8 @@ HELD_OUT = 0.3
 """Share of each swim that decides whether what is named predicts better."""
 _ITS_OWN = (0.5, 6.0)
 """How much better or worse (in squares) than usual the twin may be for a robot."""
+_SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
+"""How much further than usual a robot's swims may be from its law."""
 _RIVALS = 4
 _CLOSE = 10.0
 """Evidence within which a rival is fitted as carefully as the best."""
@@ -63,8 +65,7 @@ class Searched:
         problem: The swims.
         plain: The fit with nothing missing.
         found: Every set that was tried, best first.
-        best: The best of them.
-        parts: The best without each of its members, and what has those parts alone.
+        best: The best of them that has an effect, be it worth saying or not.
         nameless: Evidence that shapes without a name add to the plain fit and to the best.
         held: Held-out loss and error of the speed (m/s) by set.
         misfit: Mean square of the best fit's weighted errors by signal and band, shape (4, 3).
@@ -112,10 +113,45 @@ def learned(
     problem = TwinSwims(coordinates, references, simulate, usual)
     found = problem.plain()
     base = coordinates.base
-    spread = problem.covariance(frozenset(), found.fit.near)[np.ix_(base, base)]
-    own = np.diag(np.square(imitation[base]))
     wrong = np.sqrt(np.clip(_misfit(problem, found), *_ITS_OWN))
-    return Belief(found.fit.x[base], spread + own, imitation, known.shares * wrong)
+    off, spread, scale = _shared(problem, found)
+    imitation = scale * imitation
+    own = np.diag(np.square(imitation[base]))
+    return Belief(found.fit.x[base] + off, spread + own, imitation, known.shares * wrong)
+
+
+def _shared(problem: TwinSwims, found: Hypothesis[Fit]) -> tuple[Array, Array, float]:
+    """How far a robot's law is from a fit of its swims, covariance of that, scale of its swims.
+
+    Near the fit each swim has coordinates of its own about a law that is the robot's; how far they
+    are from it, over what is usual, is the likeliest of ``_SCALES``.
+    """
+    fit, base, F = found.fit, np.array(problem.coordinates.base), found.fit.x.size
+    count, B = len(problem.swims), len(problem.coordinates.base)
+    columns = np.zeros((fit.rows.size, B + count * F))
+    columns[:, :B] = fit.near.slope[:, base]
+    at = 0
+    for k, weight in enumerate(problem.weights):
+        part = slice(at, at + weight.size)
+        columns[part, B + k * F : B + (k + 1) * F] = fit.near.slope[part]
+        at += weight.size
+    normal, pull = columns.T @ columns, columns.T @ fit.rows
+    known = np.linalg.inv(problem.belief.covariance)
+    off = problem.belief.mean - fit.x[base]
+    pull[:B] -= known @ off
+    best = -np.inf
+    told: tuple[Array, Array, float] = (off, problem.belief.covariance, 1.0)
+    for scale in _SCALES:
+        prior = np.zeros_like(normal)
+        prior[:B, :B] = known
+        each = np.tile(1 / np.square(scale * problem.belief.imitation), count)
+        prior[np.arange(B, len(prior)), np.arange(B, len(prior))] = each
+        whole: Array = np.asarray(np.linalg.inv(normal + prior), dtype=np.float64)
+        size = np.linalg.slogdet(normal + prior)[1] - np.log(each).sum()
+        worth = 0.5 * float(pull @ whole @ pull) - 0.5 * size
+        if worth > best:
+            best, told = worth, (-(whole[:B] @ pull), whole[:B, :B], scale)
+    return told
 
 
 def searched(
@@ -147,7 +183,7 @@ def searched(
 
     done: set[Members] = set()
     for _ in range(2):
-        order = sorted(tried.values(), key=worth, reverse=True)
+        order = sorted((h for h in tried.values() if h.members), key=worth, reverse=True)
         close = [one for one in order[: _RIVALS + 1] if worth(one) > worth(order[0]) - _CLOSE]
         parts = [tried[p] for p in _parts(order[0].members) if p in tried]
         for one in {h.members: h for h in [*close, *parts] if h.members}.values():
@@ -156,7 +192,7 @@ def searched(
                 done.add(one.members)
     progress(0.9)
     order = sorted(tried.values(), key=worth, reverse=True)
-    best = order[0]
+    best = next(one for one in order if one.members)
     held = {}
     for members in [frozenset(), *_parts(best.members), best.members]:
         if members in tried and members not in held:

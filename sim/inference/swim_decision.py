@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
 Spoken = tuple[float, ...]
-Strange = tuple[float, float, float, float, float]
+Strange = tuple[float, float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
@@ -68,7 +68,7 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
-    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0)
+    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
@@ -82,7 +82,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     worth = {_names(one): one["evidence"] - cost * len(one["names"]) for one in raw["sets"]}
     settled = {_names(one) for one in raw["sets"] if one["settled"]}
     held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
-    best = max((s for s in held if s in settled), key=lambda s: worth[s])
+    best = max((s for s in held if s and s in settled), key=lambda s: worth[s])
     offered = _predicting(best, held, worth, numbers)
     keys = list(worth)
     level = np.array([worth[s] for s in keys]) / heat
@@ -95,25 +95,29 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     shape, more = max(beyond.items(), key=lambda one: one[1])
     usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
-    something = 1.0 - float(sum(p for s, p in zip(keys, share, strict=True) if not s))
+    ahead = worth[best] - worth[frozenset()]
+    instead = max(
+        gain - numbers[f"usual {shape.split()[0]}"]
+        for shape, gain in raw["nameless"]["plain"].items()
+    )
     helps = _helps(best, frozenset(), held)
     alone = 0.0 if raw.get("referred", True) else 1.0
-    strange = (more, off, worth[best] - worth[frozenset()], helps, alone)
-    enough = numbers["something alone" if alone else "something"]
+    strange = (more, off, ahead, helps, alone, instead - ahead)
     unlisted = _odds(strange_terms(strange), "strange", numbers)
+    flagged = _odds(strange_terms(strange), "there", numbers) >= numbers["flagged from"]
     gains = {
         name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
     }
     named = []
     for name, gain in gains.items():
         group = _group(name, best, worth, numbers)
-        if something >= enough and len(best) == 1:
+        if flagged and len(best) == 1:
             group = _widened(group, keys, share)
         rest = best - {name}
         margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
         spoken = (
             margin, gain, float(len(group)), more, off, _helps(best, rest, held),
-            float(name[0] in IMITATORS), float(gain < max(gains.values())),
+            float(name[0] in IMITATORS), float(gain < max(gains.values())), unlisted,
         )  # fmt: skip
         certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
@@ -124,7 +128,6 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: -one[1])
-    flagged = unlisted >= numbers["unlisted from"] or something >= enough
     return Decided(
         _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
         unlisted, shape, strange,
@@ -165,27 +168,29 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
         spoken: By how much evidence the set is ahead of all that lack its group, what it adds
             itself, how many its group has, how much a shape without a name would add, how much more
             is left than usual, how much likelier it makes what was held out, whether it is an
-            imitator, and whether another brings more.
+            imitator, whether another brings more, and the probability that something is there that
+            the catalogue lacks.
     """
-    margin, gain, many, more, off, helps, imitates, second = spoken
+    margin, gain, many, more, off, helps, imitates, second, unlisted = spoken
     return (
         1.0, _log(margin), float(np.log(many)), max(_log(more) - _log(gain), 0.0),
         float(np.clip(off, -2, 4)), _log(helps), imitates, second,
+        -float(np.log(max(1 - unlisted, 1e-3))),
     )  # fmt: skip
 
 
 def strange_terms(strange: Strange) -> tuple[float, ...]:
-    """What the odds of something that the catalogue lacks are a sum of.
+    """What the odds of something that the catalogue lacks, or of anything, are a sum of.
 
     Args:
         strange: How much a shape without a name would add, how much more is left than usual, the
-            evidence of the best set, how much likelier that makes what was held out, and whether
-            no references were known.
+            evidence of the best set, how much likelier that makes what was held out, whether
+            no references were known, and by how much a shape alone is ahead of the best set.
     """
-    more, off, best, helps, alone = strange
+    more, off, best, helps, alone, instead = strange
     return (
         1.0, _log(more), float(np.clip(off, -2, 4)), _log(best), _log(helps),
-        max(_log(more) - _log(best), 0.0), alone,
+        max(_log(more) - _log(best), 0.0), alone, _log(instead),
     )  # fmt: skip
 
 

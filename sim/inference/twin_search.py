@@ -28,9 +28,12 @@ Array = NDArray[np.float64]
 FIRST = 8
 """Single effects that are refitted, of those that promise most."""
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
-_EACH, _SURELY = 3.0, 60.0
+_EACH, _SURELY = 3.0, 600.0
 """Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
+_AT_MOST = 3.0
+"""Standard deviations by which the twin's error may pass for an effect that is not there: what is
+more is no error, and slopes do not hold so far."""
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
 _JUMPS = (-2.0, 2.0, 6.0)
@@ -81,12 +84,21 @@ class TwinSwims:
             parts.append((error * weight).reshape(len(points), -1))
         return np.concatenate(parts, axis=1)
 
-    def slope(self, x: Array) -> tuple[Array, Slope]:
-        """Weighted errors at a point, and their derivatives by all columns."""
+    def slope(
+        self, x: Array, known: Slope | None = None, members: Members = frozenset()
+    ) -> tuple[Array, Slope]:
+        """Weighted errors at a point, and their derivatives by all columns.
+
+        With those that are ``known`` nearby, only what a fit with these members moves is renewed.
+        """
         points, base = self.coordinates.about(x)
-        rows = self.rows(self.coordinates.clipped(points))
-        step = self.coordinates.steps(x)
-        slope = ((rows[1:] - rows[base.astype(int)]) / step[:, None]).T
+        fresh = np.arange(x.size)
+        if known is not None:
+            fresh = np.flatnonzero(in_fit(self.coordinates.columns, members))
+        rows = self.rows(self.coordinates.clipped(points[np.concatenate([[0], fresh + 1])]))
+        of = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
+        slope = np.empty((rows.shape[1], x.size)) if known is None else known.slope.copy()
+        slope[:, fresh] = ((rows[1:] - rows[of]) / self.coordinates.steps(x)[fresh, None]).T
         return rows[0], Slope(x, slope, slope.T @ slope)
 
     def fitted(self, rows: Array) -> Array:
@@ -176,9 +188,11 @@ class TwinSwims:
         off = fit.x - self.centre(members)
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
-        step: Array = np.asarray(-np.linalg.solve(whole, gradient), dtype=np.float64)
+        absent = ~in_fit(self.coordinates.columns, members)
+        far = np.where(absent, _AT_MOST * self.belief.imitation, np.inf)
+        step = bounded(whole, gradient, np.stack([-far, far]))
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
-        loss += 0.5 * float(gradient @ step)
+        loss += float(gradient @ step) + 0.5 * float(step @ whole @ step)
         size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
         return loss, float(size), step
 
@@ -213,15 +227,15 @@ class TwinSwims:
             x = found.x
         return self._there(none, x)
 
-    def _there(self, members: Members, x: Array) -> Hypothesis[Fit]:
+    def _there(self, members: Members, x: Array, known: Slope | None = None) -> Hypothesis[Fit]:
         """A fit at a point, with slopes of its own."""
-        rows, near = self.slope(x)
+        rows, near = self.slope(x, known, members)
         fit = Fit(x, rows, self.judged(members, x, rows, near)[0], near, looked=True)
         return Hypothesis(members, fit, self.evidence(members, fit))
 
-    def polished(self, members: Members, fit: Fit) -> Hypothesis[Fit]:
+    def polished(self, members: Members, fit: Fit, known: Slope | None = None) -> Hypothesis[Fit]:
         """The fit with slopes of its own, and on along them."""
-        begun = self._there(members, fit.x).fit
+        begun = self._there(members, fit.x, known).fit
         (found,) = self._walk([(members, begun)], 2)
         return Hypothesis(members, found, self.evidence(members, found))
 
@@ -229,7 +243,7 @@ class TwinSwims:
         """A hypothesis whose fit has slopes of its own, and stays where it is with them."""
         for _ in range(rounds):
             before = found.fit.loss
-            found = self.polished(found.members, found.fit)
+            found = self.polished(found.members, found.fit, found.fit.near)
             if abs(before - found.fit.loss) < _SETTLED:
                 break
         return found

@@ -27,9 +27,9 @@ _GUSTS = tuple(float(x) for x in np.arange(0.1, 1.0, 0.1))
 _GUST_S, _GUST_M_S, _GUST_RAD_S = 1.5, 0.02, 0.15
 _SHAKEN_HZ = (0.5, 0.8, 1.1, 1.4)
 _BEND_RAD, _BEND_M = 0.2, 0.04
-_MOUNT_RAD_S = 0.02
+_MOUNT_RAD_S, _MOUNT_M_S = 0.02, 0.02
 _OTHER = ("twin.thrust", "twin.across", "twin.added_mass", "twin.along", "twin.linear")
-_OTHERWISE = 4.0
+_OTHERWISE = (4.0, 16.0)
 """How far a robot that became another is from what it was, in imitations of each column."""
 
 
@@ -65,13 +65,15 @@ def _families(problem: TwinSwims, fit: Fit) -> Iterator[tuple[str, Array]]:
     chosen = [c.place[name] for name in _OTHER] + [
         k for k, column in enumerate(c.columns) if column.kind == "servo.kp_Nm_per_rad"
     ]
-    size = _OTHERWISE * problem.belief.imitation[chosen]
+    size = problem.belief.imitation[chosen]
     for share in (0.35, 0.5, 0.65):
         late = np.concatenate([
             np.repeat((b.block >= round(share * len(b.edges))).astype(float), w.shape[1])
             for _, b, w in swims
         ])  # fmt: skip
-        yield f"change at {share:g}", fit.near.slope[:, chosen] * size * late[:, None]
+        for far in _OTHERWISE:
+            name = f"change at {share:g} by {far:g}"
+            yield name, fit.near.slope[:, chosen] * far * size * late[:, None]
 
 
 def _stacked(parts: list[Array], *, shared: bool = False) -> Array:
@@ -132,8 +134,15 @@ def _bend(swim: Swim) -> Array:
 
 
 def _mount(swim: Swim) -> Array:
-    out = np.zeros((1, *swim.signals.shape))
+    """A camera that turns about some place, and goes on."""
+    out = np.zeros((3, *swim.signals.shape))
+    c, s = np.cos(swim.heading), np.sin(swim.heading)
     out[0, :, 2] = _MOUNT_RAD_S
+    if swim.pose is not None:
+        x, y = _MOUNT_RAD_S * swim.pose[:, :2].T
+        out[0, :, 0], out[0, :, 1] = s * x - c * y, c * x + s * y
+    out[1, :, 0], out[1, :, 1] = _MOUNT_M_S * c, -_MOUNT_M_S * s
+    out[2, :, 0], out[2, :, 1] = _MOUNT_M_S * s, _MOUNT_M_S * c
     return out
 
 

@@ -9,19 +9,25 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
+from sim.inference import law_error
 from sim.inference.blocks import Blocks, bounds, spectrum
-from sim.inference.coordinates import Coordinates
+from sim.inference.coordinates import Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
-from sim.inference.law_error import LAW_ERROR
+from sim.inference.law_error import LAW_ERROR, read_law_error
 from sim.inference.parameters import candidates
 from sim.inference.problem import seen
+from sim.inference.searched import learned, searched
 from sim.inference.swim_decision import decide
 from sim.inference.swims import by_twin, swim_of, with_values
+from sim.inference.twin_search import TwinSwims
 from sim2real.body import values
 from sim2real.camera import observed
 from sim2real.cli import main
 from sim2real.recording import Recording
+from sim2real.velocity import body_velocity
+
+IN_WATER = read_law_error(law_error.IN_WATER)
 
 
 @pytest.fixture
@@ -146,6 +152,65 @@ def test_what_drags_can_imitate_is_a_group():
     (one,) = decide(raw(*sets), LAW_ERROR.decisions).named
     assert one.group == (DRAG, ROUGH)
     assert decide(raw(*sets), LAW_ERROR.decisions).verdict == "ambiguous"
+
+
+def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
+    """Turned about the pool's middle more and more, and carried off: a shape explains it best."""
+    swim, turned = swum({}), 0.015 * TIMES
+    pose = swim.pose.copy()
+    c, s = np.cos(turned), np.sin(turned)
+    pose[:, 0] = c * swim.pose[:, 0] - s * swim.pose[:, 1] + 0.006 * TIMES
+    pose[:, 1] = s * swim.pose[:, 0] + c * swim.pose[:, 1]
+    pose[:, 2] += turned
+    signals = np.concatenate([body_velocity(TIMES, pose), swim.signals[:, 3:]], axis=1)
+    simulate = by_followed_twin(FISH)
+    before = learned([], servos(), FISH, simulate, IN_WATER)
+    drifts = replace(swim, pose=pose, start=pose[0], signals=signals)
+    found = searched([drifts], servos(), FISH, simulate, before)
+    shapes = found.nameless["plain"]
+    assert max(shapes, key=shapes.__getitem__) == "mount"
+    assert shapes["mount"] > found.best.evidence - found.plain.evidence + 10
+
+
+def test_slopes_that_are_renewed_are_those_that_a_fit_moves(few):
+    simulate = by_followed_twin(FISH)
+    before = learned([], servos(), FISH, simulate)
+    problem = TwinSwims(Coordinates.of(FISH, servos()), [swum({})], simulate, before)
+    c = problem.coordinates
+    members = frozenset(e for e in c.effects if e.name == "pool_current")
+    x = c.nominal
+    _, known = problem.slope(x)
+    x[c.of_effect(*members)] = 0.02
+    (_, whole), (_, part) = problem.slope(x), problem.slope(x, known, members)
+    own = in_fit(c.columns, members)
+    np.testing.assert_allclose(part.slope[:, own], whole.slope[:, own], atol=1e-9)
+    np.testing.assert_array_equal(part.slope[:, ~own], known.slope[:, ~own])
+
+
+def test_what_is_there_is_not_passed_off_as_error(few):
+    """A strong skin, left out, seems to be there by no more than error may seem to be."""
+    simulate = by_followed_twin(FISH)
+    before = learned([], servos(), FISH, simulate, IN_WATER)
+    strong = swum({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+    problem = TwinSwims(Coordinates.of(FISH, servos()), [strong], simulate, before)
+    plain = problem.plain()
+    step = np.abs(problem.seems(plain.members, plain.fit))
+    absent = ~in_fit(problem.coordinates.columns, plain.members)
+    assert (step[absent] <= 3.001 * before.imitation[absent]).all()
+    assert (step[absent] > 2.999 * before.imitation[absent]).any()
+
+
+def test_swims_that_agree_tell_a_robot_that_is_steady():
+    """Two swims of the same gains are nearer to their robot than two whose gains differ."""
+    simulate, usual = by_followed_twin(FISH), replace(IN_WATER, shift={})
+    kp = servos().joints["j1"].kp_Nm_per_rad
+
+    def scale(other):
+        swims = [swum({}, seed=3), swum({"j1.kp_Nm_per_rad": other * kp}, seed=4)]
+        known = learned(swims, servos(), FISH, simulate, usual)
+        return known.imitation[0] / usual.imitation(Coordinates.of(FISH, servos()))[0]
+
+    assert scale(1.0) < 0.9 < 1.1 < scale(1.3)
 
 
 def test_a_shape_without_a_name_makes_it_abstain():

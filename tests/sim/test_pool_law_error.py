@@ -1,10 +1,13 @@
 """What is learned of the twin's error from swims in which nothing is missing."""
 
 import importlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from sim.inference.law_error import LAW_ERROR
 
 
 @pytest.fixture
@@ -28,7 +31,8 @@ def test_what_references_leave_uncertain_is_not_the_robots_change(sizes):
         for off in rng.normal(0, np.hypot(own, references), 200)
     ]  # fmt: skip
     imitated = {"twin.across": 0.1}
+    before = replace(LAW_ERROR, imitated=dict(imitated))
     for _ in range(25):
-        _, fresh = sizes(swims, np.full((4, 3), 0.1), imitated, {"twin.across": 0.05})
+        _, fresh = sizes(swims, np.full((4, 3), 0.1), imitated, before, 10.0)
         imitated |= fresh
     assert imitated["twin.across"] == pytest.approx(own, rel=0.35)
