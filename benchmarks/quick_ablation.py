@@ -99,7 +99,7 @@ def counted(told: dict[str, Any]) -> dict[str, Any]:
     drawn = {
         S: rates([among(told, rng.choice(seeds, S, replace=False)) for _ in range(DRAWS)])
         for S in (SEEDS, 8, 10, 12, 16)
-        if 2 * S <= len(seeds)
+        if len(seeds) >= 2 * S
     }
     return {
         "whole": {arm: said(one) for arm, one in differences(told).items()},
