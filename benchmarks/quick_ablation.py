@@ -51,6 +51,7 @@ def main() -> None:
     parser.add_argument("--updates-per-step", type=float, default=QUICK.settings.updates_per_step)
     parser.add_argument("--average", type=float, default=QUICK.settings.average)
     parser.add_argument("--energy-weight", type=float, default=QUICK.task.energy)
+    parser.add_argument("--arms", nargs="+", choices=PAPER, default=PAPER)
     parser.add_argument("--told", type=Path, nargs="+", default=[], metavar="FILE")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -73,7 +74,7 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
     """What an ablation of all the runs' seeds tells."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges, reality = read_ranges(POOL / "ranges.json"), s2r.read_model(POOL / "reality.json")
-    arms = [arm_of(name, model, robot, ranges) for name in PAPER]
+    arms = [arm_of(name, model, robot, ranges) for name in options.arms]
     seeds = tuple(range(options.seed, options.seed + SEEDS * options.runs))
     settings = replace(
         QUICK.settings, rate=options.learning_rate, updates_per_step=options.updates_per_step,
