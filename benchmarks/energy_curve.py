@@ -172,7 +172,7 @@ def _plain_ticks(axes: Any) -> None:  # noqa: ANN401
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        few = high / low > 12
+        few = high / low > 4
         axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1, 2, 3, 4, 5, 6, 8)))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_minor_formatter(FuncFormatter(lambda *_: ""))

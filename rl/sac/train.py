@@ -84,7 +84,7 @@ class Plan:
     settings: Settings = field(default_factory=Settings)
     view: View = field(default_factory=View)
     energy_start: float = 0.1
-    ramp: tuple[float, float] = (0.3, 0.35)
+    ramp: tuple[float, float] = (0.15, 0.25)
     gate: float = 0.7
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
@@ -10,6 +11,11 @@ import pytest
 from sim2real.cli import main
 
 pytest.importorskip("torch", reason="the extra 'rl' is not installed")
+
+from rl.commands.options import COMMANDS
+from rl.experiments.arms import ARMS
+from rl.sac.recipes import RECIPES
+from rl.task import TASKS
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 FILES = ["--robot", str(POOL / "robot.toml"), "--model", str(POOL / "model.json")]
@@ -72,3 +78,15 @@ def test_the_fifth_arm_needs_an_enriched_model(tmp_path, capsys):
     call = ["ablate", *files, "--arms", "all-and-effects", "--out", str(tmp_path)]
     assert main(call) == 2
     assert "--enriched" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["train", "evaluate", "ablate"])
+def test_the_options_offer_every_name_that_there_is(name):
+    """They repeat the names, as what defines them imports PyTorch."""
+    known = {"task": TASKS, "arms": ARMS, "recipe": RECIPES}
+    parser = argparse.ArgumentParser()
+    next(one for one in COMMANDS if one.name == name).add(parser)
+    offered = {one.dest: one.choices for one in parser._actions if one.dest in known}
+    assert offered, "a command of these has names to offer"
+    for option, choices in offered.items():
+        assert set(choices) == set(known[option])
