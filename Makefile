@@ -12,7 +12,7 @@ demo: .venv/installed   ## the main job on the shipped data, ending in an HTML r
 test: .venv/installed   ## lint, types and tests, in as many processes as there are cores
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers $(JOBS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not slow"
 
 test-all: test   ## the slow tests too
