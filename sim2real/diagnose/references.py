@@ -95,7 +95,8 @@ def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
     found = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in found.groups if group.probability >= DECISION.named]
-    rich = tried.base | {group.members[0] for group in named}
+    link = found.link.effect if found.link is not None else ""
+    rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
         kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
@@ -113,7 +114,8 @@ def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
         left=nameless,
         unknown=found.nameless,
         unmodelled=replace(finding.unmodelled, windows=found.windows),
-        link=None,
+        link=found.link,
+        place=0,
     )
 
 

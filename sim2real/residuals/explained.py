@@ -148,11 +148,11 @@ def _noise(trace: Trace) -> float:
 
 
 def _settles_s(row: Array, inertia: float) -> float:
-    """Time in which the servo has forgotten what was sent: its latency and five time constants."""
+    """Time in which a servo forgets all but e^-12 of what was sent: six of a million."""
     total = inertia + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
-    return float(np.clip(latency + 5 / max(rate, 1e-9), *_FORGOTTEN_S))
+    return float(np.clip(latency + 12 / max(rate, 1e-9), *_FORGOTTEN_S))
 
 
 def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
@@ -222,10 +222,11 @@ def directions(of: Explained) -> Directions:
     return Directions(tuple(names), table[1:], signed, moved)
 
 
-def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array]:
+def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array, Array]:
     """Free each direction in some recordings only, what the law shares in all.
 
-    Least squares, linear in all parameters, one variance for all recordings.
+    Least squares, linear in all parameters, one variance for all recordings. Where it is free in
+    references, the case is left out: what changed there is nothing that references leave.
 
     Args:
         of: The recordings.
@@ -233,15 +234,15 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
         own: Those in which it is free.
 
     Returns:
-        What it takes away from them, as a mean square in rad2, and its size in multiples of the
-        start, each of shape (K,).
+        What it takes away from them, as a mean square in rad2, its size in multiples of the start,
+        and the mean square that is left of them, each of shape (K,).
     """
     K, F = len(by.names), of.precision.shape[0]
     normal, slope = of.variance * of.precision, np.zeros(F)
-    cross, along, square, count = np.zeros((F, K)), np.zeros(K), np.zeros(K), 0
-    for r, left in enumerate(of.left):
+    cross, along, square = np.zeros((F, K)), np.zeros(K), np.zeros(K)
+    for r in {*range(of.references), *own}:
         seen = of.seen(r)
-        J, e = of.shared[r][seen], left[seen]
+        J, e = of.shared[r][seen], of.left[r][seen]
         normal = normal + J.T @ J
         slope = slope + J.T @ e
         if r in own:
@@ -249,22 +250,51 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
             cross += J.T @ D.T
             along += D @ e
             square += (D**2).sum(axis=1)
-            count += e.size
+    count = sum(int(np.count_nonzero(of.seen(r))) for r in own)
     if not count:
-        return np.zeros(K), np.zeros(K)
+        return np.zeros(K), np.zeros(K), np.zeros(K)
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) if F else normal
     along = along - cross.T @ (inverse @ slope)
     free = square - np.einsum("fk,fg,gk->k", cross, inverse, cross)
     told = free > 1e-6 * square + 1e-30
     size = np.where(told, along / np.where(told, free, 1.0), 0.0)
     size[(size < 0) & ~by.signed] = 0.0
-    return np.where(told, size * along, 0.0) / count, size
+    law = inverse @ (slope[:, None] - cross * size)
+    left = np.zeros(K)
+    for r in own:
+        seen = of.seen(r)
+        rest = of.left[r][seen][:, None] - of.shared[r][seen] @ law
+        left += ((rest - by.moved[r][:, seen].T * size) ** 2).sum(axis=0)
+    return np.where(told, size * along, 0.0) / count, size, left / count
 
 
 def energy(of: Explained, places: Sequence[int]) -> float:
     """Mean square of what is left of some recordings, rad2; 0 where nothing is looked at."""
     every = np.concatenate([of.left[r][of.seen(r)] for r in places])
     return float(np.mean(every**2)) if every.size else 0.0
+
+
+def _refit(of: Explained) -> tuple[Array, float]:
+    """What the law shares as it explains all recordings best, (F,), and what is left, rad2."""
+    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
+    for r, left in enumerate(of.left):
+        seen = of.seen(r)
+        J, e = of.shared[r][seen], left[seen]
+        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
+    law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope
+    return law, total - float(slope @ law)
+
+
+def loss(of: Explained) -> float:
+    """Sum of squares that is left of all recordings, what they share at its best, rad2."""
+    return _refit(of)[1]
+
+
+def settled(of: Explained) -> Explained:
+    """The same, less what the law explains better with what it shares at its best."""
+    law, _ = _refit(of)
+    pairs = zip(of.left, of.shared, strict=True)
+    return replace(of, left=tuple(left - slopes @ law for left, slopes in pairs))
 
 
 def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
