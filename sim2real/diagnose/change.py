@@ -30,6 +30,7 @@ from sim2real.residuals.explained import (
     energy,
     explained,
     first_look,
+    first_pairs,
     fitted,
     loss,
     settled,
@@ -411,20 +412,29 @@ def _leaves_more(of: Explained, found: Contrast) -> bool:
 
 def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
-    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     fits: dict[Set, tuple[Array, float]] = {}
+
+    def fit(starts: Mapping[Set, Array]) -> Set:
+        """Fit pairs from these servos; the best of all so far."""
+        for pair, row in starts.items():
+            if pair not in fits:
+                fits[pair] = fitted(of, sorted(pair), [row])
+        return min(fits, key=lambda pair: fits[pair][1])
+
+    at_sight = first_pairs(of, by)
+    fit(dict(list(at_sight.items())[:_MOST]))
+    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     for k in order[:_PARTNERS]:
         head, row = found.effects[k], found.rows[k]
-        rest = _without(of, row)
-        beside = contrast(rest, by)
+        beside = contrast(_without(of, row), by)
         ranked = (int(p) for p in np.argsort(-beside.gone))
-        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)]
-        for p in likely[:_MOST]:
-            pair = frozenset((head, beside.effects[p]))
-            if pair not in fits:
-                start = row + beside.rows[p] - of.row
-                fits[pair] = fitted(of, sorted(pair), [start])
-    best = min(fits, key=lambda pair: fits[pair][1])
+        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)][: _MOST // 2]
+        fit({frozenset((head, beside.effects[p])): row + beside.rows[p] - of.row for p in likely})
+    best = fit({})
+    for one in sorted(best):  # its rivals beside the other one
+        with_it = {pair: row for pair, row in at_sight.items() if one in pair}
+        fit(dict(list(with_it.items())[: _MOST // 2]))
+    best = fit({})
     row, left = fits[best]
     whole = energy(of, of.case)
     beyond = max(left - of.scale2, 0.0)

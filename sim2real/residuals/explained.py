@@ -268,6 +268,34 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
     return np.where(told, size * along, 0.0) / count, size, left / count
 
 
+def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], Array]:
+    """Servos (P,) with each pair of effects as the case is explained best, to first order.
+
+    By least squares; no law shares anything. The pairs that explain most come first.
+    """
+    seen = np.concatenate([of.seen(r) for r in of.case])
+    e = np.concatenate([of.left[r] for r in of.case])[seen]
+    D = np.concatenate([by.moved[r] for r in of.case], axis=1)[:, seen]
+    gram, along = D @ D.T, D @ e
+    square = np.diag(gram)
+    free = square[:, None] * square - gram**2
+    told = free > 1e-6 * square[:, None] * square
+    size = along[:, None] * square - along * gram  # of the first of two, times ``free``
+    size = np.divide(size, free, out=np.zeros_like(size), where=told)
+    gone = size * along[:, None]
+    gone = gone + gone.T
+    wrong = (size < 0) & ~by.signed[:, None]
+    plain = np.isin(by.names, _GAINS)
+    gone[wrong | wrong.T | ~told | plain[:, None] | plain] = 0.0
+    found: dict[frozenset[str], Array] = {}
+    for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
+        pair = frozenset((by.names[i], by.names[j]))
+        if gone[i, j] > 0 and len(pair) == 2 and pair not in found:
+            more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
+            found[pair] = of.row + more
+    return found
+
+
 def energy(of: Explained, places: Sequence[int]) -> float:
     """Mean square of what is left of some recordings, rad2; 0 where nothing is looked at."""
     every = np.concatenate([of.left[r][of.seen(r)] for r in places])

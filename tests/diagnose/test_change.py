@@ -22,6 +22,7 @@ from sim2real.residuals.explained import (
     energy,
     explained,
     first_look,
+    first_pairs,
     loss,
     settled,
     way_of,
@@ -72,6 +73,16 @@ def test_a_first_look_is_least_squares():
     without = np.linalg.lstsq(table[:, :1], y, rcond=None)[1]
     assert size[1] == pytest.approx(x[1])
     assert gone[1] == pytest.approx((without - rest)[0] / COUNT)
+
+
+def test_two_at_first_sight_are_least_squares():
+    of, by = made([(0, 0, 0)] * KNOWN + [(3, 2, -1)], shared=0)
+    pairs = first_pairs(of, replace(by, rows=np.eye(3, row().size)))
+    assert list(pairs) == [frozenset(NAMES[:2])]  # a negative backlash is none
+    size = np.linalg.lstsq(by.moved[KNOWN][:2].T, of.left[KNOWN], rcond=None)[0]
+    np.testing.assert_allclose(
+        pairs[frozenset(NAMES[:2])], row() + size @ (np.eye(3, row().size)[:2] - row())
+    )
 
 
 def test_what_references_look_like_knows_nothing_of_the_case():
