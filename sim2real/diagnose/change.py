@@ -57,9 +57,9 @@ _LAGS, _WHITE, _STILL = 2, 1.0, 0.01
 """Memory in samples of the noise in which jitter is looked for; its whitening filter's least gain
 at frequency 0, so that it takes nothing for itself that repeats may have from the link, too; and
 the share of a sampling period below which jitter is none."""
-_ALIEN = 64.0
+_BEYOND = 100.0
 """Times what a law leaves of references, as a mean square, that is more than a law's own error: the
-bank of unchanged recordings has 0.5 at most."""
+bank of unchanged recordings has 4 at most."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -310,7 +310,8 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     if of.way == "rest":  # what is left may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12 * of.scale2)))
     windows = Steps(rest, usual).windows(bank[of.way].jump)
-    alien = of.way == "law" and float(found.left.min()) > _ALIEN * of.scale2
+    beyond = not told and energy(settled(of), of.case) > _BEYOND * of.scale2
+    alien = of.way == "law" and beyond
     if windows is None and not alien:
         return (None if told or of.way != "repeat" else _uneven(of, bank[of.way].known)) or one
     less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
