@@ -209,12 +209,14 @@ def at_any_time(left: Array, moved: Array) -> Array:
 
     Args:
         left: What is left, NaN where not looked at, shape (T,).
-        moved: The directions, shape (N, T).
+        moved: The directions, shape (N, T); what they do where nobody looks counts for nothing.
 
     Returns:
         Share of what is left, shape (N,).
     """
-    power, other = (np.abs(np.fft.fft(np.nan_to_num(x))) ** 2 for x in (left, moved))
+    seen = np.isfinite(left)
+    shown = np.where(seen, left, 0.0), np.where(seen, moved, 0.0)
+    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
     weight = power.sum() * other.sum(axis=1)
     share = np.ones(len(moved))
     np.divide(other @ power, weight, out=share, where=weight > 0)
@@ -312,8 +314,10 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     windows = Steps(rest, usual).windows(bank[of.way].jump)
     beyond = not told and energy(settled(of), of.case) > _BEYOND * of.scale2
     alien = of.way == "law" and beyond
-    if windows is None and not alien:
-        return (None if told or of.way != "repeat" else _uneven(of, bank[of.way].known)) or one
+    likely = of.way == "repeat" and not told and (windows is None or _lasting(of, windows))
+    late = _uneven(of, bank[of.way].known) if likely else None
+    if late is not None or (windows is None and not alien):
+        return late or one
     less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
     groups = tuple(
         replace(g, probability=(1 - DECISION.nameless) * g.probability) for g in one.groups
@@ -323,13 +327,19 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     )
 
 
+def _lasting(of: Explained, windows: tuple[tuple[Window, ...], ...]) -> bool:
+    """Whether windows cover more than half of the case, as what a link does never stops."""
+    covered = sum(last - first for some in windows for first, last in some)
+    return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
+
+
 def _uneven(of: Explained, known: float) -> Change | None:
     """Jitter of the link that no repeat has, or None; ``known`` unchanged recordings in a bank."""
     period = float(np.median(np.diff(of.traces[0].t)))
     found = [link(LinkData(((_residual(of, r),),), _LAGS, _WHITE)) for r in range(len(of.traces))]
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in found]
     worst = max(of.case, key=lambda r: late[r])
-    if late[worst] > period:  # none overtakes the one before: what is left is no link's
+    if late[worst] > period / 2:  # set-points would overtake each other
         return None
     null2 = max(_STILL * period, *late[: of.references]) ** 2
     odds = student(late[worst] ** 2 / null2, known + of.references) + LOG_PRIOR
@@ -377,6 +387,7 @@ def _alone(of: Explained, found: Contrast) -> Change:
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
     foreign = of.way == "law" and found.left[best] > _MORE * of.scale2
+    foreign = foreign or (of.way == "repeat" and _leaves_more(of, found))
     anew = any(n in BASE for n in group.members)
     if of.way == "rest" or foreign or anew:
         most = min(group.probability, _UNSURE)
@@ -419,11 +430,13 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
         """Fit pairs from these servos; the best of all so far."""
         for pair, row in starts.items():
             if pair not in fits:
-                fits[pair] = fitted(of, sorted(pair), [row])
+                for_good = fitted(of, sorted(pair), [row])
+                straight = at_sight.get(pair, for_good)
+                fits[pair] = min(for_good, straight, key=lambda fit: fit[1])
         return min(fits, key=lambda pair: fits[pair][1])
 
     at_sight = first_pairs(of, by)
-    fit(dict(list(at_sight.items())[:_MOST]))
+    fit({pair: row for pair, (row, _) in list(at_sight.items())[:_MOST]})
     order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     for k in order[:_PARTNERS]:
         head, row = found.effects[k], found.rows[k]
@@ -433,7 +446,7 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
         fit({frozenset((head, beside.effects[p])): row + beside.rows[p] - of.row for p in likely})
     best = fit({})
     for one in sorted(best):  # its rivals beside the other one
-        with_it = {pair: row for pair, row in at_sight.items() if one in pair}
+        with_it = {pair: row for pair, (row, _) in at_sight.items() if one in pair}
         fit(dict(list(with_it.items())[: _MOST // 2]))
     best = fit({})
     row, left = fits[best]

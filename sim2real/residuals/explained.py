@@ -156,12 +156,14 @@ def _settles_s(row: Array, inertia: float) -> float:
 
 
 def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
-    """The values where they count: not soon after a gap, in which nobody knows what was sent."""
+    """The values where they count: not soon after the beginning or a gap.
+
+    Nobody knows what was sent before the one and in the other.
+    """
     apart = np.diff(trace.t, prepend=trace.t[0])
     gap = apart > 1.5 * float(np.median(apart[1:]))
     last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
-    since = np.where(last > 0, trace.t - trace.t[last], np.inf)
-    return np.where(trace.used & (since > settles_s), values, np.nan)
+    return np.where(trace.used & (trace.t - trace.t[last] > settles_s), values, np.nan)
 
 
 def _derivatives(
@@ -268,10 +270,14 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
     return np.where(told, size * along, 0.0) / count, size, left / count
 
 
-def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], Array]:
-    """Servos (P,) with each pair of effects as the case is explained best, to first order.
+def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], tuple[Array, float]]:
+    """Each pair of effects as the case is explained best, to first order, the best pair first.
 
-    By least squares; no law shares anything. The pairs that explain most come first.
+    By least squares; no law shares anything.
+
+    Returns:
+        For each pair the servo with it, shape (P,), and what it leaves, rad2; infinite where one
+        lies farther than its start, as no straight line leads there.
     """
     seen = np.concatenate([of.seen(r) for r in of.case])
     e = np.concatenate([of.left[r] for r in of.case])[seen]
@@ -287,12 +293,14 @@ def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], Array]:
     wrong = (size < 0) & ~by.signed[:, None]
     plain = np.isin(by.names, _GAINS)
     gone[wrong | wrong.T | ~told | plain[:, None] | plain] = 0.0
-    found: dict[frozenset[str], Array] = {}
+    far = np.abs(size) > 1
+    left = np.where(far | far.T, np.inf, np.maximum(e @ e - gone, 0.0) / max(e.size, 1))
+    found: dict[frozenset[str], tuple[Array, float]] = {}
     for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
         pair = frozenset((by.names[i], by.names[j]))
         if gone[i, j] > 0 and len(pair) == 2 and pair not in found:
             more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
-            found[pair] = of.row + more
+            found[pair] = of.row + more, float(left[i, j])
     return found
 
 
