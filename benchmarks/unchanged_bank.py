@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.change import BANK
+from sim2real.diagnose.change import BANK, unit
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
 from sim2real.residuals.explained import Explained, directions, explained, first_look
@@ -39,17 +39,18 @@ def main() -> None:
     found: dict[str, list[tuple[dict[str, float], float]]] = {"law": [], "rest": []}
     for name, of in bank():
         by = directions(of)
-        gone, _ = first_look(of, by, of.case)
+        gone, _, left = first_look(of, by, of.case)
+        shares = gone / unit(of.way == "law", of.scale2, left)
         null = {
-            effect: max(float(g) for g, n in zip(gone, by.names, strict=True) if n == effect)
+            effect: max(float(g) for g, n in zip(shares, by.names, strict=True) if n == effect)
             for effect in dict.fromkeys(by.names)
         }
         ratio = Steps(of).ratio()
-        found[of.way].append(({n: g / of.scale2 for n, g in null.items()}, ratio))
-        largest = max(null.values()) / of.scale2
+        found[of.way].append((null, ratio))
+        largest = max(null.values())
         print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {largest:.2f}")
     ways = {way: entry(some, way) for way, some in found.items()}
-    repeats = {name: 1.0 for name in ways["law"]["null"]}
+    repeats = {name: SAFETY for name in ways["law"]["null"]}
     ways["repeat"] = {"known": 2.0, "jump": JUMPS["repeat"], "null": repeats}
     write_json(BANK, {"schema": "sim2real.unchanged/1", "made_by": "benchmarks/unchanged_bank.py",
                       "ways": ways})  # fmt: skip

@@ -15,12 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.posterior import Group, Posterior
 from sim2real.inference.segments import Window
+from sim2real.link.loss import Uneven
+from sim2real.link.uneven import LinkData, link
 from sim2real.residuals.explained import (
     Directions,
     Explained,
@@ -28,9 +30,13 @@ from sim2real.residuals.explained import (
     energy,
     explained,
     first_look,
+    first_pairs,
     fitted,
+    loss,
+    settled,
 )
 from sim2real.residuals.jumps import Steps
+from sim2real.residuals.linear import Residual
 from sim2real.residuals.misstated import misstated
 from sim2real.residuals.problem import Set
 from sim2real.robot import Servo
@@ -45,8 +51,15 @@ _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
 _UNSURE = 0.85
-"""Most that is said of what was seen at rest only, as a sensor may be bent there, and where the
-law leaves far more of the case than of the references."""
+"""Most that is said of what was seen at rest only, as a sensor may be bent there, where the law
+leaves far more of the case than of the references, and where the plain servo may be set anew."""
+_LAGS, _WHITE, _STILL = 2, 1.0, 0.01
+"""Memory in samples of the noise in which jitter is looked for; its whitening filter's least gain
+at frequency 0, so that it takes nothing for itself that repeats may have from the link, too; and
+the share of a sampling period below which jitter is none."""
+_BEYOND = 100.0
+"""Times what a law leaves of references, as a mean square, that is more than a law's own error: the
+bank of unchanged recordings has 4 at most."""
 _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
@@ -93,63 +106,121 @@ class Contrast:
     Attributes:
         effects: The effects, and parameters of the plain servo, of which there are N.
         gone: Mean square that each takes away from the case, rad2, shape (N,).
-        null: The same where nothing has changed, shape (N,).
         left: Mean square that each leaves, shape (N,).
+        size: How far each lies, in multiples of its start, shape (N,).
         rows: The case's servo with each, shape (N, P).
-        known: Unchanged recordings behind the null sizes, the bank's included.
+        usual: What each takes away where nothing has changed, in ``unit``, by the bank, (N,).
+        before: The sum of what each takes away from the references, rad2, shape (N,).
+        known: Unchanged recordings behind the null sizes, of the bank and in all.
         scale2: Mean square that is left of the references.
+        law: Whether these are explained by a law, which may fit few of them too well.
     """
 
     effects: tuple[str, ...]
     gone: Array
-    null: Array
     left: Array
+    size: Array
     rows: Array
-    known: float
+    usual: Array
+    before: Array
+    known: tuple[float, float]
     scale2: float
+    law: bool = False
+
+    @property
+    def null(self) -> Array:
+        """Mean square that each takes away where nothing has changed, rad2, shape (N,)."""
+        bank, every = self.known
+        return (self.usual * unit(self.law, self.scale2, self.left) * bank + self.before) / every
 
     @property
     def evidence(self) -> Array:
-        """Log odds of each change, of unknown size, against none, without the prior, (N,).
-
-        The score follows Student's law where there is no change; Laplace's integral over the size.
-        """
-        score2 = self.gone / self.null
-        more = 0.5 * (self.known + 1) * np.log1p(score2 / self.known)
-        return np.asarray(more - 0.5 * np.log1p(score2))
+        """Log odds of each change, of unknown size, against none, without the prior, (N,)."""
+        return student(self.gone / self.null, self.known[1])
 
     @property
     def misfit(self) -> Array:
-        """What each leaves beyond what the best leaves, in nats, shape (N,).
+        """What each explains less than the best does, in nats, shape (N,).
 
         A law is not quite what a servo does: it may be wrong by a share of what it explains.
         """
-        best = int(np.argmin(self.left))
+        best = int(np.argmax(self.gone))
         blurred = self.null[best] + DECISION.change_law_error**2 * self.gone[best]
-        return np.asarray(0.5 * (self.left - self.left[best]) / blurred)
+        return np.asarray(0.5 * (self.gone[best] - self.gone) / blurred)
+
+
+def student(score2: ArrayLike, known: float) -> Array:
+    """Log odds of a change of unknown size against none, without the prior.
+
+    The score follows Student's law where there is no change; Laplace's integral over the size.
+
+    Args:
+        score2: Squared scores, of any shape.
+        known: Unchanged recordings that they are relative to.
+    """
+    more = 0.5 * (known + 1) * np.log1p(np.asarray(score2) / known)
+    return np.asarray(more - 0.5 * np.log1p(score2))
+
+
+def unit(law: bool, scale2: float, left: Array) -> Array:
+    """What null sizes are multiples of, rad2, shape (N,).
+
+    Args:
+        law: Whether the recordings are explained by a law.
+        scale2: Mean square that is left of the references.
+        left: Mean square that effects leave of the case, shape (N,).
+    """
+    return np.maximum(left, scale2) if law else np.full(left.shape, scale2)
 
 
 def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
     """Weigh a change of each effect against none, at first sight."""
     names = tuple(dict.fromkeys(by.names))
     place = [np.flatnonzero([n == name for n in by.names]) for name in names]
-    gone, size = first_look(of, by, of.case)
-    # What is not fitted for good must need no far extrapolation.
-    far = np.maximum(np.abs(size) / DECISION.change_farthest, 1.0) ** 2
-    near = gone / far if of.way == "law" else gone
+    gone, size, left = first_look(of, by, of.case)
+    # Of several starts that which needs no far extrapolation.
+    near = gone / np.maximum(np.abs(size) / _straight(of), 1.0) ** 2
     best = np.array([mine[np.argmax(near[mine])] for mine in place])
     telling = [r for r in range(of.references) if of.seen(r).any()]
-    before = [first_look(of, by, [r])[0] for r in telling]
     unchanged = bank[of.way]
-    usual = float(np.median(list(unchanged.null.values())))
-    null = np.array([unchanged.null.get(name, usual) for name in names]) * unchanged.known
-    null = null * of.scale2
-    for one in before:
-        null = null + [one[mine].max() for mine in place]
-    known = unchanged.known + len(before)
+    middle = float(np.median(list(unchanged.null.values())))
+    usual = np.array([unchanged.null.get(name, middle) for name in names])
+    if of.way == "repeat":
+        usual *= np.mean([at_any_time(of.left[r], by.moved[r][best]) for r in telling], axis=0)
+    looks = [first_look(of, by, [r])[0] for r in telling]
+    before = np.array([sum(float(look[mine].max()) for look in looks) for mine in place])
     rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
-    whole = energy(of, of.case)
-    return Contrast(names, near[best], null / known, whole - gone[best], rows, known, of.scale2)
+    known = unchanged.known, unchanged.known + len(telling)
+    return Contrast(
+        names, gone[best], left[best], size[best], rows, usual, before, known, of.scale2,
+        of.way == "law",
+    )  # fmt: skip
+
+
+def _straight(of: Explained) -> float:
+    """How many times as far as its start a change goes along a straight line."""
+    return DECISION.change_farthest if of.way == "law" else 1.0
+
+
+def at_any_time(left: Array, moved: Array) -> Array:
+    """How much directions take away from what is left of a reference, were it left at another time.
+
+    The mean over all times, by Wiener and Khinchin's theorem.
+
+    Args:
+        left: What is left, NaN where not looked at, shape (T,).
+        moved: The directions, shape (N, T); what they do where nobody looks counts for nothing.
+
+    Returns:
+        Share of what is left, shape (N,).
+    """
+    seen = np.isfinite(left)
+    shown = np.where(seen, left, 0.0), np.where(seen, moved, 0.0)
+    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
+    weight = power.sum() * other.sum(axis=1)
+    share = np.ones(len(moved))
+    np.divide(other @ power, weight, out=share, where=weight > 0)
+    return share
 
 
 @dataclass(frozen=True)
@@ -157,12 +228,14 @@ class Change:
     """What has changed on a joint.
 
     Attributes:
-        groups: What it is, likeliest first; an effect and those that it can't be told from. There
-            is at least one. Nothing is resampled: stability repeats probability.
+        groups: What it is, likeliest first; an effect and those that it can't be told from, then
+            parameters of the plain servo that may be set anew instead. There is at least one.
+            Nothing is resampled: stability repeats probability.
         probability: Of each effect, and of each parameter of the plain servo.
         row: Parameters of the case with what is likeliest, shape (P,).
         nameless: Probability that there is something that no effect explains.
         windows: Where that is, for each recording, if it has an end or a beginning.
+        link: What is uneven on the link since, or None.
     """
 
     groups: tuple[Group, ...]
@@ -170,6 +243,7 @@ class Change:
     row: Array
     nameless: float
     windows: tuple[tuple[Window, ...], ...] | None = None
+    link: Uneven | None = None
 
     def posterior(self, base: Set) -> Posterior:
         """The probabilities as those of sets of effects, nothing more than ``base`` among them."""
@@ -183,18 +257,22 @@ class Change:
 def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
     """The contrast of its likeliest changes, each fitted to the case for good."""
     order = _likeliest(found)
-    fits = [fitted(of, [found.effects[k]], _starts(found, by, int(k))) for k in order]
-    left = np.array([mean for _, mean in fits])
-    if of.way == "law":  # where the servo may change along, to first order
-        left = np.minimum(left, found.left[order])
-    gone = np.maximum(energy(of, of.case) - left, 0.0)
+    rows = [fitted(of, [found.effects[k]], _starts(found, by, int(k)))[0] for k in order]
+    rests = [_without(of, row) for row in rows]
+    count = sum(int(np.count_nonzero(of.seen(r))) for r in of.case)
+    gone = np.array([loss(of) - loss(rest) for rest in rests]) / max(count, 1)
+    left = np.array([energy(settled(rest), of.case) for rest in rests])
+    # Near its start, what a change does to first order is as good.
+    linear = (np.abs(found.size[order]) < _straight(of)) & (found.gone[order] > gone)
     return replace(
         found,
         effects=tuple(found.effects[k] for k in order),
-        gone=gone,
-        null=found.null[order],
-        left=left,
-        rows=np.array([row for row, _ in fits]),
+        gone=np.maximum(np.where(linear, found.gone[order], gone), 0.0),
+        left=np.where(linear, found.left[order], left),
+        size=found.size[order],
+        rows=np.where(linear[:, None], found.rows[order], rows),
+        usual=found.usual[order],
+        before=found.before[order],
     )
 
 
@@ -234,8 +312,12 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     if of.way == "rest":  # what is left may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12 * of.scale2)))
     windows = Steps(rest, usual).windows(bank[of.way].jump)
-    if windows is None:
-        return one
+    beyond = not told and energy(settled(of), of.case) > _BEYOND * of.scale2
+    alien = of.way == "law" and beyond
+    likely = of.way == "repeat" and not told and (windows is None or _lasting(of, windows))
+    late = _uneven(of, bank[of.way].known) if likely else None
+    if late is not None or (windows is None and not alien):
+        return late or one
     less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
     groups = tuple(
         replace(g, probability=(1 - DECISION.nameless) * g.probability) for g in one.groups
@@ -243,6 +325,38 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     return replace(
         one, groups=groups, probability=less, nameless=DECISION.nameless, windows=windows
     )
+
+
+def _lasting(of: Explained, windows: tuple[tuple[Window, ...], ...]) -> bool:
+    """Whether windows cover more than half of the case, as what a link does never stops."""
+    covered = sum(last - first for some in windows for first, last in some)
+    return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
+
+
+def _uneven(of: Explained, known: float) -> Change | None:
+    """Jitter of the link that no repeat has, or None; ``known`` unchanged recordings in a bank."""
+    period = float(np.median(np.diff(of.traces[0].t)))
+    found = [link(LinkData(((_residual(of, r),),), _LAGS, _WHITE)) for r in range(len(of.traces))]
+    late = [u.value if u.effect == "latency_jitter" else 0.0 for u in found]
+    worst = max(of.case, key=lambda r: late[r])
+    if late[worst] > period / 2:  # set-points would overtake each other
+        return None
+    null2 = max(_STILL * period, *late[: of.references]) ** 2
+    odds = student(late[worst] ** 2 / null2, known + of.references) + LOG_PRIOR
+    sure = min(float(expit(odds)), DECISION.most_certain)
+    if sure < DECISION.named:
+        return None
+    group = Group((found[worst].effect,), sure, sure)
+    return Change((group,), {found[worst].effect: sure}, of.row, 0.0, link=found[worst])
+
+
+def _residual(of: Explained, r: int) -> Residual:
+    one, left = of.traces[r], np.nan_to_num(of.left[r])
+    kp, kd, latency = (float(x) for x in of.row[:3])
+    return Residual(
+        one.t, one.command, of.seen(r), -left, kp, kd, latency,
+        one.load.inertia_kgm2, one.load.gravity_Nm,
+    )  # fmt: skip
 
 
 def _largest_step(values: Array) -> float:
@@ -273,18 +387,30 @@ def _alone(of: Explained, found: Contrast) -> Change:
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
     foreign = of.way == "law" and found.left[best] > _MORE * of.scale2
-    if of.way == "rest" or foreign:
+    foreign = foreign or (of.way == "repeat" and _leaves_more(of, found))
+    anew = any(n in BASE for n in group.members)
+    if of.way == "rest" or foreign or anew:
         most = min(group.probability, _UNSURE)
         group = replace(group, probability=most, stability=most)
     row = found.rows[found.effects.index(group.members[0])]
-    retuned = sum(p for n, p in probability.items() if n in BASE)  # a change, and no effect
+    # A change, and no effect, unless it may well be one.
+    retuned = sum(p for n, p in probability.items() if n in BASE and n not in group.members)
     return Change((group,), probability, row, sure * strange + retuned)
 
 
 def _group(probability: Mapping[str, float]) -> Group:
-    order = sorted((n for n in probability if n not in BASE), key=lambda n: -probability[n])
-    least = DECISION.group_share * probability[order[0]]
-    members = tuple(n for n in order if probability[n] >= least)
+    """Effects that cannot be told apart, and what of the plain servo may be set anew instead.
+
+    The likeliest is an effect; where a parameter is so much likelier that it can be told from it,
+    none stands beside it.
+    """
+    order = sorted(probability, key=lambda n: -probability[n])
+    first = next(n for n in order if n not in BASE)
+    near = probability[first] >= DECISION.group_share * probability[order[0]]
+    least = DECISION.group_share * probability[first]
+    effects = [n for n in order if n not in BASE and probability[n] >= least]
+    plain = [n for n in order if n in BASE and probability[n] >= least and near]
+    members = (*effects, *plain)
     sure = min(sum(probability[n] for n in members), DECISION.most_certain)
     return Group(members, sure, sure)
 
@@ -298,20 +424,31 @@ def _leaves_more(of: Explained, found: Contrast) -> bool:
 
 def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
-    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     fits: dict[Set, tuple[Array, float]] = {}
+
+    def fit(starts: Mapping[Set, Array]) -> Set:
+        """Fit pairs from these servos; the best of all so far."""
+        for pair, row in starts.items():
+            if pair not in fits:
+                for_good = fitted(of, sorted(pair), [row])
+                straight = at_sight.get(pair, for_good)
+                fits[pair] = min(for_good, straight, key=lambda fit: fit[1])
+        return min(fits, key=lambda pair: fits[pair][1])
+
+    at_sight = first_pairs(of, by)
+    fit({pair: row for pair, (row, _) in list(at_sight.items())[:_MOST]})
+    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     for k in order[:_PARTNERS]:
         head, row = found.effects[k], found.rows[k]
-        rest = _without(of, row)
-        beside = contrast(rest, by)
+        beside = contrast(_without(of, row), by)
         ranked = (int(p) for p in np.argsort(-beside.gone))
-        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)]
-        for p in likely[:_MOST]:
-            pair = frozenset((head, beside.effects[p]))
-            if pair not in fits:
-                start = row + beside.rows[p] - of.row
-                fits[pair] = fitted(of, sorted(pair), [start])
-    best = min(fits, key=lambda pair: fits[pair][1])
+        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)][: _MOST // 2]
+        fit({frozenset((head, beside.effects[p])): row + beside.rows[p] - of.row for p in likely})
+    best = fit({})
+    for one in sorted(best):  # its rivals beside the other one
+        with_it = {pair: row for pair, (row, _) in at_sight.items() if one in pair}
+        fit(dict(list(with_it.items())[: _MOST // 2]))
+    best = fit({})
     row, left = fits[best]
     whole = energy(of, of.case)
     beyond = max(left - of.scale2, 0.0)

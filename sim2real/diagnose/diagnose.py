@@ -205,6 +205,8 @@ def _first_look(joints: Sequence[Joint], rng: np.random.Generator, device: str) 
     batch = Batch([joint.traces for joint in joints], device)
     plain = baselines(batch, [joint.given for joint in joints])
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
+    if all(joint.before for joint in joints):
+        return ledgers
     large = [DECISION.ripple * joint.noise for joint in joints]
     first_look(ServoSearch(batch, DECISION.false_alarms, rng), ledgers, large)
     return ledgers

@@ -255,6 +255,7 @@ def _pass(
         noise=[joint.noise for joint in joints],
         bases=bases,
         best=None if known is None else [one.best for one in known],
+        known=[bool(joint.before) for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(found, robots, rng)

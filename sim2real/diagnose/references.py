@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import expit
 
 from sim2real.diagnose.case import Case, Joint, prepared
 from sim2real.diagnose.change import what_changed
-from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
 from sim2real.identification.fit import best_of, gains
@@ -89,32 +90,50 @@ def against_references(batch: Batch, joint: Joint, finding: Finding) -> Finding:
     before = joint.before
     if not before or joint.given is None or joint.servo is None:
         return finding
-    grids = [quantization_step(np.where(t.used, t.position, np.nan)) for t in before]
-    coarser = joint.step_rad is not None and joint.step_rad > DECISION.coarser * max(grids)
+    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in before)
+    coarser = _coarser(joint, grid)
     row = joint_row(joint.given, before[0].load, joint.name)
     found = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in found.groups if group.probability >= DECISION.named]
-    rich = tried.base | {group.members[0] for group in named}
+    link = found.link.effect if found.link is not None else ""
+    rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
         kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
         one = replace(with_effects(plain, rich, found.row, kp, inertia), theta=found.row[None])
         fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
-    coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
+    coarse = tuple(
+        replace(g, probability=min(g.probability, coarser))
+        for g in finding.groups
+        if g.members == (ROUNDING,) and coarser >= DECISION.named
+    )
     nameless = found.nameless > DECISION.named
     return replace(
         finding,
-        mismatch=bool(named or nameless or (coarse and coarser)),
+        mismatch=bool(named or nameless or coarse),
         best=tried.tried.get(rich, tried.plain),
         posterior=found.posterior(tried.base),
-        groups=(*coarse, *found.groups) if coarser else found.groups,
+        groups=(*coarse, *found.groups),
         left=nameless,
         unknown=found.nameless,
         unmodelled=replace(finding.unmodelled, windows=found.windows),
-        link=None,
+        link=found.link,
+        place=0,
     )
+
+
+def _coarser(joint: Joint, grid: float) -> float:
+    """Probability that a joint's sensor is coarser than a grid of that step in rad by no chance.
+
+    Of all angles on a finer grid one in so many lies on the coarser one.
+    """
+    if joint.step_rad is None or joint.step_rad <= DECISION.coarser * grid:
+        return 0.0
+    levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
+    gaps = sum(max(one.size - 1, 0) for one in levels)
+    return float(expit(gaps * np.log(joint.step_rad / max(grid, 1e-12)) + LOG_PRIOR))
 
 
 def repeat(joints: Sequence[Joint]) -> Experiment | None:

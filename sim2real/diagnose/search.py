@@ -47,6 +47,7 @@ def search(
     noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
     best: Sequence[Hypothesis] | None = None,
+    known: Sequence[bool] = (),
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -60,6 +61,7 @@ def search(
             taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
         best: What explained each joint best before; looked for where None.
+        known: Which joints are compared with references, and so not searched.
         progress: Called with the share that is done.
 
     Returns:
@@ -67,6 +69,8 @@ def search(
     """
     ledgers = ledgers_of(plain, bases)
     problem = ServoSearch(batch, level, rng)
+    if known and all(known):
+        return ledgers, problem
     if noise is not None:
         large = [DECISION.ripple * sd for sd in noise]
         if best is None:

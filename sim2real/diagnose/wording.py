@@ -20,7 +20,7 @@ from sim2real.diagnose.result import (
     Verdict,
 )
 from sim2real.diagnose.unmodelled import measured_only
-from sim2real.effects import named
+from sim2real.effects import named, plain
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
@@ -179,7 +179,7 @@ def statement(one: Said, parameters: Mapping[str, Estimate]) -> str:
     values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
     complete = len(values) == len(effect.parameters)
     clause = effect.statement(values) if complete else f"there is {effect.plain}"
-    others = [named(name).plain for name in one.group.members[1:]]
+    others = [plain(name) for name in one.group.members[1:]]
     doubt = f" (or {', or '.join(others)}: these recordings cannot tell)" if others else ""
     return f"{', '.join(one.joints)}: {clause}{doubt}."
 

@@ -75,7 +75,15 @@ def named(name: str, where: str = "effects") -> Effect:
     raise InputError(where, "effects", repr(name), f"one of {known}")
 
 
+SET_ANEW = {
+    "kp_Nm_per_rad": "another gain of the servo",
+    "kd_Nms_per_rad": "another damping of the servo",
+    "latency_s": "another latency of the servo",
+}
+"""Parameters of the plain servo in plain words, where they have changed."""
+
+
 def plain(name: str) -> str:
     """Any effect in plain words, to stand in a sentence; its identifier's own if it is new."""
     known: dict[str, str] = {e.name: e.plain for e in (*CATALOGUE, *BODY, *CAMERA)}
-    return known.get(name, name.replace("_", " "))
+    return (known | SET_ANEW).get(name, name.replace("_", " "))

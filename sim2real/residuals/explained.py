@@ -148,20 +148,22 @@ def _noise(trace: Trace) -> float:
 
 
 def _settles_s(row: Array, inertia: float) -> float:
-    """Time in which the servo has forgotten what was sent: its latency and five time constants."""
+    """Time in which a servo forgets all but e^-12 of what was sent: six of a million."""
     total = inertia + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
-    return float(np.clip(latency + 5 / max(rate, 1e-9), *_FORGOTTEN_S))
+    return float(np.clip(latency + 12 / max(rate, 1e-9), *_FORGOTTEN_S))
 
 
 def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
-    """The values where they count: not soon after a gap, in which nobody knows what was sent."""
+    """The values where they count: not soon after the beginning or a gap.
+
+    Nobody knows what was sent before the one and in the other.
+    """
     apart = np.diff(trace.t, prepend=trace.t[0])
     gap = apart > 1.5 * float(np.median(apart[1:]))
     last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
-    since = np.where(last > 0, trace.t - trace.t[last], np.inf)
-    return np.where(trace.used & (since > settles_s), values, np.nan)
+    return np.where(trace.used & (trace.t - trace.t[last] > settles_s), values, np.nan)
 
 
 def _derivatives(
@@ -222,10 +224,11 @@ def directions(of: Explained) -> Directions:
     return Directions(tuple(names), table[1:], signed, moved)
 
 
-def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array]:
+def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array, Array]:
     """Free each direction in some recordings only, what the law shares in all.
 
-    Least squares, linear in all parameters, one variance for all recordings.
+    Least squares, linear in all parameters, one variance for all recordings. Where it is free in
+    references, the case is left out: what changed there is nothing that references leave.
 
     Args:
         of: The recordings.
@@ -233,15 +236,15 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
         own: Those in which it is free.
 
     Returns:
-        What it takes away from them, as a mean square in rad2, and its size in multiples of the
-        start, each of shape (K,).
+        What it takes away from them, as a mean square in rad2, its size in multiples of the start,
+        and the mean square that is left of them, each of shape (K,).
     """
     K, F = len(by.names), of.precision.shape[0]
     normal, slope = of.variance * of.precision, np.zeros(F)
-    cross, along, square, count = np.zeros((F, K)), np.zeros(K), np.zeros(K), 0
-    for r, left in enumerate(of.left):
+    cross, along, square = np.zeros((F, K)), np.zeros(K), np.zeros(K)
+    for r in {*range(of.references), *own}:
         seen = of.seen(r)
-        J, e = of.shared[r][seen], left[seen]
+        J, e = of.shared[r][seen], of.left[r][seen]
         normal = normal + J.T @ J
         slope = slope + J.T @ e
         if r in own:
@@ -249,22 +252,85 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
             cross += J.T @ D.T
             along += D @ e
             square += (D**2).sum(axis=1)
-            count += e.size
+    count = sum(int(np.count_nonzero(of.seen(r))) for r in own)
     if not count:
-        return np.zeros(K), np.zeros(K)
+        return np.zeros(K), np.zeros(K), np.zeros(K)
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) if F else normal
     along = along - cross.T @ (inverse @ slope)
     free = square - np.einsum("fk,fg,gk->k", cross, inverse, cross)
     told = free > 1e-6 * square + 1e-30
     size = np.where(told, along / np.where(told, free, 1.0), 0.0)
     size[(size < 0) & ~by.signed] = 0.0
-    return np.where(told, size * along, 0.0) / count, size
+    law = inverse @ (slope[:, None] - cross * size)
+    left = np.zeros(K)
+    for r in own:
+        seen = of.seen(r)
+        rest = of.left[r][seen][:, None] - of.shared[r][seen] @ law
+        left += ((rest - by.moved[r][:, seen].T * size) ** 2).sum(axis=0)
+    return np.where(told, size * along, 0.0) / count, size, left / count
+
+
+def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], tuple[Array, float]]:
+    """Each pair of effects as the case is explained best, to first order, the best pair first.
+
+    By least squares; no law shares anything.
+
+    Returns:
+        For each pair the servo with it, shape (P,), and what it leaves, rad2; infinite where one
+        lies farther than its start, as no straight line leads there.
+    """
+    seen = np.concatenate([of.seen(r) for r in of.case])
+    e = np.concatenate([of.left[r] for r in of.case])[seen]
+    D = np.concatenate([by.moved[r] for r in of.case], axis=1)[:, seen]
+    gram, along = D @ D.T, D @ e
+    square = np.diag(gram)
+    free = square[:, None] * square - gram**2
+    told = free > 1e-6 * square[:, None] * square
+    size = along[:, None] * square - along * gram  # of the first of two, times ``free``
+    size = np.divide(size, free, out=np.zeros_like(size), where=told)
+    gone = size * along[:, None]
+    gone = gone + gone.T
+    wrong = (size < 0) & ~by.signed[:, None]
+    plain = np.isin(by.names, _GAINS)
+    gone[wrong | wrong.T | ~told | plain[:, None] | plain] = 0.0
+    far = np.abs(size) > 1
+    left = np.where(far | far.T, np.inf, np.maximum(e @ e - gone, 0.0) / max(e.size, 1))
+    found: dict[frozenset[str], tuple[Array, float]] = {}
+    for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
+        pair = frozenset((by.names[i], by.names[j]))
+        if gone[i, j] > 0 and len(pair) == 2 and pair not in found:
+            more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
+            found[pair] = of.row + more, float(left[i, j])
+    return found
 
 
 def energy(of: Explained, places: Sequence[int]) -> float:
     """Mean square of what is left of some recordings, rad2; 0 where nothing is looked at."""
     every = np.concatenate([of.left[r][of.seen(r)] for r in places])
     return float(np.mean(every**2)) if every.size else 0.0
+
+
+def _refit(of: Explained) -> tuple[Array, float]:
+    """What the law shares as it explains all recordings best, (F,), and what is left, rad2."""
+    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
+    for r, left in enumerate(of.left):
+        seen = of.seen(r)
+        J, e = of.shared[r][seen], left[seen]
+        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
+    law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope
+    return law, total - float(slope @ law)
+
+
+def loss(of: Explained) -> float:
+    """Sum of squares that is left of all recordings, what they share at its best, rad2."""
+    return _refit(of)[1]
+
+
+def settled(of: Explained) -> Explained:
+    """The same, less what the law explains better with what it shares at its best."""
+    law, _ = _refit(of)
+    pairs = zip(of.left, of.shared, strict=True)
+    return replace(of, left=tuple(left - slopes @ law for left, slopes in pairs))
 
 
 def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.effects import CATALOGUE
-from sim2real.residuals.explained import Explained, restated
+from sim2real.residuals.explained import Explained, loss, restated
 from sim2real.servo.parameters import COLUMNS
 
 Array = NDArray[np.float64]
@@ -53,16 +53,5 @@ def misstated(of: Explained) -> Misstated | None:
     row = of.row.copy()
     for column, value in differs.items():
         row[COLUMNS.index(column)] += value
-    gain = _loss(of) - _loss(restated(of, of.traces[0]))
+    gain = 0.5 * (loss(of) - loss(restated(of, of.traces[0]))) / of.variance
     return Misstated(tuple(column.partition(".")[0] for column in differs), gain, row)
-
-
-def _loss(of: Explained) -> float:
-    """Negative log-likelihood of all recordings, what they share at its best."""
-    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
-    for r, left in enumerate(of.left):
-        seen = of.seen(r)
-        J, e = of.shared[r][seen], left[seen]
-        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
-    taken = float(slope @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope)
-    return 0.5 * (total - taken) / of.variance

@@ -35,8 +35,8 @@ def freed_of_the_common(
         references: How many are references.
 
     Returns:
-        The traces, with angles corrected by the mean of what is left of those, and which
-        of them have any.
+        The traces, with angles corrected by the mean of what is left of those, NaN at times that
+        none of those has, and which of the traces have any.
     """
     freed = list(traces)
     for r, one in enumerate(traces):
@@ -47,9 +47,14 @@ def freed_of_the_common(
             lag, difference = alignment(one, other)
             if difference < ALIKE:
                 seen = other.used
-                common.append(np.interp(one.t + lag, other.t[seen], left[: seen.size][seen]))
+                when, known = one.t + lag, other.t[seen]
+                part = np.interp(when, known, left[: seen.size][seen], np.nan, np.nan)
+                common.append(part)
         if common:
-            freed[r] = replace(one, position=one.position + np.mean(common, axis=0))
+            there = np.isfinite(common)
+            mean = np.where(there, common, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+            mean[~there.any(axis=0)] = np.nan
+            freed[r] = replace(one, position=one.position + mean)
     return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
 
 

@@ -8,7 +8,7 @@ from simulated import INERTIA, NOISE, column, recording, row, steps, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import BANKS, Contrast, changed, what_changed
+from sim2real.diagnose.change import BANKS, Contrast, at_any_time, changed, what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.diagnose.references import law_of, with_known_servos
@@ -19,8 +19,12 @@ from sim2real.residuals.explained import (
     Directions,
     Explained,
     directions,
+    energy,
     explained,
     first_look,
+    first_pairs,
+    loss,
+    settled,
     way_of,
 )
 from sim2real.residuals.jumps import Steps
@@ -59,15 +63,57 @@ def made(sizes, seed=0, shared=1):
 
 def test_a_first_look_is_least_squares():
     of, by = made([(0, 0, 0)] * KNOWN + [(0, 2, 0)])
-    gone, size = first_look(of, by, of.case)
+    gone, size, left = first_look(of, by, of.case)
     table = np.zeros((4 * COUNT, 2))
     table[:, 0] = np.concatenate([J[:, 0] for J in of.shared])
     table[KNOWN * COUNT :, 1] = by.moved[KNOWN][1]
     y = np.concatenate(of.left)
     x, rest, *_ = np.linalg.lstsq(table, y, rcond=None)
+    assert left[1] == pytest.approx(np.mean((y - table @ x)[KNOWN * COUNT :] ** 2))
     without = np.linalg.lstsq(table[:, :1], y, rcond=None)[1]
     assert size[1] == pytest.approx(x[1])
     assert gone[1] == pytest.approx((without - rest)[0] / COUNT)
+
+
+def test_two_at_first_sight_are_least_squares():
+    of, by = made([(0, 0, 0)] * KNOWN + [(3, 2, -1)], shared=0)
+    pairs = first_pairs(of, replace(by, rows=np.eye(3, row().size)))
+    assert list(pairs) == [frozenset(NAMES[:2])]  # a negative backlash is none
+    size = np.linalg.lstsq(by.moved[KNOWN][:2].T, of.left[KNOWN], rcond=None)[0]
+    found, left = pairs[frozenset(NAMES[:2])]
+    assert left == np.inf  # three and two times their starts
+    np.testing.assert_allclose(found, row() + size @ (np.eye(3, row().size)[:2] - row()))
+
+
+def test_what_references_look_like_knows_nothing_of_the_case():
+    of, by = made([(0, 0, 0)] * KNOWN + [(0, 2, 0)])
+    far = replace(of, left=(*of.left[:KNOWN], of.left[KNOWN] + 100))
+    for one, other in zip(first_look(of, by, [0]), first_look(far, by, [0]), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_would_be_left_had_nothing_changed():
+    of, _ = made([(0, 0, 0)] * KNOWN + [(0, 2, 0)])
+    table = np.concatenate([J[:, 0] for J in of.shared])
+    y = np.concatenate(of.left)
+    rest = y - table * (table @ y) / (table @ table)
+    assert loss(of) == pytest.approx(rest @ rest)
+    assert energy(settled(of), of.case) == pytest.approx(np.mean(rest[KNOWN * COUNT :] ** 2))
+
+
+def test_noise_at_any_time_takes_its_power_at_a_direction():
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(2000)
+    directions = np.array([np.ones(2000), np.cos(np.arange(2000) * 0.3), np.zeros(2000)])
+    share = at_any_time(noise, directions)
+    shifted = [
+        (np.roll(noise, k) @ directions[1]) ** 2 / (directions[1] @ directions[1] * noise @ noise)
+        for k in range(2000)
+    ]
+    assert share[1] == pytest.approx(np.mean(shifted))
+    assert share[2] == 1.0
+    wandering = np.convolve(noise, np.ones(100) / 100, "same")
+    assert at_any_time(wandering, directions)[0] > 10 * share[0]
 
 
 def test_an_effect_that_cannot_be_negative_takes_nothing_away_backwards():
@@ -79,7 +125,11 @@ def test_an_effect_that_cannot_be_negative_takes_nothing_away_backwards():
 
 def contrast_of(gone, null, known=4.0):
     gone, N = np.array(gone), len(gone)
-    return Contrast(NAMES[:N], gone, np.array(null), gone.sum() - gone, np.zeros((N, 1)), known, 1)
+    left, nothing = gone.max() - gone, np.zeros(N)
+    null = np.array(null)
+    return Contrast(
+        NAMES[:N], gone, left, nothing, np.zeros((N, 1)), null, nothing, (known, known), 1.0
+    )
 
 
 def test_what_looks_as_large_where_nothing_changed_is_no_change():
@@ -88,6 +138,11 @@ def test_what_looks_as_large_where_nothing_changed_is_no_change():
     assert large > 3
     # The more unchanged recordings are known, the surer.
     assert contrast_of([100.0], [4.0], known=20.0).evidence[0] > large
+
+
+def test_under_a_law_what_is_left_of_the_case_counts_as_its_error():
+    found = replace(contrast_of([100.0, 40.0], [1.0, 1.0]), law=True)
+    assert found.null == pytest.approx([1.0, 60.0])
 
 
 def test_what_a_rival_leaves_counts_by_the_error_of_a_law():
@@ -161,6 +216,30 @@ def test_a_repeat_shows_two_changes():
     assert len(members) == 2
     assert any("sensor_offset" in group for group in members)
     assert any({"sensor_filter", "command_filter"} & group for group in members)
+
+
+@pytest.mark.parametrize(("halfwidth_s", "named"), [(0.0, False), (0.008, True)])
+def test_a_link_that_jitters_since_shows_beside_repeats(halfwidth_s, named):
+    before = [traced_of(wandering(k)) for k in range(2)]
+    case = wandering(2)
+    late = np.random.default_rng(5).uniform(-halfwidth_s, halfwidth_s, case.t.size)
+    arrived = np.interp(case.t + late, case.t, case.command[:, 0])  # what really came
+    found = what_changed(
+        before, [traced_of(replace(case, command=arrived[:, None]))], row(), servo()
+    )
+    assert (found.link is not None) == named
+    if found.link is not None:
+        assert found.groups[0].members == ("latency_jitter",)
+        assert found.link.value == pytest.approx(halfwidth_s, rel=0.5)
+
+
+def wandering(seed):
+    """A repeat of a smooth command, with fresh noise."""
+
+    def command(t):
+        return 0.5 * np.sin(2 * t) + 0.3 * np.sin(5 * t)
+
+    return recording(seed, f"take_{seed}", 10.0, 5e-4, command=command)
 
 
 def test_what_no_effect_does_has_no_name():
