@@ -52,7 +52,7 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
     "size": _logarithm(1e-2, 30.0),
     "left": _logarithm(0.3, 30.0),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
-    **dict.fromkeys(("without", "smooth", "windows", "own", "gain"), _gain),
+    **dict.fromkeys(("without", "smooth", "windows", "own", "gain", "bent"), _gain),
 }
 """How a measure enters a curve: what is none of these as it is."""
 
@@ -94,6 +94,7 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
         own=best.evidence - servo.evidence,
         left=left,
         groups=len(groups),
+        bent=finding.search.bent.get(tried.case, 0.0),
         change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
     )
     weighed = []
