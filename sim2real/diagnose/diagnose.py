@@ -248,7 +248,9 @@ def _with_what_is_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
-    wanted = heads if finding.link is not None else best.members - (finding.said - heads)
+    wanted = best.members - (finding.said - heads)
+    if finding.link is not None:
+        wanted &= heads | {name for name in wanted if named(name).everywhere}
     wanted = tried.base | (wanted & best.members)
     return tried.tried.get(wanted, best if heads else tried.plain)
 

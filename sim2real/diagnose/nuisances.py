@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.residuals.problem import Hypothesis, Set, Tried
@@ -152,10 +153,11 @@ def beside_rivals(
         if not tried:
             continue
         one.keep(_best(h, tried, large[one.case]))
-        for t in tried:
-            if _BENT in t.members and _BENT not in _small(t, large[one.case]):
-                more = t.evidence - before[one.case].evidence
-                problem.bent[one.case] = max(more, problem.bent.get(one.case, 0.0))
+        # Bent more than any sensor that is in order: no nuisance, and it has no name.
+        bent = [t for t in tried if _BENT in t.members - _small(t, large[one.case])]
+        top = max(bent, key=lambda t: t.evidence, default=h)
+        if top.evidence > before[one.case].evidence + DECISION.surely:
+            one.keep(top)
     return [one for one in ledgers if one.best.members - NAMES != before[one.case].members - NAMES]
 
 

@@ -37,7 +37,6 @@ _RIVALS, _NEAR = 10, 80.0
 """Sets that are refitted with nothing held, and how far their evidence may be behind."""
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
-_UNNAMED = frozenset(e.name for e in NUISANCES if e.never_named)
 _SENSOR = ("sensor_gain", "sensor_offset")
 _SCALE = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
 _GAIN, _OFFSET = _SCALE
@@ -83,9 +82,9 @@ def search(
         before = best or [one.best for one in ledgers]
         ledgers = with_nuisances(problem, ledgers, large, before)
         jobs = [
-            (one, one.base | (h.members - _UNNAMED), h.fit.servos.theta[0])
+            (one, one.base | h.members, h.fit.servos.theta[0])
             for one, h in zip(ledgers, before, strict=True)
-            if not h.members - _UNNAMED <= one.base
+            if not h.members <= one.base
         ]
         for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
             one.keep(found)
@@ -132,8 +131,6 @@ class ServoSearch:
         self.batch, self.level, self.rng = batch, level, rng
         self.held: dict[int, Set] = {}
         """Effects of each case that stay as they are."""
-        self.bent: dict[int, float] = {}
-        """Evidence, against the best, of a sensor that is bent more than any that is in order."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
         self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
