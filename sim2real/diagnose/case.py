@@ -15,9 +15,16 @@ from sim2real.identification.motor_line import on_its_line
 from sim2real.model import JointModel, Model
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Recording
-from sim2real.residuals.problem import Set
+from sim2real.residuals.plain import with_effects
+from sim2real.residuals.problem import Hypothesis, Set, minimise, plain_servos
 from sim2real.robot import Robot, Servo, match_joints
+from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import COLUMNS, LINE, stated
 from sim2real.servo.trace import Trace, traces
+
+_LINE = [COLUMNS.index(name) for name in LINE]
+_SATURATION = "torque_saturation"
+_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 
 
 @dataclass(frozen=True)
@@ -115,6 +122,38 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
         if line is not None and line[1] < 1 - DECISION.negligible:
             found[joint.name] = line[0]
     return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
+
+
+def lines_beside(
+    batch: Batch, joints: Sequence[Joint], best: Sequence[Hypothesis]
+) -> dict[int, JointModel]:
+    """Plain models on their lines, of joints that reach them beside what explains them best.
+
+    Something large that is missing hides the line from a fit of the plain servo.
+
+    Args:
+        batch: The recordings, joint by joint.
+        joints: The joints of the batch.
+        best: What explains each best at first sight.
+    """
+    found = {}
+    for j, (joint, one) in enumerate(zip(joints, best, strict=True)):
+        row = one.fit.servos.theta[0].copy()
+        if joint.before or joint.base or joint.stall_Nm is None or row[_LINE].any():
+            continue
+        assert joint.servo is not None
+        row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+        # A limit at the data sheet's is the line by another name.
+        named_so = row[_LIMIT] > DECISION.sheet * joint.stall_Nm
+        other: Set = one.members & {_SATURATION} if named_so else frozenset()
+        inertia = batch.load[batch.first_signal[j], :1]
+        plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
+        start = with_effects(plain, one.members - other, row, float(row[0]), float(inertia[0]))
+        fit = minimise(batch, start, iterations=15)
+        more = float(fit.loglikelihood[0] - one.fit.loglikelihood[0])
+        if more > (0.0 if other else DECISION.surely):
+            found[j] = stated(fit.servos.theta[0], joint.traces[0].load)
+    return found
 
 
 def by_robot(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, by_robot, on_their_lines, prepared
+from sim2real.diagnose.case import (
+    Case,
+    Joint,
+    by_robot,
+    lines_beside,
+    on_their_lines,
+    prepared,
+)
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import Finding, investigate
+from sim2real.diagnose.investigate import Finding, investigate, placed
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.judging import judged
 from sim2real.diagnose.nuisances import first_look
@@ -159,7 +167,7 @@ def _joint_results(
     ready = [prepared(case) for case in cases]
     given = joints = [joint for some in ready for joint in some]
     robots = by_robot(ready)
-    looked = _first_look(joints, rng, device)
+    joints, looked = _first_look(joints, rng, device)
     if not any(joint.before for joint in joints):
         stamped = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(stamped, joints, robots, [one.best for one in looked])
@@ -201,8 +209,23 @@ def _joint_results(
     return [[results[j] for j in robot] for robot in robots]
 
 
-def _first_look(joints: Sequence[Joint], rng: np.random.Generator, device: str) -> list[Tried]:
+def _first_look(
+    joints: Sequence[Joint], rng: np.random.Generator, device: str
+) -> tuple[list[Joint], list[Tried]]:
+    """The joints, on their lines where that shows beside what explains them best, and all tried."""
     batch = Batch([joint.traces for joint in joints], device)
+    ledgers = _looked(batch, joints, rng)
+    lined = lines_beside(batch, joints, [one.best for one in ledgers])
+    found = [replace(one, given=lined.get(j, one.given)) for j, one in enumerate(joints)]
+    if lined:
+        some = [found[j] for j in lined]
+        again = Batch([one.traces for one in some], device, period=batch.period)
+        for j, one in zip(lined, _looked(again, some, rng), strict=True):
+            ledgers[j] = placed(one, j)
+    return found, ledgers
+
+
+def _looked(batch: Batch, joints: Sequence[Joint], rng: np.random.Generator) -> list[Tried]:
     plain = baselines(batch, [joint.given for joint in joints])
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
     if all(joint.before for joint in joints):
@@ -227,7 +250,9 @@ def _with_what_is_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
-    wanted = heads if finding.link is not None else best.members - (finding.said - heads)
+    wanted = best.members - (finding.said - heads)
+    if finding.link is not None:
+        wanted &= heads | {name for name in wanted if named(name).everywhere}
     wanted = tried.base | (wanted & best.members)
     return tried.tried.get(wanted, best if heads else tried.plain)
 

@@ -143,13 +143,18 @@ def investigate(
 
 def _placed(finding: Finding, joint: int) -> Finding:
     """A finding of another batch, its fits those of this joint of the whole one."""
+    tried = replace(placed(finding.tried, joint), case=finding.tried.case)
+    return replace(finding, tried=tried, best=tried.tried[finding.best.members])
+
+
+def placed(tried: Tried, joint: int) -> Tried:
+    """What was tried in another batch, as of this joint of the whole one."""
     at = np.array([joint], dtype=np.int32)
-    tried = {
+    moved = {
         members: replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=at)))
-        for members, h in finding.tried.tried.items()
+        for members, h in tried.tried.items()
     }
-    best = tried[finding.best.members]
-    return replace(finding, tried=replace(finding.tried, tried=tried), best=best)
+    return replace(tried, case=joint, tried=moved)
 
 
 def _with_links(

@@ -15,6 +15,7 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.posterior import Group
+from sim2real.effects import named
 from sim2real.residuals.holdout import Unseen
 from sim2real.residuals.problem import Set
 
@@ -123,10 +124,17 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     return Evidence(tuple(weighed), whole, uneven)
 
 
+def _has_no_name(group: Group) -> bool:
+    """Whether it is what every sensor has a little of, and this one more than any in order."""
+    return named(group.members[0]).never_named
+
+
 def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     """The finding with probabilities that were read off cases of known answer."""
     found = evidence(finding, unseen)
     unknown = ODDS["nameless"].probability(found.whole)
+    if any(_has_no_name(g) for g, _ in found.groups):
+        unknown = max(unknown, DECISION.nameless)
 
     def stated(curve: str, features: Features) -> float:
         """That a name is right: what is missing has one, and it is this."""
@@ -134,7 +142,11 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         # Not 0.9 where those that are said with 0.9 would too often be wrong.
         return probability if probability >= DECISION.sure else min(probability, _ALMOST)
 
-    groups = [replace(g, probability=stated("effect", told)) for g, told in found.groups]
+    groups = [
+        replace(g, probability=stated("effect", told))
+        for g, told in found.groups
+        if not _has_no_name(g)
+    ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:
         groups.append(Group((finding.link.effect,), stated("link", found.link), 1.0))

@@ -74,7 +74,7 @@ def diagnosis(case: Case, joints: Sequence[JointResult], negligible: float, seed
         and all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
     )
     large = tuple(effect for effect in effects if effect not in small)
-    if any(one.finding.unknown > DECISION.named for one in joints):
+    if any(one.finding.mismatch and one.finding.left for one in joints):
         small = ()  # beside something without a name a trifle is no finding
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)

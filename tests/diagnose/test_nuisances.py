@@ -1,19 +1,26 @@
 """What every servo has a little of belongs to the plain servo, and is no finding."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated import NOISE, traced
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, row, traced
 
+from sim2real.diagnose.case import Joint
+from sim2real.diagnose.diagnose import _first_look
 from sim2real.diagnose.nuisances import _best, size_in_noise
-from sim2real.diagnose.search import search
+from sim2real.diagnose.search import _as_read, search
 from sim2real.effects import named
+from sim2real.model import FittedEffect, JointModel
+from sim2real.recording import Load
 from sim2real.residuals.plain import baselines
 from sim2real.residuals.problem import Hypothesis
 from sim2real.residuals.screen import FITTED, NUISANCES
+from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, joint_row
+from sim2real.servo.rollout import rollout
 
 WAVE = {"amplitude_rad": 4 * NOISE, "period_rad": 0.6, "phase_rad": 0.5}
 
@@ -79,3 +86,60 @@ def test_a_small_wave_beside_a_large_one_is_still_a_nuisance():
     bare, alone = explained(0.0), explained(60.0, sensor_eccentricity=0.002)
     both = explained(500.0, cogging=0.03, sensor_eccentricity=0.002)
     assert _best(bare, [alone, both], large_rad=0.01) is alone
+
+
+GAIN, OFFSET = 0.04, 0.012
+
+
+def test_waves_stay_where_they_were_seen_when_a_gain_and_an_offset_of_the_sensor_leave():
+    wave = {"torque_Nm": 0.02, "period_rad": 0.1, "phase_rad": 0.7}
+    before = row(cogging=wave)
+    after = _as_read(before, GAIN, OFFSET)
+    q = np.linspace(-0.8, 0.8, 200)
+
+    def torque(theta, angle):
+        period, phase = (theta[COLUMNS.index(f"cogging.{n}_rad")] for n in ("period", "phase"))
+        return np.sin(2 * np.pi * angle / period + phase)
+
+    seen = (1 + GAIN) * q + OFFSET
+    np.testing.assert_allclose(torque(after, seen), torque(before, q), atol=1e-9)
+    assert _as_read(before, 0.0, 0.0) == pytest.approx(before)
+
+
+def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
+    cogging = {"torque_Nm": 0.016, "period_rad": 0.0944, "phase_rad": 0.5}
+    given = {"gravity_load": {"torque_Nm": 0.15}, "cogging": cogging, "noise": NOISE / 3}
+    loads = Load(INERTIA, 0.08, 0.06), Load(2 * INERTIA)
+    traces = [traced(k, "ab"[k], load=load, **given) for k, load in enumerate(loads)]
+    batch, noise = Batch([traces]), [2 * NOISE]
+    (found,), _ = search(
+        batch, baselines(batch), level=0.01, rng=np.random.default_rng(0), noise=noise
+    )
+    assert found.best.members - found.base == {"gravity_load"}
+    (period,) = found.best.fit.servos.theta[:, COLUMNS.index("cogging.period_rad")]
+    assert period == pytest.approx(0.0944, rel=0.003)
+
+
+def lined(stall_Nm):
+    """The line that a first look finds of a servo whose friction is most of what it lacks."""
+    motor = {"stall_torque_Nm": stall_Nm, "no_load_speed_rad_s": 20.0}
+    theta = joint_row(
+        JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=motor,
+                   effects=(FittedEffect("coulomb_friction", {"torque_Nm": 0.08}),)), None,
+    )  # fmt: skip
+    rng, traces = np.random.default_rng(0), []
+    for k in range(2):
+        bare = traced(k, "ab"[k])
+        angle = rollout(theta[None], bare.t, bare.command[:, None])[0, :, 0]
+        traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
+    servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
+    (joint,), _ = _first_look([Joint("j1", traces, NOISE, None, servo=servo)], rng, "cpu")
+    return joint.given.motor if joint.given else None
+
+
+def test_friction_does_not_hide_that_the_motor_reaches_its_line():
+    assert lined(0.8)["stall_torque_Nm"] == pytest.approx(0.8, rel=0.15)
+
+
+def test_a_motor_that_stays_below_its_line_shows_none():
+    assert lined(3.0) is None

@@ -13,7 +13,7 @@ import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
 
-_RANGE_RAD = 0.8
+RANGE_RAD = 0.8
 """Angles, either way, over which the sensor is calibrated."""
 
 
@@ -36,7 +36,7 @@ def wave(
     turn = wp.float64(6.283185307179586) / p[c + 1]
     if z[s] == wp.float64(0.0):
         z[s] = wp.float64(1.0)
-        r = turn * wp.static(wp.float64(_RANGE_RAD))
+        r = turn * wp.static(wp.float64(RANGE_RAD))
         z[s + 1] = wp.sin(p[c + 2]) * wp.sin(r) / r
         z[s + 2] = (
             wp.float64(3.0) * turn * wp.cos(p[c + 2]) * (wp.sin(r) - r * wp.cos(r)) / (r * r * r)
