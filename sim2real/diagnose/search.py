@@ -39,7 +39,6 @@ _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
 _SENSOR = ("sensor_gain", "sensor_offset")
 _SCALE = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
-_GAIN, _OFFSET = _SCALE
 _WAVES = [
     (COLUMNS.index(f"{e.name}.period_rad"), COLUMNS.index(f"{e.name}.phase_rad")) for e in NUISANCES
 ]
@@ -179,9 +178,6 @@ class ServoSearch:
             for index in mine[np.argsort(-gain[mine])][:each]:
                 theta = self.start(ledger, members, members)
                 theta[option.columns] = option.starts[seen.start[index]]
-                more = 1 / (1 + theta[_GAIN]) - 1, -theta[_OFFSET]
-                wanted = [option.effect.name == name for name in _SENSOR]
-                theta = _as_read(theta, *np.where(wanted, more, 0.0))
                 chosen.append((float(gain[index]), option.effect.name, theta))
         chosen.sort(key=lambda entry: -entry[0])
         if most is None:
@@ -277,8 +273,8 @@ class ServoSearch:
 def _as_read(theta: Array, gain: float, offset: float) -> Array:
     """A row (P,) whose waves of the angle are as a sensor with that gain and offset shows them.
 
-    So they stay where they were seen when these leave the row: no fit mends a period that is off by
-    some of its waves.
+    So they stay where they were seen when these leave the row for what bends the servo as much: no
+    fit mends a period that is off by some of its waves.
     """
     row = theta.copy()
     for period, phase in _WAVES:

@@ -120,6 +120,26 @@ def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
     assert period == pytest.approx(0.0944, rel=0.003)
 
 
+@pytest.mark.parametrize(
+    ("effect", "parameter", "value"),
+    [("sensor_offset", "offset_rad", -0.0408), ("sensor_gain", "gain", 0.04)],
+)
+def test_an_error_of_the_sensor_is_found_beside_cogging(effect, parameter, value):
+    cogging = {"torque_Nm": 0.016, "period_rad": 0.0816, "phase_rad": -2.4}
+    given = {effect: {parameter: value}, "cogging": cogging, "noise": NOISE / 3}
+    batch, noise = Batch([[traced(k, "ab"[k], **given) for k in range(2)]]), [2 * NOISE]
+    (found,), problem = search(
+        batch, baselines(batch), level=0.01, rng=np.random.default_rng(0), noise=noise
+    )
+    assert effect in found.best.members
+    column = COLUMNS.index(f"{effect}.{parameter}")
+    assert found.best.fit.servos.theta[0, column] == pytest.approx(value, rel=0.05)
+    # The plain servo's angle has no error of the sensor, so its waves stay as one is added.
+    start = dict(problem.additions(found, found.base, 3))[effect]
+    waves = [COLUMNS.index(f"cogging.{name}") for name in cogging]
+    np.testing.assert_array_equal(start[waves], found.plain.fit.servos.theta[0, waves])
+
+
 def lined(stall_Nm):
     """The line that a first look finds of a servo whose friction is most of what it lacks."""
     motor = {"stall_torque_Nm": stall_Nm, "no_load_speed_rad_s": 20.0}
