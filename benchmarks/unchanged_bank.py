@@ -18,11 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.change import BANK, unit
+from sim2real.diagnose.change import BANK
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
 from sim2real.residuals.explained import Explained, directions, explained, first_look
 from sim2real.residuals.jumps import Steps
+from sim2real.residuals.repeats import unit
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.posterior import Group, Posterior
+from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, link
@@ -39,6 +40,7 @@ from sim2real.residuals.jumps import Steps
 from sim2real.residuals.linear import Residual
 from sim2real.residuals.misstated import misstated
 from sim2real.residuals.problem import Set
+from sim2real.residuals.repeats import at_any_time, unit
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
@@ -149,30 +151,6 @@ class Contrast:
         return np.asarray(0.5 * (self.gone[best] - self.gone) / blurred)
 
 
-def student(score2: ArrayLike, known: float) -> Array:
-    """Log odds of a change of unknown size against none, without the prior.
-
-    The score follows Student's law where there is no change; Laplace's integral over the size.
-
-    Args:
-        score2: Squared scores, of any shape.
-        known: Unchanged recordings that they are relative to.
-    """
-    more = 0.5 * (known + 1) * np.log1p(np.asarray(score2) / known)
-    return np.asarray(more - 0.5 * np.log1p(score2))
-
-
-def unit(law: bool, scale2: float, left: Array) -> Array:
-    """What null sizes are multiples of, rad2, shape (N,).
-
-    Args:
-        law: Whether the recordings are explained by a law.
-        scale2: Mean square that is left of the references.
-        left: Mean square that effects leave of the case, shape (N,).
-    """
-    return np.maximum(left, scale2) if law else np.full(left.shape, scale2)
-
-
 def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
     """Weigh a change of each effect against none, at first sight."""
     names = tuple(dict.fromkeys(by.names))
@@ -200,27 +178,6 @@ def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANK
 def _straight(of: Explained) -> float:
     """How many times as far as its start a change goes along a straight line."""
     return DECISION.change_farthest if of.way == "law" else 1.0
-
-
-def at_any_time(left: Array, moved: Array) -> Array:
-    """How much directions take away from what is left of a reference, were it left at another time.
-
-    The mean over all times, by Wiener and Khinchin's theorem.
-
-    Args:
-        left: What is left, NaN where not looked at, shape (T,).
-        moved: The directions, shape (N, T); what they do where nobody looks counts for nothing.
-
-    Returns:
-        Share of what is left, shape (N,).
-    """
-    seen = np.isfinite(left)
-    shown = np.where(seen, left, 0.0), np.where(seen, moved, 0.0)
-    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
-    weight = power.sum() * other.sum(axis=1)
-    share = np.ones(len(moved))
-    np.divide(other @ power, weight, out=share, where=weight > 0)
-    return share
 
 
 @dataclass(frozen=True)

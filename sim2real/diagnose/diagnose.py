@@ -9,14 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import (
-    Case,
-    Joint,
-    by_robot,
-    lines_beside,
-    on_their_lines,
-    prepared,
-)
+from sim2real.diagnose.case import Case, Joint, by_robot, lines_beside, on_their_lines, prepared
 from sim2real.diagnose.checks import with_checks
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION

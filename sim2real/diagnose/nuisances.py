@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.diagnose.decision import DECISION
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.residuals.problem import Hypothesis, Set, Tried
@@ -124,7 +123,7 @@ def with_nuisances(
 
 
 def beside_rivals(
-    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float]
+    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], surely: float
 ) -> list[Tried]:
     """Try small nuisances beside the likeliest sets of each joint, too.
 
@@ -134,6 +133,7 @@ def beside_rivals(
         problem: The search that was.
         ledgers: What it tried.
         large: Angle from which a joint's nuisance is a finding, rad.
+        surely: Evidence that a sensor bent by more than that must earn.
 
     Returns:
         Those in which other effects are likeliest now.
@@ -156,7 +156,7 @@ def beside_rivals(
         # Bent more than any sensor that is in order: no nuisance, and it has no name.
         bent = [t for t in tried if _BENT in t.members - _small(t, large[one.case])]
         top = max(bent, key=lambda t: t.evidence, default=h)
-        if top.evidence > before[one.case].evidence + DECISION.surely:
+        if top.evidence > before[one.case].evidence + surely:
             one.keep(top)
     return [one for one in ledgers if one.best.members - NAMES != before[one.case].members - NAMES]
 

@@ -12,7 +12,7 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.nuisances import beside_rivals, first_look, with_nuisances
 from sim2real.inference import selection
 from sim2real.inference.evidence import occam_factor
-from sim2real.residuals.plain import BLOCKS, own_parameters, with_effects
+from sim2real.residuals.plain import BLOCKS, as_read, own_parameters, with_effects
 from sim2real.residuals.problem import (
     Fits,
     Hypothesis,
@@ -23,9 +23,8 @@ from sim2real.residuals.problem import (
     minimise,
     stacked,
 )
-from sim2real.residuals.screen import NUISANCES, Candidate, Screen, candidates, screen
+from sim2real.residuals.screen import Candidate, Screen, candidates, screen
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS
 
 Array = NDArray[np.float64]
 Job = tuple[Tried, Set, Array]
@@ -37,12 +36,7 @@ _RIVALS, _NEAR = 10, 80.0
 """Sets that are refitted with nothing held, and how far their evidence may be behind."""
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
-_SENSOR = ("sensor_gain", "sensor_offset")
-_SCALE = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
-_WAVES = [
-    (COLUMNS.index(f"{e.name}.period_rad"), COLUMNS.index(f"{e.name}.phase_rad")) for e in NUISANCES
-]
-"""Columns of the waves of the angle that every servo has."""
+_GAIN = "sensor_gain"
 
 
 def search(
@@ -100,7 +94,7 @@ def search(
     problem.singles = False
     selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.5 * share))
     if noise is not None:
-        selection.select(problem, beside_rivals(problem, ledgers, large), BREADTH)
+        selection.select(problem, beside_rivals(problem, ledgers, large, DECISION.surely), BREADTH)
     problem.release(ledgers)
     return ledgers, problem
 
@@ -197,7 +191,7 @@ class ServoSearch:
             with_effects(
                 one.plain.fit.servos,
                 members,
-                _as_read(theta, *np.where([n in members for n in _SENSOR], 0.0, theta[_SCALE])),
+                as_read(theta, members),
                 *self.strength(one),
                 self.held.get(one.case, frozenset()),
             )
@@ -270,21 +264,6 @@ class ServoSearch:
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
 
-def _as_read(theta: Array, gain: float, offset: float) -> Array:
-    """A row (P,) whose waves of the angle are as a sensor with that gain and offset shows them.
-
-    So they stay where they were seen when these leave the row for what bends the servo as much: no
-    fit mends a period that is off by some of its waves.
-    """
-    row = theta.copy()
-    for period, phase in _WAVES:
-        if row[period] > 0 and (gain or offset):
-            row[period] *= 1 + gain
-            turned = row[phase] - 2 * np.pi * offset / row[period]
-            row[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
-    return row
-
-
 def _likely(one: Tried) -> list[Hypothesis]:
     """The sets that what is said rests on: the best, what it is without each effect, its rivals.
 
@@ -292,11 +271,11 @@ def _likely(one: Tried) -> list[Hypothesis]:
     """
     best, tried = one.best, one.tried
     near = sorted(tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
-    scaled = _SENSOR[0] in best.members
+    scaled = _GAIN in best.members
     sets = [
         h.members
         for h in near
-        if h.evidence > best.evidence - _NEAR or (_SENSOR[0] in h.members) != scaled
+        if h.evidence > best.evidence - _NEAR or (_GAIN in h.members) != scaled
     ]
     sets += [one.base, *(best.members - {e} for e in best.members - one.base)]
     return [tried[s] for s in dict.fromkeys(sets) if s in tried]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -57,3 +57,16 @@ def probabilities(evidence: Array) -> Array:
     """Of models that exclude each other, from logarithms (N,) of evidence and prior together."""
     weight = np.exp(evidence - np.max(evidence))
     return np.asarray(weight / weight.sum())
+
+
+def student(score2: ArrayLike, known: float) -> Array:
+    """Log odds of a change of unknown size against none, without the prior.
+
+    The score follows Student's law where there is no change; Laplace's integral over the size.
+
+    Args:
+        score2: Squared scores, of any shape.
+        known: Unchanged recordings that they are relative to.
+    """
+    more = 0.5 * (known + 1) * np.log1p(np.asarray(score2) / known)
+    return np.asarray(more - 0.5 * np.log1p(score2))

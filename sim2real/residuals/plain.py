@@ -13,7 +13,7 @@ from sim2real.effects import named
 from sim2real.identification.start import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.model import JointModel
 from sim2real.residuals.problem import Fits, Servos, Set, Tried, minimise, plain_servos, stacked
-from sim2real.residuals.screen import candidate
+from sim2real.residuals.screen import NUISANCES, candidate
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
 
@@ -23,6 +23,12 @@ BLOCKS = 20
 """Blocks of each recording for bootstraps."""
 _CANDIDATES = 256
 _REFINED = 3
+_SENSOR = ("sensor_gain", "sensor_offset")
+_ERRORS = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
+_WAVES = [
+    (COLUMNS.index(f"{e.name}.period_rad"), COLUMNS.index(f"{e.name}.phase_rad")) for e in NUISANCES
+]
+"""Columns of the waves of the angle that every servo has."""
 
 
 def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
@@ -121,3 +127,20 @@ def own_parameters(servos: Servos) -> NDArray[np.bool_]:
     """Which of one servo's free parameters are no effect's, shape (F,)."""
     columns = servos.columns[0]
     return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
+
+
+def as_read(theta: Array, members: Set) -> Array:
+    """A row (P,) whose waves of the angle are as the sensor shows them, where its errors leave.
+
+    Where a gain or an offset of the sensor is not among the members, what stands for it bends the
+    servo as much; so waves stay where they were seen. No fit mends a period that is off by some of
+    its waves.
+    """
+    gain, offset = np.where([name in members for name in _SENSOR], 0.0, theta[_ERRORS])
+    row = theta.copy()
+    for period, phase in _WAVES:
+        if row[period] > 0 and (gain or offset):
+            row[period] *= 1 + gain
+            turned = row[phase] - 2 * np.pi * offset / row[period]
+            row[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
+    return row

@@ -86,3 +86,35 @@ def alignment(one: Trace, other: Trace) -> tuple[float, float]:
     if fine.fun < coarse[k]:
         return float(fine.x), float(fine.fun)
     return float(lags[k]), coarse[k]
+
+
+def unit(law: bool, scale2: float, left: Array) -> Array:
+    """What null sizes are multiples of, rad2, shape (N,).
+
+    Args:
+        law: Whether the recordings are explained by a law.
+        scale2: Mean square that is left of the references.
+        left: Mean square that effects leave of the case, shape (N,).
+    """
+    return np.maximum(left, scale2) if law else np.full(left.shape, scale2)
+
+
+def at_any_time(left: Array, moved: Array) -> Array:
+    """How much directions take away from what is left of a reference, were it left at another time.
+
+    The mean over all times, by Wiener and Khinchin's theorem.
+
+    Args:
+        left: What is left, NaN where not looked at, shape (T,).
+        moved: The directions, shape (N, T); what they do where nobody looks counts for nothing.
+
+    Returns:
+        Share of what is left, shape (N,).
+    """
+    seen = np.isfinite(left)
+    shown = np.where(seen, left, 0.0), np.where(seen, moved, 0.0)
+    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
+    weight = power.sum() * other.sum(axis=1)
+    share = np.ones(len(moved))
+    np.divide(other @ power, weight, out=share, where=weight > 0)
+    return share

@@ -8,7 +8,7 @@ from simulated import INERTIA, NOISE, column, recording, row, steps, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import BANKS, Contrast, at_any_time, changed, what_changed
+from sim2real.diagnose.change import BANKS, Contrast, changed, what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.diagnose.references import law_of, with_known_servos
@@ -29,7 +29,7 @@ from sim2real.residuals.explained import (
 )
 from sim2real.residuals.jumps import Steps
 from sim2real.residuals.misstated import misstated
-from sim2real.residuals.repeats import alignment, freed_of_the_common
+from sim2real.residuals.repeats import alignment, at_any_time, freed_of_the_common
 from sim2real.servo.parameters import joint_row
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}

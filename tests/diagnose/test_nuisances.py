@@ -10,11 +10,11 @@ from simulated import INERTIA, KD, KP, LATENCY, NOISE, row, traced
 from sim2real.diagnose.case import Joint
 from sim2real.diagnose.diagnose import _first_look
 from sim2real.diagnose.nuisances import _best, size_in_noise
-from sim2real.diagnose.search import _as_read, search
+from sim2real.diagnose.search import search
 from sim2real.effects import named
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
-from sim2real.residuals.plain import baselines
+from sim2real.residuals.plain import as_read, baselines
 from sim2real.residuals.problem import Hypothesis
 from sim2real.residuals.screen import FITTED, NUISANCES
 from sim2real.robot import Servo
@@ -93,8 +93,9 @@ GAIN, OFFSET = 0.04, 0.012
 
 def test_waves_stay_where_they_were_seen_when_a_gain_and_an_offset_of_the_sensor_leave():
     wave = {"torque_Nm": 0.02, "period_rad": 0.1, "phase_rad": 0.7}
-    before = row(cogging=wave)
-    after = _as_read(before, GAIN, OFFSET)
+    errors = {"sensor_gain": {"gain": GAIN}, "sensor_offset": {"offset_rad": OFFSET}}
+    before = row(cogging=wave, **errors)
+    after = as_read(before, frozenset({"cogging"}))
     q = np.linspace(-0.8, 0.8, 200)
 
     def torque(theta, angle):
@@ -103,7 +104,7 @@ def test_waves_stay_where_they_were_seen_when_a_gain_and_an_offset_of_the_sensor
 
     seen = (1 + GAIN) * q + OFFSET
     np.testing.assert_allclose(torque(after, seen), torque(before, q), atol=1e-9)
-    assert _as_read(before, 0.0, 0.0) == pytest.approx(before)
+    np.testing.assert_array_equal(as_read(before, frozenset({"cogging", *errors})), before)
 
 
 def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
