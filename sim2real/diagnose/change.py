@@ -24,13 +24,13 @@ from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
 from sim2real.link.loss import Uneven
 from sim2real.link.uneven import LinkData, link
+from sim2real.residuals.contrast import Contrast, Unchanged, contrast
 from sim2real.residuals.explained import (
     Directions,
     Explained,
     directions,
     energy,
     explained,
-    first_look,
     first_pairs,
     fitted,
     loss,
@@ -40,7 +40,6 @@ from sim2real.residuals.jumps import Steps
 from sim2real.residuals.linear import Residual
 from sim2real.residuals.misstated import misstated
 from sim2real.residuals.problem import Set
-from sim2real.residuals.repeats import at_any_time, unit
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
@@ -66,21 +65,6 @@ _MORE = 4.0
 """How many times less two changes must leave than one, which must leave so much to be told."""
 
 
-@dataclass(frozen=True)
-class Unchanged:
-    """What recordings look like in which nothing has changed, by the way they are explained.
-
-    Attributes:
-        known: How many of them there are.
-        null: Null size of each effect, mean squares over what references leave.
-        jump: Largest step of what is left, over the references', that is no sign of anything.
-    """
-
-    known: float
-    null: Mapping[str, float]
-    jump: float
-
-
 def read_bank(path: Path = BANK) -> dict[str, Unchanged]:
     """The bank of a file, made by ``benchmarks/unchanged_bank.py``.
 
@@ -101,78 +85,8 @@ BANKS = read_bank()
 """What ships."""
 
 
-@dataclass(frozen=True)
-class Contrast:
-    """What a change of each effect would explain of a joint's case.
-
-    Attributes:
-        effects: The effects, and parameters of the plain servo, of which there are N.
-        gone: Mean square that each takes away from the case, rad2, shape (N,).
-        left: Mean square that each leaves, shape (N,).
-        size: How far each lies, in multiples of its start, shape (N,).
-        rows: The case's servo with each, shape (N, P).
-        usual: What each takes away where nothing has changed, in ``unit``, by the bank, (N,).
-        before: The sum of what each takes away from the references, rad2, shape (N,).
-        known: Unchanged recordings behind the null sizes, of the bank and in all.
-        scale2: Mean square that is left of the references.
-        law: Whether these are explained by a law, which may fit few of them too well.
-    """
-
-    effects: tuple[str, ...]
-    gone: Array
-    left: Array
-    size: Array
-    rows: Array
-    usual: Array
-    before: Array
-    known: tuple[float, float]
-    scale2: float
-    law: bool = False
-
-    @property
-    def null(self) -> Array:
-        """Mean square that each takes away where nothing has changed, rad2, shape (N,)."""
-        bank, every = self.known
-        return (self.usual * unit(self.law, self.scale2, self.left) * bank + self.before) / every
-
-    @property
-    def evidence(self) -> Array:
-        """Log odds of each change, of unknown size, against none, without the prior, (N,)."""
-        return student(self.gone / self.null, self.known[1])
-
-    @property
-    def misfit(self) -> Array:
-        """What each explains less than the best does, in nats, shape (N,).
-
-        A law is not quite what a servo does: it may be wrong by a share of what it explains.
-        """
-        best = int(np.argmax(self.gone))
-        blurred = self.null[best] + DECISION.change_law_error**2 * self.gone[best]
-        return np.asarray(0.5 * (self.gone[best] - self.gone) / blurred)
-
-
-def contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
-    """Weigh a change of each effect against none, at first sight."""
-    names = tuple(dict.fromkeys(by.names))
-    place = [np.flatnonzero([n == name for n in by.names]) for name in names]
-    gone, size, left = first_look(of, by, of.case)
-    # Of several starts that which needs no far extrapolation.
-    near = gone / np.maximum(np.abs(size) / _straight(of), 1.0) ** 2
-    best = np.array([mine[np.argmax(near[mine])] for mine in place])
-    telling = [r for r in range(of.references) if of.seen(r).any()]
-    unchanged = bank[of.way]
-    middle = float(np.median(list(unchanged.null.values())))
-    usual = np.array([unchanged.null.get(name, middle) for name in names])
-    if of.way == "repeat":
-        usual *= np.mean([at_any_time(of.left[r], by.moved[r][best]) for r in telling], axis=0)
-    looks = [first_look(of, by, [r])[0] for r in telling]
-    before = np.array([sum(float(look[mine].max()) for look in looks) for mine in place])
-    rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
-    known = unchanged.known, unchanged.known + len(telling)
-    return Contrast(
-        names, gone[best], left[best], size[best], rows, usual, before, known, of.scale2,
-        of.way == "law",
-    )  # fmt: skip
+def _contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
+    return contrast(of, by, bank[of.way], _straight(of), DECISION.change_law_error)
 
 
 def _straight(of: Explained) -> float:
@@ -255,7 +169,7 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
         bank: How large changes look where there are none.
     """
     by = directions(of)
-    first = contrast(of, by, bank)
+    first = _contrast(of, by, bank)
     found = first
     if first.evidence.max() > DECISION.change_worth:
         found = refined(of, first, by)
@@ -397,7 +311,7 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
     for k in order[:_PARTNERS]:
         head, row = found.effects[k], found.rows[k]
-        beside = contrast(_without(of, row), by)
+        beside = _contrast(_without(of, row), by)
         ranked = (int(p) for p in np.argsort(-beside.gone))
         likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)][: _MOST // 2]
         fit({frozenset((head, beside.effects[p])): row + beside.rows[p] - of.row for p in likely})

@@ -350,9 +350,8 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
     unit: list[float] = []
     for name in effects:
         if name in _GAINS:
-            column = _GAINS.index(name)
-            value = max(float(of.row[column]), 1e-6)
-            columns += [column]
+            columns += [_GAINS.index(name)]
+            value = max(float(of.row[columns[-1]]), 1e-6)
             low, high = [*low, 0.0], [*high, 0.5 if name == "latency_s" else 30 * value]
             unit += [0.02 if name == "latency_s" else value]
         else:
@@ -361,14 +360,13 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
             low, high = [*low, *option.low], [*high, *option.high]
             unit += option.unit.tolist()
     scale, box = np.array(unit), (np.array(low) / unit, np.array(high) / unit)
-    places = of.case
-    base = of.simulated(of.row[None], places)
+    base = of.simulated(of.row[None], of.case)
 
     def left(x: Array) -> Array:
         rows = np.tile(of.row, (len(x), 1))
         rows[:, columns] = x * scale
-        moved = [a - b for a, b in zip(of.simulated(rows, places), base, strict=True)]
-        parts = [(of.left[r] - m)[:, of.seen(r)] for r, m in zip(places, moved, strict=True)]
+        moved = [a - b for a, b in zip(of.simulated(rows, of.case), base, strict=True)]
+        parts = [(of.left[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
 
     def alone(x: Array) -> Array:
@@ -382,10 +380,8 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
     best, least = of.row, np.inf
     for start in starts:
         x0 = np.clip(start[columns] / scale, *box)
-        size = np.maximum(np.abs(x0), 1e-2)
-        found = least_squares(
-            alone, x0, slopes, bounds=box, max_nfev=_EVALUATIONS, x_scale=size, ftol=1e-6
-        )
+        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": _EVALUATIONS, "ftol": 1e-6}
+        found = least_squares(alone, x0, slopes, bounds=box, **options)
         mean = 2 * float(found.cost) / max(found.fun.size, 1)
         if mean < least:
             least, best = mean, of.row.copy()

@@ -8,13 +8,14 @@ from simulated import INERTIA, NOISE, column, recording, row, steps, traced
 from test_diagnose import robot
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import BANKS, Contrast, changed, what_changed
+from sim2real.diagnose.change import BANKS, changed, what_changed
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.diagnose.references import law_of, with_known_servos
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.residuals.at_rest import beside_rest
+from sim2real.residuals.contrast import Contrast
 from sim2real.residuals.explained import (
     Directions,
     Explained,
@@ -127,9 +128,9 @@ def contrast_of(gone, null, known=4.0):
     gone, N = np.array(gone), len(gone)
     left, nothing = gone.max() - gone, np.zeros(N)
     null = np.array(null)
-    return Contrast(
-        NAMES[:N], gone, left, nothing, np.zeros((N, 1)), null, nothing, (known, known), 1.0
-    )
+    known = (known, known)
+    rows, law_error = np.zeros((N, 1)), DECISION.change_law_error
+    return Contrast(NAMES[:N], gone, left, nothing, rows, null, nothing, known, 1.0, law_error)
 
 
 def test_what_looks_as_large_where_nothing_changed_is_no_change():
