@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -191,12 +191,18 @@ def sizes(
 
 
 def learned_from(
-    robots: Sequence[Learned], before: LawError, known_from: str, *, in_water: bool
+    robots: Sequence[Learned], before: LawError, seen: Mapping[str, int], *, in_water: bool
 ) -> dict[str, Any]:
-    """What is kept of the twin's error, from swims near their fits and from what was known."""
+    """What is kept of the twin's error, from swims near their fits and from what was known.
+
+    Args:
+        robots: Swims in which nothing is missing, and the law of each robot.
+        before: What was known.
+        seen: How many ``swims`` and ``robots`` that is from.
+        in_water: Whether the fluid puts the twin right.
+    """
     swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
-    earlier = [int(word) for word in known_from.split() if word.isdigit()]
-    worth, others = (earlier + [0, 0])[:2]
+    worth, others = seen["swims"], seen["robots"]
     shares, imitated = before.shares, dict(before.imitated)
     for _ in range(_STEPS):
         shares, fresh = sizes(swims, shares, imitated, before, worth)
@@ -220,8 +226,7 @@ def learned_from(
         },
         "imitated": imitated, "unknown": unknown,
         "usual": {} if in_water else usual, "shift": usual if in_water else {},
-        "from": f"{worth + len(swims)} swims of {others + len(laws)} robots in which nothing is "
-        "missing",
+        "from": {"swims": worth + len(swims), "robots": others + len(laws)},
     }  # fmt: skip
 
 

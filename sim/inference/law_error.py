@@ -1,10 +1,10 @@
 """How wrong the twin is, as it was measured: its error is a part of the noise.
 
-``law_error.json`` says, with where it is from, what a twin that was calibrated on a robot's swims
-still gets wrong of another swim of the same robot in which nothing is missing: the share of
-each signal, by band of frequency, and how much of each effect it imitates. ``benchmarks/
-pool_law_error.py`` learns them from the nulls of development sets, ``pool_decisions.py`` chooses
-what decides.
+``law_error.json`` says what a twin that was calibrated on a robot's swims still gets wrong of
+another swim of the same robot in which nothing is missing, and from how many swims of how many
+robots that is known: the share of each signal, by band of frequency, and how much of each effect
+it imitates. ``benchmarks/pool_law_error.py`` learns them from the nulls of development sets,
+``pool_decisions.py`` chooses what decides.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
     rows = [fitted(of, [found.effects[k]], _starts(found, by, int(k)))[0] for k in order]
     rests = [_without(of, row) for row in rows]
     count = sum(int(np.count_nonzero(of.seen(r))) for r in of.case)
-    gone = np.array([loss(of) - loss(rest) for rest in rests]) / max(count, 1)
+    gone = (loss(of) - np.array([loss(rest) for rest in rests])) / max(count, 1)
     left = np.array([energy(settled(rest), of.case) for rest in rests])
     # Near its start, what a change does to first order is as good.
     linear = (np.abs(found.size[order]) < _straight(of)) & (found.gone[order] > gone)
@@ -183,8 +183,8 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     if of.way == "rest":  # what is left may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12 * of.scale2)))
     windows = Steps(rest, usual).windows(bank[of.way].jump)
-    beyond = not told and energy(settled(of), of.case) > _BEYOND * of.scale2
-    alien = of.way == "law" and beyond
+    law = of.way == "law" and not told
+    alien = law and energy(settled(of), of.case) > _BEYOND * of.scale2
     likely = of.way == "repeat" and not told and (windows is None or _lasting(of, windows))
     late = _uneven(of, bank[of.way].known) if likely else None
     if late is not None or (windows is None and not alien):
