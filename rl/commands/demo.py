@@ -168,7 +168,6 @@ def _ablated(
     plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
     folder = options.out / "ablation"
     trainer = partial(train, first=agents_in(options.pool))
-    torch.set_num_threads(2)  # one batch of all agents, no longer small
     with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {plan.steps} steps, in the twin"):
         testbeds = tried_in(robot, arms, plan, found.ranges, reality)
         told = ablate(

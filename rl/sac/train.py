@@ -1,5 +1,6 @@
 """Training: several agents side by side in one world, resumable at any moment.
 
+While the robots of a processor swim to their next decision, the agents learn from those before.
 Every ``segment`` steps all episodes begin anew from seeds that depend on the run's seed and the
 segment alone, and a checkpoint is written. So a run that was killed goes on from its last
 checkpoint exactly as it would have gone on.
@@ -10,8 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -218,11 +222,11 @@ def _train(
         total=plan.steps, initial=progress.steps, desc="train", unit="step", disable=None,
         smoothing=0.05,
     )  # fmt: skip
-    while progress.steps < plan.steps:
-        last = min(progress.steps + plan.segment, plan.steps)
-        _segment(decisions, agents, own, plan, progress, last, bar, swims=bool(first))
-        save(folder, agents, progress, names)
-    bar.close()
+    with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
+        while progress.steps < plan.steps:
+            last = min(progress.steps + plan.segment, plan.steps)
+            _segment(decisions, agents, own, plan, progress, last, bar, pool, swims=bool(first))
+            save(folder, agents, progress, names)
 
 
 def _segment(
@@ -233,6 +237,7 @@ def _segment(
     progress: Progress,
     last: int,
     bar: Any,  # noqa: ANN401
+    pool: Executor | None,
     *,
     swims: bool,
 ) -> None:
@@ -255,7 +260,12 @@ def _segment(
             action = torch.erf(noise / 2**0.5)  # as likely anywhere between -1 and 1
         else:
             action = agents.act(observed, noise)
-        step = decisions.step(action.view(A * n, J))
+        if progress.steps >= settings.warm_up and agents.filled:
+            agents.set_schedule(progress.steps / plan.steps, progress.grown)
+            owed += settings.updates_per_step * each
+        decide = partial(decisions.step, action.view(A * n, J))
+        step = _while(pool, decide, partial(agents.learn, int(owed)))
+        owed -= int(owed)
         gain = step.reward + world.task.energy * step.effort
         agents.remember(
             observed, action, gain.view(A, n), step.effort.view(A, n), step.final.view(A, n, -1),
@@ -265,17 +275,23 @@ def _segment(
         tally.add(step, world.task.waypoints)
         progress.steps += each
         bar.update(each)
-        if progress.steps >= settings.warm_up:
-            agents.set_schedule(progress.steps / plan.steps, progress.grown)
-            owed += settings.updates_per_step * each
-            agents.learn(int(owed))
-            owed -= int(owed)
         if tally.some() or progress.steps >= last:
             before = progress.noted()
             progress.note(tally.take(), agents)
             progress.grow(plan.grown, before)
             _set_price(agents, arms, plan, progress)
             bar.set_postfix_str(progress.said())
+
+
+def _while(pool: Executor | None, decide: Callable[[], Step], learn: Callable[[], None]) -> Step:
+    """The step of ``decide``, beside which agents learn; after it where there is no ``pool``."""
+    if pool is None:
+        step = decide()
+        learn()
+        return step
+    deciding = pool.submit(decide)
+    learn()
+    return deciding.result()
 
 
 def _set_price(agents: Agents, arms: Sequence[Arm], plan: Plan, progress: Progress) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -69,6 +70,17 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
         assert torch.equal(x, y)
     one, other = parameters(whole)[:2]
     assert not torch.equal(one, other), "seeds differ"
+
+
+def test_learning_beside_the_swim_gives_what_learning_after_it_does(
+    robot, model, tmp_path, monkeypatch
+):
+    plan = replace(PLAN, steps=640)
+    beside = train(tmp_path / "beside", robot, arms(model), plan)
+    monkeypatch.setattr(rl.sac.train, "ThreadPoolExecutor", lambda threads: nullcontext())
+    after = train(tmp_path / "after", robot, arms(model), plan)
+    for x, y in zip(parameters(beside), parameters(after), strict=True):
+        assert torch.equal(x, y)
 
 
 def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
