@@ -259,7 +259,9 @@ def _passive(given: Actuator, section: Element) -> list[LeftOut]:
     bristles = given.effects.get("presliding_friction", {})
     if bristles.get("torque_Nm"):
         torque, stiffness = bristles["torque_Nm"], bristles["stiffness_Nm_per_rad"]
-        motor("bristles", lugre=_text(stiffness, 0, torque, torque, 1))
+        ratio = bristles.get("damping_ratio", 0.0)
+        damping = 2 * ratio * math.sqrt(stiffness * given.inertia)
+        motor("bristles", lugre=_text(stiffness, damping, torque, torque, 1))
     falling = given.effects.get("stribeck_friction", {})
     if falling:
         sliding, breakaway = falling["torque_Nm"], falling["breakaway_Nm"]

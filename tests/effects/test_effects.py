@@ -163,6 +163,22 @@ def test_friction_holds_what_is_below_it(effect):
     assert simulate(np.where(T > 0.2, 0.1, 0.0), **{effect.name: values})[-1] > 0.06
 
 
+@pytest.mark.parametrize("ratio", [0.0, 0.05])
+def test_a_bristle_that_holds_rings_down_as_its_damping_says(ratio):
+    """A push far too weak to make it slip: the logarithmic decrement is that of a damped spring."""
+    stiffness, t = 20.0, 0.0001 * np.arange(5000)
+    bristle = {"torque_Nm": 50.0, "stiffness_Nm_per_rad": stiffness, "damping_ratio": ratio}
+    weak, command = 0.02 * stiffness, np.where(t > 0.01, 0.05, 0.0)
+    swing = rollout(
+        row(kp=weak, kd=0.0, latency=0.0, presliding_friction=bristle), t, command[:, None]
+    )[0, :, 0]
+    swing = swing - 0.05 * weak / (weak + stiffness)
+    peaks = swing[1:-1][(swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (t[1:-1] > 0.02)]
+    lost = np.diff(np.log(peaks)).mean()
+    own = ratio * np.sqrt(stiffness / (weak + stiffness))
+    assert lost == pytest.approx(-2 * np.pi * own / np.sqrt(1 - own**2), rel=0.03, abs=2e-3)
+
+
 def coast(**effects):
     """Accelerations while the shaft coasts with its torque off, per second squared."""
     t = 0.001 * np.arange(400)

@@ -23,6 +23,8 @@ WITHIN_RAD = 1e-3
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 TYPICAL["cogging"]["phase_rad"] = 0.7
 TYPICAL["compliance"]["compliance_rad_per_Nm"] = 0.03
+# At 0.5 MuJoCo's own step makes 1.1 mrad of it, and 0.3 at a fifth of the step.
+TYPICAL["presliding_friction"]["damping_ratio"] = 0.2
 ROUGH = {"stribeck_friction"}  # expressed, but not within a milliradian at this timestep
 
 

@@ -1,8 +1,9 @@
 """Presliding friction: dry friction that is a spring before it slips.
 
 A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, holds with
-``-stiffness z``: Dahl's model with exponent 1 (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky,
-European Journal of Control 4 (1998) 176-195), integrated exactly over a sub-step.
+``-stiffness z - damping z'``: Dahl's model with exponent 1, integrated exactly over a sub-step, and
+the damping of LuGre's (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European Journal of
+Control 4 (1998) 176-195), as ``2 damping_ratio`` times the root of stiffness and inertia.
 
 Leaves spring-like loops within a degree of each reversal. Taken for: Coulomb friction, compliance;
 small sines tell, by their minor loops.
@@ -29,9 +30,12 @@ def bristle(
     """Torque on the shaft in N m."""
     if p[c] == wp.float64(0.0):
         return x
+    before = z[s]
     slip = wp.sign(v) * p[c] / p[c + 1]
-    z[s] = slip + (z[s] - slip) * wp.exp(-wp.abs(v) * h * p[c + 1] / p[c])
-    return x - p[c + 1] * z[s]
+    z[s] = slip + (before - slip) * wp.exp(-wp.abs(v) * h * p[c + 1] / p[c])
+    damping = wp.float64(2.0) * p[c + 2] * wp.sqrt(p[c + 1] * p[3])
+    spring = wp.float64(0.5) * p[c + 1] * (before + z[s])  # its mean over the sub-step
+    return x - spring - wp.min(damping / h, p[3] / (h * h)) * (z[s] - before)
 
 
 EFFECT = Effect(
@@ -43,6 +47,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),
         Parameter("stiffness_Nm_per_rad", low=0.1, high=200.0, typical=10.0),
+        Parameter("damping_ratio", low=0.0, high=2.0, typical=0.5, starts=(1.0,)),
     ),
     memory=1,
     family="dry friction",
