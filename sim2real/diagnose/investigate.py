@@ -50,6 +50,7 @@ class Finding:
         unmodelled: What could be missing without a name.
         unknown: Probability that what is missing is not in the catalogue.
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
+        noise: Standard deviation of the sensor's noise, rad.
         step_rad: Step of an angle sensor that is coarser than stated, or None.
         link: What is uneven on the link, or None.
         place: Of the joint among those of the link.
@@ -65,6 +66,7 @@ class Finding:
     unmodelled: Unmodelled
     unknown: float
     excess: float
+    noise: float
     step_rad: float | None
     link: Uneven | None = None
     place: int = 0
@@ -303,6 +305,7 @@ def _finding(
         without,
         0.0,
         excess_after,
+        joint.noise,
         joint.step_rad,
     )
 

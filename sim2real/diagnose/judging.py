@@ -48,10 +48,10 @@ def _gain(x: float) -> float:
 _SCALES: Mapping[str, Callable[[float], float]] = {
     "probability": lambda p: -_logarithm(1e-3, 1e3)(1 / np.clip(p, 0.02, 0.98) - 1),
     "changes": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
-    "change": lambda x: float(np.clip(x, -0.5, 1.0)),
     "lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
     "size": _logarithm(1e-2, 30.0),
     "left": _logarithm(0.3, 30.0),
+    **dict.fromkeys(("error", "error_plain"), _logarithm(1.0, 30.0)),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
     **dict.fromkeys(("without", "smooth", "windows", "own", "gain"), _gain),
 }
@@ -59,7 +59,7 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
 
 
 _ALMOST = 0.89
-_BESIDE = ("excess_plain", "change")
+_BESIDE = ("excess_plain", "error_plain", "error")
 """Measures of the whole joint that count for each effect as well."""
 
 
@@ -82,7 +82,7 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
     # What no group says is no finding, and not missing.
     small = best.members - tried.base - finding.said
     servo = tried.tried.get(tried.base | small, tried.plain)
-    plain, rich = unseen.get(servo.members), unseen.get(best.members)
+    plain, rich = unseen.get(tried.base), unseen.get(best.members)
     more = max(without.excess - 1, 0.0)
     explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
     whole = scaled(
@@ -95,7 +95,8 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> Evidence:
         own=best.evidence - servo.evidence,
         left=left,
         groups=len(groups),
-        change=0.0 if plain is None or rich is None else 1 - rich.rmse / plain.rmse,
+        error_plain=1.0 if plain is None else plain.rmse / finding.noise,
+        error=1.0 if rich is None else rich.rmse / finding.noise,
     )
     weighed = []
     for group in groups:

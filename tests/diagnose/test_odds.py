@@ -25,7 +25,8 @@ WHOLE = {
     "own": 0.0,
     "left": 0.5,
     "groups": 0,
-    "change": 0.0,
+    "error_plain": 1.0,
+    "error": 1.0,
 }
 
 
@@ -54,6 +55,14 @@ def test_the_curves_that_ship_call_a_servo_that_fits_well():
     assert set(ODDS) == set(CURVES)
     assert ODDS["there"].probability(scaled(**WHOLE)) < 0.2
     assert ODDS["nameless"].probability(scaled(**WHOLE)) < 0.2
+
+
+def test_a_large_error_on_left_out_data_that_nothing_lowers_has_no_name():
+    """A horn that slips late in one of two recordings: little beyond the noise, but elsewhere."""
+    slipped = {"excess_plain": 1.4, "excess": 1.37, "windows": 400.0, "smooth": 110.0, "own": 4.0}
+    there = {"error_plain": 11.0, "error": 30.0, "groups": 1}
+    assert ODDS["nameless"].probability(scaled(**{**WHOLE, **slipped, **there})) > 0.5
+    assert ODDS["nameless"].probability(scaled(**{**WHOLE, **slipped})) < 0.5
 
 
 def test_the_effect_that_explains_all_of_a_large_error_is_likely():
