@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.decision_curves import logistic
+from benchmarks.decision_curves import logistic, loss
 from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
 from sim2real.output import write_json
@@ -39,7 +39,6 @@ _WIDE = 0.1
 DETECTABLE = 10.0
 """Log-likelihood ratio of one who knows the water from which something can be seen."""
 _AT_ONCE = 3
-_FOLDS = 5
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
 _WORSE, _RARELY = 0.01, 0.02
@@ -100,6 +99,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
     out["ece"] = float(
         sum(abs(p[place == k].sum() - ok[place == k].sum()) for k in range(10)) / max(len(p), 1)
     )
+    out["loss"] = loss(p, ok)
     return out
 
 
@@ -146,7 +146,11 @@ def usually(cases: Cases) -> Numbers:
 
 
 def choose(
-    sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[Path], target: Path
+    sets: Sequence[Path],
+    verdicts: Sequence[Path],
+    graded: Sequence[Path],
+    target: Path,
+    at_once: int = _AT_ONCE,
 ) -> None:
     """Numbers whose answers to the development set are best."""
     cases = []
@@ -162,17 +166,16 @@ def choose(
                 cases.append((truth, found))
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
-    out = [set(robots[k::_FOLDS]) for k in range(_FOLDS)]
-    parts = [[c for c in cases if c[0]["robot"] not in some] for some in out]
-    begun = [content["decisions"]] * (_FOLDS + 1)
-    with ProcessPoolExecutor(_AT_ONCE) as pool:
+    parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
+    begun = [content["decisions"]] * (len(robots) + 1)
+    with ProcessPoolExecutor(at_once) as pool:
         *found, best = pool.map(tuned, [*parts, cases], begun)
     best |= offering([c for c in cases if c[0]["foretold"]], best)
     apart = [
         (t, decide(f, numbers))
-        for numbers, some in zip(found, out, strict=True)
+        for numbers, out in zip(found, robots, strict=True)
         for t, f in cases
-        if t["robot"] in some
+        if t["robot"] == out
     ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
     best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
@@ -272,9 +275,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")
+    parser.add_argument("--processes", type=int, default=_AT_ONCE)
     options = parser.parse_args()
     sets, verdicts, graded = (options.sets[k::3] for k in range(3))
-    choose(sets, verdicts, graded, IN_WATER if options.in_water else FILE)
+    target = IN_WATER if options.in_water else FILE
+    choose(sets, verdicts, graded, target, options.processes)
 
 
 if __name__ == "__main__":

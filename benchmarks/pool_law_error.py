@@ -172,7 +172,7 @@ def sizes(
         for kind, m, v, r in zip(one["kinds"], mean, wide, relative, strict=True):
             square.setdefault(kind, []).append(float(m**2 + v) / r**2)
         rest = (one["rows"] + one["slope"] @ step).reshape(weight.shape) ** 2
-        more = np.einsum("nf,fg,ng->n", one["slope"], inverse, one["slope"])
+        more = np.sum((one["slope"] @ inverse) * one["slope"], axis=1)
         rest = rest + more.reshape(weight.shape) - one["noise"]
         for k in range(K):
             for b in range(len(BANDS)):

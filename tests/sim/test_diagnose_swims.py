@@ -148,10 +148,19 @@ def test_what_predicts_worse_is_not_offered():
 
 
 def test_what_drags_can_imitate_is_a_group():
-    sets = [((), 0.0), ((DRAG,), 60.0), ((ROUGH,), 59.9), ((SKIN,), 1.0)]
-    (one,) = decide(raw(*sets), LAW_ERROR.decisions).named
-    assert one.group == (DRAG, ROUGH)
-    assert decide(raw(*sets), LAW_ERROR.decisions).verdict == "ambiguous"
+    sets = [((), 0.0), ((DRAG,), 120.0), ((ROUGH,), 119.9), ((SKIN,), 1.0)]
+    said = decide(raw(*sets), LAW_ERROR.decisions)
+    assert [one.group for one in said.named] == [(DRAG, ROUGH)]
+    assert said.verdict == "ambiguous"
+
+
+def test_the_twin_alone_trusts_a_drag_less_than_a_camera():
+    """A law that is wrong passes for drag, not for a late camera; less so where the fluid swam."""
+    drag, late = ([((), 0.0), ((one,), 60.0)] for one in (DRAG, LATE))
+    (alone,), (camera,) = (decide(raw(*s), LAW_ERROR.decisions).named for s in (drag, late))
+    (in_water,) = decide(raw(*drag), IN_WATER.decisions).named
+    assert alone.probability < 0.5 < in_water.probability
+    assert alone.probability < camera.probability - 0.2
 
 
 def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
