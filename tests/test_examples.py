@@ -28,12 +28,12 @@ def test_all_are_here() -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_runs(name: str, tmp_path: Path) -> None:
+def test_it_runs(name: str, short: Path, tmp_path: Path) -> None:
     if name == "train_with_gymnasium":
         pytest.importorskip("torch", reason="the extra 'rl' is not installed")
     more, files, said = EXAMPLES[name]
     program = [sys.executable, str(ROOT / "examples" / f"{name}.py"), "--out", str(tmp_path)]
-    run = subprocess.run([*program, *more], capture_output=True, text=True, cwd=ROOT)
+    run = subprocess.run([*program, *more], capture_output=True, text=True, cwd=short)
     assert run.returncode == 0, run.stderr
     assert said in run.stdout
     for file in files:

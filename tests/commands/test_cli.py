@@ -19,7 +19,6 @@ from sim2real.recording import read_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
-POOL = ROOT / "datasets" / "pool"
 COMMANDS = list(cli.COMMANDS)
 
 
@@ -236,32 +235,19 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-def cut(folder, names, rows, out):
-    """The first ``rows`` samples of a folder's recordings, and all else that is in it."""
-    out.mkdir()
-    for path in folder.iterdir():
-        if path.suffix != ".csv":
-            (out / path.name).symlink_to(path)
-    for name in names:
-        pd.read_csv(folder / f"{name}.csv").iloc[:rows].to_csv(out / f"{name}.csv", index=False)
-    return str(out)
-
-
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
+def test_demo_ends_in_a_page(whole, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording and a training too short to learn, and as it is."""
     demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
-    bench, pool = str(DATA), str(POOL)
+    data = (ROOT if whole else short) / "datasets"
     if not whole:
-        short = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
-        monkeypatch.setattr(demo, "QUICK", short)
+        quick = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
+        monkeypatch.setattr(demo, "QUICK", quick)
         monkeypatch.setattr(demo, "SEEDS", 2)
         monkeypatch.setattr(demo, "REPEATS", 2)
         monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
-        bench = cut(DATA, ("steps", "chirp"), 500, tmp_path / "bench")
-        pool = cut(POOL, ("p1", "p2"), 500, tmp_path / "pool")
-    out = ["--out", str(tmp_path / "demo")]
-    assert main(["demo", "--data", bench, "--pool", pool, *out]) == 0
+    folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
+    assert main(["demo", *folders, "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
     assert "<script" not in page
