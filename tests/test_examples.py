@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = {
     "identify_a_servo": ([], ("model.json", "chirp.png"), "held out"),
     "find_what_is_missing": ([], ("candidates.png",), "verdict: explained"),
-    "posterior_and_ranges": (["--steps", "400"], ("ranges.json", "latency.png"), "j1.kp"),
+    "posterior_and_ranges": (["--steps", "240"], ("ranges.json", "latency.png"), "j1.kp"),
     "calibrate_a_body": (["--seconds", "8"], ("calibrated.json", "calibration.png"), "twin.thrust"),
     "swim_your_own_robot": ([], ("fish.toml", "way.png"), "its head's way"),
     "train_with_gymnasium": (
