@@ -239,10 +239,13 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
 def test_demo_ends_in_a_page(whole, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording and a training too short to learn, and as it is."""
     demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+    from rl.task import shortened
+
     data = (ROOT if whole else short) / "datasets"
     if not whole:
-        quick = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
-        monkeypatch.setattr(demo, "QUICK", quick)
+        task = shortened(demo.QUICK.task, 200)
+        quick = replace(demo.QUICK, task=task, steps=1_280, envs=4, segment=640)
+        monkeypatch.setattr(demo, "QUICK", quick)  # for the ablation alone
         monkeypatch.setattr(demo, "SEEDS", 2)
         monkeypatch.setattr(demo, "REPEATS", 2)
         monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
