@@ -197,11 +197,12 @@ def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Arra
     """
     track = simulator(models, swim.command, swim.start)
     out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
-    whole = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
-    if whole.size:
-        seen = [observed(swim.t, track[e, :, :3], values(models[e])) for e in whole.tolist()]
-        out[whole, :, :3] = body_velocity(swim.t, np.array(seen))
-        out[whole, :, 3:] = track[whole, :, 3:]
+    for e, model in enumerate(models):
+        if not np.isfinite(track[e]).all():
+            continue
+        pose = observed(swim.t, track[e, :, :3], values(model))
+        out[e, :, :3] = body_velocity(swim.t, pose)
+        out[e, :, 3:] = track[e, :, 3:]
     return out
 
 
