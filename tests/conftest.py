@@ -15,3 +15,22 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings in {folder}; SIM2REAL_REALDATA can say where they are")
     return folder
+
+
+@pytest.fixture(scope="session")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``datasets`` and ``reports`` as in a clone, ten seconds of each recording.
+
+    For tests of whole chains, whose time is that of simulating recordings.
+    """
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "reports").symlink_to(ROOT / "reports")
+    for name in ("servo_steps", "pool"):
+        (folder / "datasets" / name).mkdir(parents=True)
+        for path in (ROOT / "datasets" / name).iterdir():
+            here = folder / "datasets" / name / path.name
+            if path.suffix == ".csv":
+                here.write_text("".join(path.read_text().splitlines(keepends=True)[:501]))
+            else:
+                here.symlink_to(path)
+    return folder

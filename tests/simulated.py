@@ -4,12 +4,14 @@ import numpy as np
 
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load, Recording
+from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import COLUMNS, joint_row
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import trace
 
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
 PERIOD, NOISE = 0.02, 0.0015
+FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
 
 
 def steps(t, rng, largest=0.6):
@@ -43,3 +45,15 @@ def recording(seed=0, name="steps", seconds=12.0, noise=NOISE, load=None, comman
 def traced(seed=0, name="steps", **given):
     """The same, ready to be fitted."""
     return trace(recording(seed, name, **given), "j1")
+
+
+def two(**effects):
+    """Two recordings of eight seconds: enough to name what is missing."""
+    return [recording(1, "a", seconds=8.0, **effects), recording(2, "b", seconds=8.0, **effects)]
+
+
+def robot(*names):
+    """A bench of such joints."""
+    servo = Servo("lx824", 1.67, 5.24, 0.00419)
+    joints = tuple(Joint(name, servo, (-1.0, 1.0)) for name in names)
+    return Robot("bench", (Link("link", 0.1, 0.1, 0.1, 0.1),) * (len(names) + 1), joints)

@@ -25,7 +25,7 @@ def refused_or_read(read: Callable[[], object]) -> None:
 
 
 FUZZ = settings(
-    max_examples=200,
+    max_examples=100,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

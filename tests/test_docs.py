@@ -54,15 +54,13 @@ def calls(text: str) -> Iterator[list[str]]:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """What a reader has who stands in a folder of shipped recordings."""
-    for name in ("servo_steps", "pool"):
-        (tmp_path / "datasets").mkdir(exist_ok=True)
-        (tmp_path / "datasets" / name).symlink_to(ROOT / "datasets" / name)
-    (tmp_path / "reports").symlink_to(ROOT / "reports")
+def folder(short, tmp_path, monkeypatch):
+    """What a reader has who stands in a folder of shipped recordings, which are short."""
+    for name in ("datasets", "reports"):
+        (tmp_path / name).symlink_to(short / name)
     for name in ("steps", "sine", "square", "chirp"):
         for ending in ("csv", "json"):
-            shutil.copy(ROOT / "datasets" / "servo_steps" / f"{name}.{ending}", tmp_path)
+            shutil.copy(short / "datasets" / "servo_steps" / f"{name}.{ending}", tmp_path)
     shutil.copy(ROOT / "datasets" / "servo_steps" / "robot.toml", tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")

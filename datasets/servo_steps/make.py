@@ -10,7 +10,9 @@ one, and nothing is shared with the library: what it fits to these recordings ca
 from __future__ import annotations
 
 import argparse
+import cmath
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -55,27 +57,29 @@ class Servo:
         """1 or -1 where the motor is at an end of its line, 0 where the controller has its way."""
         damping = self.kd_Nms_per_rad - self.line
         drive = self.kp_Nm_per_rad * (target - state[0]) - damping * state[1]
-        return int(np.sign(drive)) if abs(drive) > self.stall_torque_Nm else 0
+        return (1 if drive > 0 else -1) if abs(drive) > self.stall_torque_Nm else 0
 
     def moved(self, state: Array, target: float, side: int, dt: float) -> Array:
         """Position and velocity after ``dt`` on one side, exactly.
 
         Where the controller gets its way, the exponential of a 2 x 2 matrix A with eigenvalues
-        -s +- i w, by Cayley-Hamilton: exp(A dt) = exp(-s dt) (cos(w dt) + sin(w dt) / w (A + s)).
+        -s +- i w, by Cayley-Hamilton: exp(A dt) = exp(-s dt) (cos(w dt) + sin(w dt) / w (A + s));
+        w is imaginary where damping is strong.
         On the line the speed decays towards the no-load speed.
         """
         if side:
             rate = self.line / self.inertia_kgm2
             final = side * self.no_load_speed_rad_s
-            fallen = (state[1] - final) * -np.expm1(-rate * dt)
+            fallen = (state[1] - final) * -math.expm1(-rate * dt)
             return np.array([state[0] + final * dt + fallen / rate, state[1] - fallen])
-        stiffness, damping = np.array([self.kp_Nm_per_rad, self.kd_Nms_per_rad]) / self.inertia_kgm2
-        A, one = np.array([[0.0, 1.0], [-stiffness, -damping]]), np.eye(2)
-        s = damping / 2
-        w = np.sqrt(complex(stiffness - s**2))
-        matrix = np.exp(-s * dt) * (np.cos(w * dt) * one + np.sin(w * dt) / w * (A + s * one)).real
-        rest = np.array([target, 0.0])
-        return np.asarray(rest + matrix @ (state - rest))
+        stiffness = self.kp_Nm_per_rad / self.inertia_kgm2
+        s = self.kd_Nms_per_rad / self.inertia_kgm2 / 2
+        w = cmath.sqrt(stiffness - s**2)
+        fade, cosine, sine = math.exp(-s * dt), cmath.cos(w * dt).real, (cmath.sin(w * dt) / w).real
+        away, speed = state[0] - target, state[1]
+        position = (cosine + sine * s) * away + sine * speed
+        velocity = (cosine - sine * s) * speed - sine * stiffness * away
+        return np.array([target + fade * position, fade * velocity])
 
     def advanced(self, state: Array, target: float, dt: float) -> Array:
         """Position and velocity after ``dt`` under one set-point, from side to side."""

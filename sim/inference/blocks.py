@@ -83,7 +83,7 @@ class Blocks:
         rng = np.random.default_rng(0)
         jitter = swim.shaken or PoseNoise(np.zeros(3))
         drawn = jitter.drawn(rng, (_DRAWS, swim.t.size), period)
-        shaken = np.stack([body_velocity(swim.t, one) for one in drawn])
+        shaken = body_velocity(swim.t, drawn)
         noise = np.empty_like(square)
         each = (spectrum(shaken, edges) ** 2).mean(axis=0)
         for a, b in edges:

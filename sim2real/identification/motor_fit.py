@@ -79,28 +79,22 @@ class _Problem:
         low, high = np.array(ends).T
         return low, high, np.array([b.unit for b in chosen])
 
-    def slopes(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (B, n) and their derivatives by the free parameters, in units, (B, n, F)."""
-        low, high, unit = self.box
-        B, F = x.shape[0], len(self.free)
-        step = np.where(x[:, self.free] + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
-        trial = np.repeat(x[:, None], 1 + F, axis=1)
-        for place, k in enumerate(self.free):
-            trial[:, 1 + place, k] += step[:, place] * unit[place]
-        every = self.residuals(trial.reshape(B * (1 + F), -1)).reshape(B, 1 + F, -1)
-        slope = (every[:, 1:] - every[:, :1]) / step[:, :, None]
-        return every[:, 0], np.moveaxis(slope, 1, 2)
+    def slopes(self, x: Array, here: Array) -> Array:
+        """Derivatives of the residuals ``here`` (n,) by the free parameters, in units, (n, F)."""
+        _, high, unit = self.box
+        step = np.where(x[list(self.free)] + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+        return np.asarray(((self.residuals(self._beside(x, step)) - here) / step[:, None]).T)
 
     def prior_slopes(self, x: Array) -> tuple[Array, Array]:
-        """The prior's residuals (B, m) and derivatives, in units, (B, m, F)."""
-        here = self.terms(x)
-        unit = self.box[2]
-        slope = np.zeros((*here.shape, len(self.free)))
-        for place, k in enumerate(self.free):
-            moved = x.copy()
-            moved[:, k] += 1e-5 * unit[place]
-            slope[:, :, place] = (self.terms(moved) - here) / 1e-5
-        return here, slope
+        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
+        here, *beside = self.terms(np.stack([x, *self._beside(x, np.full(len(self.free), 1e-5))]))
+        return here, np.asarray((np.array(beside) - here).T / 1e-5)
+
+    def _beside(self, x: Array, step: Array) -> Array:
+        """A point as often as it has free parameters, one of them moved in each, in units."""
+        points = np.tile(x, (len(self.free), 1))
+        points[np.arange(len(self.free)), self.free] += step * self.box[2]
+        return points
 
 
 @dataclass(frozen=True)
@@ -320,21 +314,23 @@ def _descend(
     normal, slope = np.zeros((S, F, F)), np.zeros((S, F))
     active = np.arange(S)
     for step in range(steps):
-        error, by = problem.slopes(trial[active])
+        error = problem.residuals(trial[active])
         loss = _loss(problem, trial[active], error, scale, inflation)
-        belief, belief_by = problem.prior_slopes(trial[active])
-        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
         gain = least[active] - loss
-        settled = (gain < _SETTLED) & (gain >= 0) & (step > 2)
-        for j, s in enumerate(active):
-            if gain[j] < 0:
-                damping[s] *= 6
-                continue
-            best[s], least[s] = trial[s], loss[j]
-            damping[s] = max(damping[s] / 5, 1e-6)
-            weighted = by[j] * weight[j][:, None]
-            normal[s] = by[j].T @ weighted + belief_by[j].T @ belief_by[j]
-            slope[s] = weighted.T @ error[j] + belief_by[j].T @ belief[j]
+        won = gain >= 0
+        better, worse = active[won], active[~won]
+        damping[worse] *= 6
+        best[better], least[better] = trial[better], loss[won]
+        damping[better] = np.maximum(damping[better] / 5, 1e-6)
+        settled = won & (gain < _SETTLED) & (step > 2)
+        moves = won & ~settled  # what fits worse needs no slopes
+        for s, here in zip(active[moves], error[moves], strict=True):
+            by = problem.slopes(best[s], here)
+            belief, belief_by = problem.prior_slopes(best[s])
+            weight = 1 / np.sqrt(1 + (here / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
+            weighted = by * weight[:, None]
+            normal[s] = by.T @ weighted + belief_by.T @ belief_by
+            slope[s] = weighted.T @ here + belief_by.T @ belief
         active = active[~settled & (damping[active] < 1e5)]
         if not active.size:
             break
@@ -355,12 +351,13 @@ def _descend(
 def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses: Array) -> MotorFit:
     """The fit in the parameters' own units."""
     prior, free = problem.prior, list(problem.free)
-    error, by = problem.slopes(x[None])
+    error = problem.residuals(x[None])
+    by = problem.slopes(x, error[0])
     values = prior.values(x)
     own = np.array([values[k] if prior.beliefs[k].log else 1.0 for k in free])
     unit = problem.box[2]
-    _, belief_by = problem.prior_slopes(x[None])
-    tie = belief_by[0] / unit / own
+    _, belief_by = problem.prior_slopes(x)
+    tie = belief_by / unit / own
     counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
     beliefs = [prior.beliefs[k] for k in free]
     fit = Fit(
@@ -371,7 +368,7 @@ def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses:
         row=problem.rows(x[None])[0],
         scale_rad=robust_scale(error[0]),
         residuals=tuple(np.split(error[0], counts)),
-        jacobians=tuple(np.split(by[0] / unit / own, counts)),
+        jacobians=tuple(np.split(by / unit / own, counts)),
         converged=True,
         inertia=problem.traces[0].load.inertia_kgm2,
         prior=tie.T @ tie,

@@ -6,7 +6,7 @@ import io
 import os
 import re
 from collections.abc import Iterator
-from copy import deepcopy
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,8 +31,8 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
         InputError: If the folder can't be made or written.
     """
     stream = io.BytesIO()
-    with house_style():
-        deepcopy(figure).savefig(
+    with _as_it_was(figure), house_style():
+        figure.savefig(
             stream,
             format="png",
             dpi=PNG_DPI,
@@ -54,13 +54,27 @@ def svg(figure: Figure, *, width: float = WIDE) -> str:
         width: Width in points to lay the figure out for; ``NARROW`` keeps text legible on a phone.
     """
     stream = io.StringIO()
-    # Drawing a figure moves its panels a little, and the next drawing starts from there: a copy
-    # keeps the result from depending on what was drawn before.
-    copy = deepcopy(figure)
-    copy.set_size_inches(width / POINTS_PER_INCH, figure.get_size_inches()[1])
-    with house_style():
-        copy.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
+    with _as_it_was(figure), house_style():
+        figure.set_size_inches(width / POINTS_PER_INCH, figure.get_size_inches()[1])
+        figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
     return _inline(stream.getvalue(), figure.get_label())
+
+
+@contextmanager
+def _as_it_was(figure: Figure) -> Iterator[None]:
+    """Give a figure its size and its panels their places back.
+
+    Drawing moves the panels a little, and the next drawing would start from there.
+    """
+    size = figure.get_size_inches()
+    places = [
+        (panel, panel.get_position(original=True), panel.get_position()) for panel in figure.axes
+    ]
+    yield
+    figure.set_size_inches(*size)
+    for panel, original, active in places:
+        panel._set_position(original, which="original")  # type: ignore[attr-defined]
+        panel._set_position(active, which="active")  # type: ignore[attr-defined]
 
 
 def _inline(document: str, label: object) -> str:

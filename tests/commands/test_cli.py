@@ -236,16 +236,21 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
 
 
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_demo_ends_in_a_page(whole, tmp_path, capsys, monkeypatch):
-    """With a training that is too short to learn anything, and as it is."""
+def test_demo_ends_in_a_page(whole, short, tmp_path, capsys, monkeypatch):
+    """With ten seconds of each recording and a training too short to learn, and as it is."""
     demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+    from rl.task import shortened
+
+    data = (ROOT if whole else short) / "datasets"
     if not whole:
-        short = replace(demo.QUICK, steps=2_560, envs=4, segment=1_280)  # the ablation alone
-        monkeypatch.setattr(demo, "QUICK", short)
+        task = shortened(demo.QUICK.task, 200)
+        quick = replace(demo.QUICK, task=task, steps=1_280, envs=4, segment=640)
+        monkeypatch.setattr(demo, "QUICK", quick)  # for the ablation alone
         monkeypatch.setattr(demo, "SEEDS", 2)
         monkeypatch.setattr(demo, "REPEATS", 2)
         monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
-    assert main(["demo", "--data", str(DATA), "--out", str(tmp_path / "demo")]) == 0
+    folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
+    assert main(["demo", *folders, "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
     assert "<script" not in page

@@ -11,6 +11,7 @@ from sim2real.commands.ranges import chain_file
 from sim2real.posterior.chain import read_chain, write_chain
 from sim2real.posterior.sample import read_sample
 from sim2real.ranges.entry import read_ranges
+from sim2real.recording import read_recording, write_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
@@ -18,14 +19,22 @@ MODEL = ROOT / "reports" / "servo_steps" / "model.json"
 STEPS = 250
 
 
-def command(out, *more, recordings=("steps",), steps=STEPS):
-    files = [str(DATA / f"{name}.csv") for name in recordings]
-    robot = ["--robot", str(DATA / "robot.toml"), "--model", str(MODEL)]
-    return ["ranges", *files, *robot, "--out", str(out), "--steps", str(steps), *more]
+@pytest.fixture(scope="module")
+def command(tmp_path_factory):
+    """The command line for the first eight seconds of a shipped recording."""
+    file = tmp_path_factory.mktemp("bench") / "steps.csv"
+    write_recording(read_recording(DATA / "steps.csv").between(0, 400), file)
+
+    def words(out, *more, steps=STEPS):
+        robot = ["--robot", str(DATA / "robot.toml"), "--model", str(MODEL)]
+        size = ["--steps", str(steps), "--walkers", "16"]
+        return ["ranges", str(file), *robot, "--out", str(out), *size, *more]
+
+    return words
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def written(command, tmp_path_factory):
     folder = tmp_path_factory.mktemp("ranges")
     assert main(command(folder / "ranges.json")) == 0
     return folder
@@ -52,7 +61,7 @@ def test_page_shows_every_number_and_its_source(written):
     assert page.count("<svg") >= 8
 
 
-def test_a_finished_chain_is_not_run_again(written, tmp_path):
+def test_a_finished_chain_is_not_run_again(command, written, tmp_path):
     for joint in ("j1", "j2", "j3"):
         name = chain_file(written / "ranges.json", joint).name
         (tmp_path / name).write_bytes((written / name).read_bytes())
@@ -65,7 +74,7 @@ def test_a_finished_chain_is_not_run_again(written, tmp_path):
     )
 
 
-def test_it_goes_on_where_it_was(written, tmp_path):
+def test_it_goes_on_where_it_was(command, written, tmp_path):
     """A chain cut back to half its steps, as a kill leaves it, ends as the uninterrupted one."""
     short = tmp_path / "short.json"
     assert main(command(short, "--no-page", steps=120)) == 2  # too short to publish, but kept
@@ -78,14 +87,14 @@ def test_it_goes_on_where_it_was(written, tmp_path):
         assert np.array_equal(a.log_density, b.log_density)
 
 
-def test_too_short_says_what_to_do(tmp_path, capsys):
+def test_too_short_says_what_to_do(command, tmp_path, capsys):
     assert main(command(tmp_path / "ranges.json", "--no-page", steps=30)) == 2
     message = capsys.readouterr().err
     assert "run again with --steps" in message and message.count("\n") == 1
     assert not (tmp_path / "ranges.json").exists()
 
 
-def test_a_chain_of_something_else_is_refused(written, tmp_path, capsys):
+def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys):
     chain = read_chain(chain_file(written / "ranges.json", "j1"))
     out = tmp_path / "ranges.json"
     write_chain(chain, chain_file(out, "j1"))
@@ -94,7 +103,7 @@ def test_a_chain_of_something_else_is_refused(written, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("option", ["--steps", "--walkers"])
-def test_numbers_that_mean_nothing(tmp_path, capsys, option):
+def test_numbers_that_mean_nothing(command, tmp_path, capsys, option):
     assert main(command(tmp_path / "ranges.json", option, "0")) == 2
     assert option in capsys.readouterr().err
 

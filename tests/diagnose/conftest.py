@@ -5,9 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from simulated import traced
+from simulated import FRICTION, robot, traced, two
+from strange import position_damping, strange
 
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
+from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.search import ServoSearch, search
+from sim2real.recording import Recording
 from sim2real.residuals.plain import baselines
 from sim2real.residuals.problem import Fits, Tried
 from sim2real.servo.batch import Batch
@@ -49,3 +53,16 @@ def rubbing() -> Searched:
 @pytest.fixture(scope="session")
 def filtered() -> Searched:
     return searched(command_filter={"time_constant_s": 0.06})
+
+
+@pytest.fixture(scope="session")
+def explained() -> Diagnosis:
+    """Of a servo with dry friction."""
+    return diagnose(two(**FRICTION), robot("j1"))
+
+
+@pytest.fixture(scope="session")
+def puzzling() -> tuple[list[Recording], Diagnosis]:
+    """Of a servo that does what is in no catalogue, with its recordings."""
+    given = [strange(k, name, position_damping, seconds=8.0) for k, name in ((1, "a"), (2, "b"))]
+    return given, diagnose_all([Case(given, robot("j1"))], thorough=True)[0]

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import INERTIA, NOISE, column, recording, row, steps, traced
-from test_diagnose import robot
+from simulated import INERTIA, NOISE, column, recording, robot, row, steps, traced
 
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.change import BANKS, changed, what_changed

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, recording
-from strange import position_damping, strange
+from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
 
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
 from sim2real.diagnose.result import write_diagnosis
@@ -14,25 +13,7 @@ from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
-from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.predict import predict
-
-FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
-
-
-def robot(*names):
-    servo = Servo("lx824", 1.67, 5.24, 0.00419)
-    joints = tuple(Joint(name, servo, (-1.0, 1.0)) for name in names)
-    return Robot("bench", (Link("link", 0.1, 0.1, 0.1, 0.1),) * (len(names) + 1), joints)
-
-
-def two(**effects):
-    return [recording(1, "a", **effects), recording(2, "b", **effects)]
-
-
-@pytest.fixture(scope="module")
-def rubbing():
-    return diagnose(two(**FRICTION), robot("j1"))
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +22,10 @@ def clean():
 
 
 @pytest.fixture(scope="module")
-def written(rubbing, tmp_path_factory):
+def written(explained, tmp_path_factory):
     folder = tmp_path_factory.mktemp("diagnosis")
-    write_model(rubbing.model, folder / "enriched.json")
-    write_diagnosis(rubbing, folder / "diagnosis.json", "enriched.json")
+    write_model(explained.model, folder / "enriched.json")
+    write_diagnosis(explained, folder / "diagnosis.json", "enriched.json")
     return folder, json.loads((folder / "diagnosis.json").read_text())
 
 
@@ -59,9 +40,9 @@ def test_nothing_missing_is_consistent(clean):
     np.testing.assert_allclose(found, (KP, KD, LATENCY), rtol=0.02)
 
 
-def test_dry_friction_is_named(rubbing):
-    assert rubbing.verdict == "explained"
-    (effect,) = rubbing.effects
+def test_dry_friction_is_named(explained):
+    assert explained.verdict == "explained"
+    (effect,) = explained.effects
     assert (effect.effect, effect.component) == ("coulomb_friction", "j1")
     assert effect.group == ("coulomb_friction",)
     assert effect.probability > 0.85
@@ -69,32 +50,32 @@ def test_dry_friction_is_named(rubbing):
     assert "friction" in effect.statement
 
 
-def test_its_size_comes_back(rubbing):
-    estimate = rubbing.effects[0].parameters["torque_Nm"]
+def test_its_size_comes_back(explained):
+    estimate = explained.effects[0].parameters["torque_Nm"]
     assert abs(estimate.mean - 0.05) < 4 * estimate.sd
     assert estimate.q05 < estimate.mean < estimate.q95
     assert estimate.sd < 0.002
 
 
-def test_it_removes_the_error_on_what_was_held_out(rubbing):
-    heldout = rubbing.effects[0].heldout
+def test_it_removes_the_error_on_what_was_held_out(explained):
+    heldout = explained.effects[0].heldout
     assert heldout["rmse_after"] == pytest.approx(NOISE, rel=0.08)
     assert heldout["rmse_before"] > 3 * heldout["rmse_after"]
     assert heldout["recoverable_removed"] > 0.9
 
 
-def test_what_the_plain_fit_had_hidden_is_said(rubbing):
+def test_what_the_plain_fit_had_hidden_is_said(explained):
     """Friction passes for damping and weakness until it has a name."""
-    shift = rubbing.effects[0].baseline_shift
-    rich, plain = rubbing.model.joints["j1"], rubbing.baseline.joints["j1"]
+    shift = explained.effects[0].baseline_shift
+    rich, plain = explained.model.joints["j1"], explained.baseline.joints["j1"]
     assert set(shift) == {"kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"}
     assert shift["kd_Nms_per_rad"] < 0
     assert rich.kd_Nms_per_rad == pytest.approx(KD, rel=0.02)
     assert abs(plain.kd_Nms_per_rad - KD) > abs(rich.kd_Nms_per_rad - KD)
 
 
-def test_mismatch_says_where(rubbing):
-    (entry,) = rubbing.mismatch
+def test_mismatch_says_where(explained):
+    (entry,) = explained.mismatch
     assert (entry.signal, entry.component) == ("j1.position_rad", "j1")
     assert entry.noise == pytest.approx(NOISE, rel=0.3)
     assert entry.rmse > 3 * entry.noise
@@ -133,19 +114,18 @@ def test_nothing_named_is_nothing_named_falsely(clean):
     assert clean.hypothesis == {}
 
 
-def test_knockoffs_and_a_black_box_stand_beside_what_is_named(rubbing, written):
-    assert 0 < rubbing.false_discovery_rate < 0.03
-    assert written[1]["false_discovery_rate"] == rubbing.false_discovery_rate
-    ladder = rubbing.ladders["j1.position_rad"]
+def test_knockoffs_and_a_black_box_stand_beside_what_is_named(explained, written):
+    assert 0 < explained.false_discovery_rate < 0.03
+    assert written[1]["false_discovery_rate"] == explained.false_discovery_rate
+    ladder = explained.ladders["j1.position_rad"]
     assert written[1]["heldout_ladder"]["j1.position_rad"] == vars(ladder)
-    assert ladder.baseline == rubbing.effects[0].heldout["rmse_before"]
+    assert ladder.baseline == explained.effects[0].heldout["rmse_before"]
     assert ladder.baseline <= ladder.best_knockoff < 1.3 * ladder.baseline
     assert ladder.enriched < ladder.black_box < 0.5 * ladder.baseline
 
 
-def test_what_is_in_no_catalogue_gets_a_formula(tmp_path):
-    given = [strange(k, name, position_damping) for k, name in ((1, "a"), (2, "b"))]
-    found = diagnose(given, robot("j1"))
+def test_what_is_in_no_catalogue_gets_a_formula(puzzling, tmp_path):
+    _, found = puzzling
     assert found.verdict == "unexplained"
     assert not found.effects, "nothing that matters has a name"
     assert found.hypothesis["j1"].startswith("missing torque ≈ −0.1")
@@ -164,29 +144,29 @@ def test_the_enriched_model_can_be_read_and_predicts(written):
     assert np.sqrt(np.mean((angle - unseen.position[:, 0]) ** 2)) < NOISE / 3
 
 
-def test_a_model_that_has_the_effect_misses_nothing(rubbing):
-    found = diagnose(two(**FRICTION), robot("j1"), model=rubbing.model)
+def test_a_model_that_has_the_effect_misses_nothing(explained):
+    found = diagnose(two(**FRICTION), robot("j1"), model=explained.model)
     assert found.verdict == "consistent"
     assert [e.effect for e in found.model.joints["j1"].effects] == ["coulomb_friction"]
 
 
-def test_robots_together_equal_one_at_a_time(rubbing, clean):
+def test_robots_together_equal_one_at_a_time(explained, clean):
     cases = [Case(two(), robot("j1")), Case(two(**FRICTION), robot("j1"))]
     null, found = diagnose_all(cases)
-    assert (null.verdict, found.verdict) == (clean.verdict, rubbing.verdict)
+    assert (null.verdict, found.verdict) == (clean.verdict, explained.verdict)
     names = [(e.effect, e.component) for e in found.effects]
-    assert names == [(e.effect, e.component) for e in rubbing.effects]
-    estimates = (d.effects[0].parameters["torque_Nm"].mean for d in (found, rubbing))
+    assert names == [(e.effect, e.component) for e in explained.effects]
+    estimates = (d.effects[0].parameters["torque_Nm"].mean for d in (found, explained))
     assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
 
 
-def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(rubbing):
+def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(explained):
     """Asked to neglect what takes away less than nearly all of the error, friction is neglected."""
-    assert rubbing.negligible == ()
+    assert explained.negligible == ()
     (found,) = diagnose_all([Case(two(**FRICTION), robot("j1"))], negligible=0.999)
     assert found.verdict == "consistent"
     assert found.effects == ()
-    assert [e.effect for e in found.negligible] == [e.effect for e in rubbing.effects]
+    assert [e.effect for e in found.negligible] == [e.effect for e in explained.effects]
 
 
 def test_robots_sampled_alike_share_a_batch():
@@ -199,10 +179,10 @@ def test_robots_sampled_alike_share_a_batch():
     assert done == pytest.approx([2 / 3, 1.0])
 
 
-def test_robots_sampled_otherwise_do_not_change_what_is_said(rubbing):
+def test_robots_sampled_otherwise_do_not_change_what_is_said(explained):
     coarse = [thinned(one, 5) for one in two(**FRICTION)]
     _, found = diagnose_all([Case(coarse, robot("j1")), Case(two(**FRICTION), robot("j1"))])
-    assert found.effects == rubbing.effects
+    assert found.effects == explained.effects
 
 
 def thinned(one, factor):
@@ -222,8 +202,8 @@ def beside(first, second):
 
 def test_only_the_joint_that_has_it_is_named():
     recordings = [
-        beside(recording(k, name), recording(k + 5, name, **FRICTION))
-        for k, name in ((1, "a"), (2, "b"))
+        beside(plain, recording(k, plain.name, seconds=8.0, **FRICTION))
+        for k, plain in enumerate(two(), start=6)
     ]
     found = diagnose_all([Case(recordings, robot("j1", "j2"))])[0]
     assert [(e.effect, e.component) for e in found.effects] == [("coulomb_friction", "j2")]
@@ -231,7 +211,8 @@ def test_only_the_joint_that_has_it_is_named():
 
 
 def test_a_joint_may_stand_still_in_one_recording():
-    both, alone = beside(recording(1, "a"), recording(3, "a")), recording(2, "b")
+    first, alone = two()
+    both = beside(first, recording(3, "a", seconds=8.0))
     assert diagnose([both, alone], robot("j1", "j2")).verdict == "consistent"
 
 

@@ -4,27 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import KD, NOISE, recording
-from strange import position_damping, strange
-from test_diagnose import FRICTION, robot, two
+from simulated import FRICTION, KD, NOISE, recording, two
 
-from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.diagnose.predicting import predicting
 from sim2real.model import FittedEffect
 from sim2real.servo.predict import predict
 
 
 @pytest.fixture(scope="module")
-def rubbing():
-    return diagnose_all([Case(two(**FRICTION), robot("j1"))])[0]
-
-
-@pytest.fixture(scope="module")
-def puzzled(rubbing):
+def puzzled(explained):
     """A diagnosis that named an effect and has no model for it."""
-    fit = rubbing.baseline_fit
-    model = replace(rubbing.model, joints=rubbing.baseline.joints, fit=fit)
-    return replace(rubbing, verdict="partly_explained", model=model)
+    fit = explained.baseline_fit
+    model = replace(explained.model, joints=explained.baseline.joints, fit=fit)
+    return replace(explained, verdict="partly_explained", model=model)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +60,9 @@ def test_the_same_seed_gives_the_same_model(puzzled, better):
     assert predicting(puzzled, two(**FRICTION), seed=0).model == better.model
 
 
-def test_what_is_explained_is_left_alone(rubbing):
-    assert rubbing.verdict == "explained"
-    assert predicting(rubbing, two(**FRICTION), seed=0) is rubbing
+def test_what_is_explained_is_left_alone(explained):
+    assert explained.verdict == "explained"
+    assert predicting(explained, two(**FRICTION), seed=0) is explained
 
 
 def test_effects_of_a_given_model_stay(puzzled):
@@ -80,8 +72,7 @@ def test_effects_of_a_given_model_stay(puzzled):
     assert predicting(found, two(**FRICTION), seed=0) is found
 
 
-def test_a_model_that_predicts_no_better_is_not_taken():
-    given = [strange(k, name, position_damping) for k, name in ((1, "a"), (2, "b"))]
-    (found,) = diagnose_all([Case(given, robot("j1"))])
+def test_a_model_that_predicts_no_better_is_not_taken(puzzling):
+    given, found = puzzling
     assert found.verdict == "unexplained"
     assert predicting(found, given, seed=0).model == found.model

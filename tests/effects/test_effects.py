@@ -516,8 +516,8 @@ effect = FittedEffect("hard_spring", {"stiffness_Nm_per_rad": 3.0})
 row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(effect,)), None)
 def recording(seed):
     rng = np.random.default_rng(seed)
-    t = 0.02 * np.arange(500)
-    steps = np.repeat(rng.uniform(-0.8, 0.8, 25), 20)
+    t = 0.02 * np.arange(300)
+    steps = np.repeat(rng.uniform(-0.8, 0.8, 15), 20)
     command = np.convolve(np.r_[np.zeros(30), steps], np.ones(10) / 10)[: t.size]
     angle = rollout(row[None], t, command[:, None])[0] + rng.normal(0, 0.0015, (t.size, 1))
     return Recording(str(seed), "servo", ("j1",), t, command[:, None], angle, {"j1": Load(0.002)})

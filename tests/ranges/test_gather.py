@@ -19,7 +19,7 @@ ROBOT = Robot(
 JOINT = JointModel(
     simulated.KP, simulated.KD, simulated.LATENCY, simulated.INERTIA, load=Load(simulated.INERTIA)
 )
-SAMPLING = Sampling(steps=300)
+SAMPLING = Sampling(steps=300, walkers=16)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -146,6 +147,12 @@ UNEXPLAINED = replace(
 )
 
 
+@cache
+def explained():
+    """What is said of ``EXPLAINED``, whose figures take a second to draw."""
+    return said(EXPLAINED)
+
+
 def said(diagnosis):
     """Everything that the section says, as one text; and its blocks."""
     section = diagnosis_section(diagnosis)
@@ -169,7 +176,7 @@ def test_consistent_says_so_and_nothing_more():
 
 
 def test_named_effect_is_told_with_its_probability_and_size():
-    text, blocks = said(EXPLAINED)
+    text, blocks = explained()
     assert "dry friction of 0.0312 N m holds the shaft. Almost certain: 98 % sure." in text
     assert "0.0312 N m" in text and "0.0292 N m – 0.0332 N m" in text
     assert "from 4.7 mrad to 1.7 mrad, 94 % of what can be removed" in text
@@ -185,7 +192,7 @@ def table(blocks, first):
 
 
 def test_what_the_plain_fit_had_been_hiding():
-    _, blocks = said(EXPLAINED)
+    _, blocks = explained()
     shifts = table(blocks, "servo")
     assert "What the plain fit had been hiding" in shifts.caption
     (row,) = shifts.rows
@@ -200,7 +207,7 @@ def test_parameters_that_stay_need_no_table():
 
 
 def test_joints_without_mismatch_get_one_sentence():
-    text, blocks = said(EXPLAINED)
+    text, blocks = explained()
     errors = "j1 is off by 1.6 mrad, with 1.5 mrad of noise"
     assert f"j1 and j3 follow the plain servo down to the noise: {errors}." in text
     assert [b.heading for b in blocks if isinstance(b, Text) and b.heading.startswith("Where")] == [
@@ -219,7 +226,7 @@ def test_consistent_joints_are_told_with_error_and_noise():
 
 
 def test_detection_limits_are_one_row_an_effect():
-    _, blocks = said(EXPLAINED)
+    _, blocks = explained()
     (table,) = [b for b in blocks if isinstance(b, Table) and "j1" in b.header]
     assert table.header == ("effect", "j1", "j2", "j3")
     assert table.rows[0] == ("dry friction", *["0.0021 N m"] * 3)
@@ -232,7 +239,7 @@ def test_members_of_a_group_are_named_with_the_next_experiment():
     both = "cannot tell play in the gears from a dead band of the controller"
     assert f"These recordings {both}." in text
     assert "j2: one of these" in text and "in a bracket shares one bar" in text
-    assert "in a bracket" not in said(EXPLAINED)[0]
+    assert "in a bracket" not in explained()[0]
     assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
     told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
     assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell play") == 1

@@ -250,7 +250,8 @@ def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):
     assert not (tmp_path / "d.json").exists()
 
 
-def test_the_command_writes_what_the_format_says(few, tmp_path):
+def test_the_command_writes_what_the_format_says(few, short, tmp_path, monkeypatch):
+    monkeypatch.chdir(short)
     out = tmp_path / "d.json"
     given = ["datasets/pool/p1.csv", "--robot", "datasets/pool/robot.toml"]
     assert main(["diagnose", *given, "--model", "datasets/pool/model.json", "--out", str(out)]) == 0

@@ -14,7 +14,7 @@ from sim.twin.twin import Coefficients
 from sim2real.model import Model
 from sim2real.velocity import body_velocity
 
-BEFORE_S, SECONDS = 4.0, 14.0
+BEFORE_S, SECONDS = 4.0, 8.0
 LAW = Coefficients(8.228, 2.661, 0.998, 0.0, 1.676)
 MODEL = Model(
     joints={joint.name: follower() for joint in ROBOT.joints}, body={"twin": vars(LAW)}
