@@ -30,7 +30,7 @@ from rl.experiments.ablation_report import (
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import differences
 from rl.sac.recipes import plan_of
-from rl.sac.train import Plan, train
+from rl.sac.train import Plan, train_in_parts
 from sim.inference.calibrate import Calibrated, calibrate
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
@@ -167,7 +167,7 @@ def _ablated(
     reality = read_model(options.pool / "reality.json")
     plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
     folder = options.out / "ablation"
-    trainer = partial(train, first=agents_in(options.pool))
+    trainer = partial(train_in_parts, first=agents_in(options.pool))
     with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {plan.steps} steps, in the twin"):
         testbeds = tried_in(robot, arms, plan, found.ranges, reality)
         told = ablate(
@@ -213,7 +213,7 @@ def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model
     """What an agent with all techniques has learned, to watch: the best of them in simulation."""
     mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
     best = max(mine, key=lambda agent: fmean(agent["simulation"]["return"]))
-    policy = options.out / "ablation" / "train" / best["folder"] / "policy.zip"
+    (policy,) = (options.out / "ablation" / "train").glob(f"*/{best['folder']}/policy.zip")
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         return swim_section(policy, robot, model, film, options.seed)

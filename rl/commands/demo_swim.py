@@ -1,4 +1,4 @@
-"""The end of ``sim2real demo``: a swim to watch, by what was learned a minute before."""
+"""The end of ``sim2real demo``: a swim to watch, by what was learned just before."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def swim_section(policy: Path, robot: Robot, model: Model, film: Path, seed: int
     lead = (
         "Of the agents with all techniques the one that did best in simulation is to turn by 180° "
         "and swim to a target behind it, in lattice-Boltzmann water with cells of 2 cm. It has "
-        "been trained in the twin alone, for a minute. "
+        "been trained in the twin alone. "
     )
     caption = "From above: the robot, its way, the target, and the vorticity of the water near it."
     alt = "Film of the simulated fish as it turns and swims to a target, seen from above"

@@ -11,8 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import multiprocessing
+import os
+import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -173,6 +176,56 @@ def train(
     with own_stream(plan.device):
         _train(folder, robot, arms, plan, names, first)
     return [folder / name for name in names]
+
+
+def train_in_parts(
+    folder: Path,
+    robot: Robot,
+    arms: Sequence[Arm],
+    plan: Plan,
+    note: dict[str, Any] | None = None,
+    *,
+    first: Sequence[Path] = (),
+    parts: int = 2,
+) -> list[Path]:
+    """As ``train``, the seeds dealt out to processes: a large batch fills one core, not two.
+
+    Args:
+        folder: Where the runs live, in ``part-0`` and so on.
+        robot: As of ``train``.
+        arms: As of ``train``.
+        plan: As of ``train``; each process has one simulator's thread.
+        note: As of ``train``.
+        first: As of ``train``.
+        parts: Number of processes.
+    """
+    S = len(plan.seeds)
+    dealt = [range(S)[k::parts] for k in range(min(parts, S))]
+    given = []
+    for k, own in enumerate(dealt):
+        some = replace(plan, seeds=tuple(plan.seeds[i] for i in own), threads=1)
+        begun = [first[i % len(first)] for i in own if first]
+        given.append((folder / f"part-{k}", robot, arms, some, note, begun))
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max(len(dealt) - 1, 1), spawn, _unseen) as pool:
+        others = [pool.submit(_part, one) for one in given[1:]]
+        trained = [_part(given[0]), *(other.result() for other in others)]
+    return [
+        trained[i % len(dealt)][a * len(dealt[i % len(dealt)]) + i // len(dealt)]
+        for a in range(len(arms))
+        for i in range(S)
+    ]
+
+
+def _part(given: tuple[Any, ...]) -> list[Path]:
+    *rest, first = given
+    return train(*rest, first=first)
+
+
+def _unseen() -> None:
+    """In a process beside that whose progress is shown."""
+    sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
+    torch.set_num_threads(1)
 
 
 def digest(draws: Draws) -> str:

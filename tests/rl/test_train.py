@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.agents import Settings
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
-from rl.sac.train import Arm, Plan, train
+from rl.sac.train import Arm, Plan, train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim2real.body import values
@@ -81,6 +82,26 @@ def test_learning_beside_the_swim_gives_what_learning_after_it_does(
     after = train(tmp_path / "after", robot, arms(model), plan)
     for x, y in zip(parameters(beside), parameters(after), strict=True):
         assert torch.equal(x, y)
+
+
+def test_seeds_are_dealt_out_to_processes(robot, model, tmp_path, monkeypatch):
+    """Here one after the other; the demo's test has processes."""
+
+    class Pool(nullcontext):
+        def __init__(self, *given):
+            super().__init__(self)
+
+        def submit(self, function, given):
+            result = function(given)
+            return SimpleNamespace(result=lambda: result)
+
+    monkeypatch.setattr(rl.sac.train, "ProcessPoolExecutor", Pool)
+    plan = replace(PLAN, steps=640, seeds=(4, 5, 6))
+    folders = train_in_parts(tmp_path / "parts", robot, arms(model), plan)
+    names = [f"{arm}-{seed}" for arm in "ab" for seed in plan.seeds]
+    assert [folder.name for folder in folders] == names
+    alone = train(tmp_path / "alone", robot, arms(model), replace(plan, seeds=(5,)))
+    assert all(map(torch.equal, parameters(folders[1::3]), parameters(alone)))
 
 
 def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
