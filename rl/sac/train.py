@@ -166,7 +166,7 @@ def train(
     Raises:
         InputError: If the folder holds a run of another plan, or the first policies do not fit.
     """
-    names = [f"{arm.name}-{seed}" for arm in arms for seed in plan.seeds]
+    names = agent_names(arms, plan.seeds)
     own = [digest(arm.draws) for arm in arms]
     prices = [arm.energy for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": own, "energy": prices}
@@ -199,33 +199,32 @@ def train_in_parts(
         first: As of ``train``.
         parts: Number of processes.
     """
-    S = len(plan.seeds)
-    dealt = [range(S)[k::parts] for k in range(min(parts, S))]
-    given = []
-    for k, own in enumerate(dealt):
-        some = replace(plan, seeds=tuple(plan.seeds[i] for i in own), threads=1)
-        begun = [first[i % len(first)] for i in own if first]
-        given.append((folder / f"part-{k}", robot, arms, some, note, begun))
+    own = [range(k, len(plan.seeds), parts) for k in range(min(parts, len(plan.seeds)))]
+    trainings = [
+        partial(
+            train, folder / f"part-{k}", robot, arms,
+            replace(plan, seeds=tuple(plan.seeds[i] for i in some), threads=1), note,
+            first=[first[i % len(first)] for i in some if first],
+        )
+        for k, some in enumerate(own)
+    ]  # fmt: skip
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(len(dealt) - 1, 1), spawn, _unseen) as pool:
-        others = [pool.submit(_part, one) for one in given[1:]]
-        trained = [_part(given[0]), *(other.result() for other in others)]
-    return [
-        trained[i % len(dealt)][a * len(dealt[i % len(dealt)]) + i // len(dealt)]
-        for a in range(len(arms))
-        for i in range(S)
-    ]
-
-
-def _part(given: tuple[Any, ...]) -> list[Path]:
-    *rest, first = given
-    return train(*rest, first=first)
+    with ProcessPoolExecutor(max(len(own) - 1, 1), spawn, _unseen) as pool:
+        others = [pool.submit(one) for one in trainings[1:]]
+        trained = [*trainings[0](), *(path for other in others for path in other.result())]
+    found = {path.name: path for path in trained}
+    return [found[name] for name in agent_names(arms, plan.seeds)]
 
 
 def _unseen() -> None:
     """In a process beside that whose progress is shown."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     torch.set_num_threads(1)
+
+
+def agent_names(arms: Sequence[Arm], seeds: Sequence[int]) -> list[str]:
+    """All seeds of the first arm, then those of the next."""
+    return [f"{arm.name}-{seed}" for arm in arms for seed in seeds]
 
 
 def digest(draws: Draws) -> str:
