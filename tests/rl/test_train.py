@@ -91,8 +91,8 @@ def test_seeds_are_dealt_out_to_processes(robot, model, tmp_path, monkeypatch):
         def __init__(self, *given):
             super().__init__(self)
 
-        def submit(self, function, given):
-            result = function(given)
+        def submit(self, training):
+            result = training()
             return SimpleNamespace(result=lambda: result)
 
     monkeypatch.setattr(rl.sac.train, "ProcessPoolExecutor", Pool)
