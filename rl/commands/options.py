@@ -60,7 +60,7 @@ def _plan(command: argparse.ArgumentParser) -> None:
         help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
         "what goes on from policies that swim, elsewhere or nearly here",
     )
-    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 1000000)")
+    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 800000)")
     command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
     command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
     command.add_argument("--updates-per-step", type=float, help="(default 0.1)")
@@ -102,7 +102,8 @@ def _train(command: argparse.ArgumentParser) -> None:
         type=int,
         default=20,
         metavar="N",
-        help="held-out turns and targets that choose among the seeds (default 20; 0 for none)",
+        help="held-out turns and targets that choose each agent's price of energy, and among the "
+        "agents (default 20; 0 for none)",
     )
     command.add_argument("--tensorboard", action="store_true", help="write its files too")
     command.add_argument("--no-plots", action="store_true", help="write no curve.png")

@@ -12,6 +12,7 @@ import torch
 
 from rl.controllers import discrete_train
 from rl.executor import Job, run_jobs
+from rl.experiments.paces import choose_prices
 from rl.experiments.selection import HELD_OUT, held_out
 from rl.sac import jobs as sac
 from rl.sac.curve import draw_curves, read_progress
@@ -51,21 +52,23 @@ def run(options: argparse.Namespace) -> int:
 
 
 def select(options: argparse.Namespace, folders: list[Path]) -> None:
-    """Try all agents on held-out trials; write ``trials.json`` and say which is best."""
+    """Choose each agent's price and then the best agent by held-out trials: ``trials.json``."""
+    fish, model = read_robot(options.robot), read_model(options.model)
+    ranges = None if options.ranges is None else read_ranges(options.ranges)
+    water = {"fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m}
+    water["threads"] = options.threads
+    prices = choose_prices(folders, fish, model, ranges, episodes=options.trials, **water)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].energy
-    found = held_out(
-        folders, read_robot(options.robot), read_model(options.model),
-        None if options.ranges is None else read_ranges(options.ranges),
-        energy=energy, episodes=options.trials, fidelity=options.fidelity, device=options.device,
-        cell_m=options.cell_m, threads=options.threads,
-    )  # fmt: skip
-    write_json(options.out / "trials.json", found)
+    found = held_out(folders, fish, model, ranges, energy=energy, episodes=options.trials, **water)
+    write_json(options.out / "trials.json", {**found, "prices": prices})
     for agent, rows in found["agents"].items():
         told = ", ".join(
             f"{name} {100 * rows[name]['success']:.0f} % in {rows[name]['time_s']:.1f} s at "
             f"{rows[name]['energy']:.0f} rad2/s2"
             for name in HELD_OUT
         )
+        if agent in prices:
+            told = f"at {prices[agent]:.2g} times its price of energy {told}"
         print(f"{agent}: {told}; reward {rows['score']:.2f}")
     print(f"best of {options.trials} held-out trials each: {found['best']}")
 

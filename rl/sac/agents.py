@@ -49,6 +49,9 @@ class Settings:
             like sides would have done.
         norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
             networks", ICML 2023, among others): seeds fail less often.
+        prices: Agents are told a price of energy and learn for all from 1 / this to this times
+            their own (Abels et al., "Dynamic weights in multi-objective deep reinforcement
+            learning", ICML 2019); 1 for their own alone.
         average: The actor that is saved is a mean of those that learned, most of it over this last
             share of the updates so far (polynomial-decay averaging; Shamir and Zhang, "Stochastic
             gradient descent for non-smooth optimization", ICML 2013); 0 for the last itself.
@@ -68,12 +71,13 @@ class Settings:
     noise_s: float = 0.25
     mirror: bool = True
     norm: bool = True
+    prices: float = 2.0
     average: float = 0.2
 
 
 PLAIN = Settings(
     rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
-    entropy_target=(-1.0, -1.0), norm=False, average=0.0,
+    entropy_target=(-1.0, -1.0), norm=False, prices=1.0, average=0.0,
 )  # fmt: skip
 """SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
 
@@ -134,8 +138,9 @@ class Agents:
         self.O = int(self.models[0].observation_space.shape[0])  # type: ignore[index]
         self.J = int(space.shape[0])
         hidden = settings.hidden
-        self.actor = Layers.of(A, (self.O, *hidden, 2 * self.J), device)
-        sizes, norm = (self.O + self.J, *hidden, 1), settings.norm
+        told = int(settings.prices > 1)  # the price, in the first column
+        self.actor = Layers.of(A, (told + self.O, *hidden, 2 * self.J), device)
+        sizes, norm = (told + self.O + self.J, *hidden, 1), settings.norm
         self.critic = Layers.of(2 * A, sizes, device, norm=norm)
         self.target = Layers.of(2 * A, sizes, device, norm=norm)
         self.log_alpha = torch.zeros(A, device=device)
@@ -152,8 +157,8 @@ class Agents:
         self.memory = torch.zeros(A, settings.memory, width, device=device)
         self.position, self.filled = 0, 0
         self._filled = torch.zeros(1, device=device)
-        told: Any = self.models[0]
-        self._odd = mirrored(told.view.odd(self.J) if odd is None else odd, self.J, device)
+        first: Any = self.models[0]
+        self._odd = mirrored(first.view.odd(self.J) if odd is None else odd, self.J, device)
         self._agent = torch.arange(A, device=device)[:, None]
         self._graph: torch.cuda.CUDAGraph | None = None
 
@@ -161,7 +166,8 @@ class Agents:
         """Make a model's parameters views of the shared ones, its values kept."""
 
         def tie(linear: Any, layers: Layers, k: int, c: int, rows: slice) -> None:  # noqa: ANN401
-            weight, bias = layers.weights[k][c, rows], layers.biases[k][c, 0, rows]
+            columns = slice(-linear.in_features, None)
+            weight, bias = layers.weights[k][c, rows, columns], layers.biases[k][c, 0, rows]
             weight.copy_(linear.weight.data)
             bias.copy_(linear.bias.data)
             linear.weight.data, linear.bias.data = weight, bias
@@ -188,8 +194,13 @@ class Agents:
 
         Args:
             observation: What the agents see.
-            noise: Standard normal numbers, shape (A, n, J); none for the mean action.
+            noise: Standard normal numbers, shape (A, n, J); none for the mean action. With it
+                robots are told prices from the lowest to the highest, else all their own.
         """
+        if self.settings.prices > 1:
+            A, n, _ = observation.shape
+            price = torch.linspace(-1, 1, n, device=self.device) * (noise is not None)
+            observation = torch.cat([price.expand(A, n)[..., None], observation], dim=2)
         out = self.actor.forward(observation).output
         mean, log_std = out[..., : self.J], out[..., self.J :]
         if noise is None:
@@ -262,8 +273,13 @@ class Agents:
             side = 1 - 2 * (torch.rand(*shape, 1, device=self.device) < 0.5).float()
             rows = rows * (self._odd * side + (1 - self._odd))
         a = n + self.J
-        reward = rows[..., a] - self.price * rows[..., a + 1]
-        return Batch(rows[..., :n], rows[..., n:a], reward, rows[..., a + 2 : -1], rows[..., -1])
+        seen, following, price = rows[..., :n], rows[..., a + 2 : -1], self.price
+        if self.settings.prices > 1:
+            share = 2 * torch.rand(*shape, 1, device=self.device) - 1
+            price = price * self.settings.prices ** share[..., 0]
+            seen, following = torch.cat([share, seen], 2), torch.cat([share, following], 2)
+        reward = rows[..., a] - price * rows[..., a + 1]
+        return Batch(seen, rows[..., n:a], reward, following, rows[..., -1])
 
     @torch.no_grad()
     def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
@@ -298,7 +314,7 @@ class Agents:
         index = q.output.view(A, 2, B).argmin(dim=1, keepdim=True)
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
         d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
-        by_action = d.view(A, 2, B, -1)[..., self.O :].sum(dim=1)
+        by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
         spread = both_noises[:, :B] * std[:, :B]
         self._descend_policy(seen, action, spread, alpha[..., None] / B, by_action)
         adam(

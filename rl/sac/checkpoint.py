@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -77,18 +78,27 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
     arrays["progress"] = np.frombuffer(told.encode(), np.uint8)
     arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
     with agents.averaged():
-        for name, model, own in zip(names, agents.models, progress.rows, strict=True):
+        for a, (name, model) in enumerate(zip(names, agents.models, strict=True)):
+            own = progress.rows[a]
             place = folder / name
             place.mkdir(parents=True, exist_ok=True)
             lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in own)]
             write_whole(place / "progress.csv", "\n".join(lines) + "\n")
             model.num_timesteps = progress.steps
+            setattr(model, "by_price", _by_price(agents, a))  # noqa: B010 - kept with the model
             model.save(place / ".policy.zip")
             os.replace(place / ".policy.zip", place / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
     os.replace(temporary, folder / CHECKPOINT)
+
+
+def _by_price(agents: Agents, a: int) -> dict[str, Any]:
+    """What the price of energy does to an actor: see ``rl.experiments.paces.set_price``."""
+    prices = agents.settings.prices
+    column = agents.actor.weights[0][a, :, 0].cpu().numpy().copy() if prices > 1 else None
+    return {"prices": prices, "column": column, "share": 0.0}
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rl.make import Fidelity, draws_of
 from rl.sac.recipes import QUICK, plan_of
-from rl.sac.train import Arm, train
+from rl.sac.train import Arm, train, train_in_parts
 from sim2real.model import read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import read_ranges
@@ -63,4 +63,6 @@ def train_run(
     arm = Arm(name, draws_of(fitted, drawn, fish, seed=0))
     inputs = [robot, model, *([] if ranges is None else [ranges])]
     begin = [Path(path) for path in first]
-    return train(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=begin)
+    several = device == "cpu" and len(seeds) > 1
+    trainer = train_in_parts if several else train
+    return trainer(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=begin)

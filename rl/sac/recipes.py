@@ -31,7 +31,7 @@ class Recipe:
     task: str = "chain"
     energy: float = 7e-4
     energy_start: float = 0.1
-    steps: int = 1_000_000
+    steps: int = 800_000
     envs: int = 64
     segment: int = 200_000
     view: View = field(default_factory=View)
@@ -47,7 +47,12 @@ RECIPES: Mapping[str, Recipe] = {
         envs=32,
         segment=32_000,
         settings=Settings(
-            batch=128, rate=3e-4, rate_end=0.3, warm_up=20_000, entropy_target=(-2.0, -2.5)
+            batch=128,
+            rate=3e-4,
+            rate_end=0.3,
+            warm_up=20_000,
+            entropy_target=(-2.0, -2.5),
+            prices=1.0,
         ),
     ),
     "brief": Recipe(
@@ -56,7 +61,7 @@ RECIPES: Mapping[str, Recipe] = {
         steps=160_000,
         envs=32,
         segment=160_000,
-        settings=Settings(batch=64, hidden=(64, 64), average=0.5),
+        settings=Settings(batch=64, hidden=(64, 64), prices=1.0, average=0.5),
     ),
 }
 """By the names that ``--recipe`` takes. "brief" goes on from small networks that swim

@@ -80,7 +80,7 @@ class Plan:
     """
 
     task: Task
-    steps: int = 1_000_000
+    steps: int = 800_000
     envs: int = 64
     segment: int = 200_000
     seeds: tuple[int, ...] = (0,)

@@ -11,8 +11,11 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from rl.decisions import Decisions
+from rl.deploy.export import read_agent
+from rl.experiments.paces import set_price
 from rl.observer import PAPER, View
 from rl.sac.agents import PLAIN, Agents, Batch, Settings, mirrored
+from rl.sac.checkpoint import Progress, save
 from rl.sac.sac import make_sac
 from rl.task import Task
 
@@ -147,7 +150,7 @@ def test_schedules_reach_the_updates(world_of):
     world = world_of(1)
     settings = Settings(hidden=(8, 8), memory=100, batch=16, rate=1e-2, rate_end=0.0)
     agents = Agents([make_sac(world, settings, 0)], settings, world.device)
-    batch = batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16)
+    batch = batch_of(1, 1 + View().size(3), 3, torch.Generator().manual_seed(0), B=16)
     agents.set_schedule(0.5, [0.25])
     assert agents._rate.item() == pytest.approx(5e-3)
     assert agents._entropy.item() == pytest.approx(-3 * 1.375)
@@ -169,7 +172,7 @@ def test_the_saved_actor_follows_the_one_that_learns(world_of):
     settings = Settings(hidden=(8, 8), memory=100, batch=16, average=0.25)
     model = make_sac(world, settings, 0)
     agents = Agents([model], settings, world.device)
-    batch = batch_of(1, View().size(3), 3, torch.Generator().manual_seed(0), B=16)
+    batch = batch_of(1, 1 + View().size(3), 3, torch.Generator().manual_seed(0), B=16)
     agents.update(batch)
     first = agents.actor.flat.clone()
     agents.update(batch)
@@ -180,3 +183,44 @@ def test_the_saved_actor_follows_the_one_that_learns(world_of):
         assert not torch.equal(model.actor.mu.bias, bias)
     assert torch.equal(agents.actor.flat, own)
     assert torch.equal(model.actor.mu.bias, bias)
+
+
+def test_rewards_are_paid_at_the_price_that_networks_are_told(world_of):
+    world = world_of(1)
+    settings = Settings(hidden=(8, 8), memory=100, batch=64, prices=3.0, mirror=False)
+    agents = Agents([make_sac(world, settings, 0)], settings, world.device)
+    F = View().size(3)
+    agents.price.fill_(0.5)
+    agents.remember(
+        torch.zeros(1, 20, F), torch.zeros(1, 20, 3), torch.full((1, 20), 7.0),
+        torch.full((1, 20), 4.0), torch.ones(1, 20, F), torch.zeros(1, 20),
+    )  # fmt: skip
+    drawn = agents._sample()
+    share = drawn.observation[..., 0]
+    assert share.min() < -0.8 < 0.8 < share.max()
+    assert torch.equal(share, drawn.following[..., 0])
+    assert torch.allclose(drawn.reward, 7 - 0.5 * 4 * 3.0**share)
+    assert (drawn.following[..., 1:] == 1).all()
+
+
+def test_a_saved_policy_swims_at_the_price_that_it_is_set_to(world_of, tmp_path):
+    world = world_of(1)
+    settings = Settings(hidden=(16, 8), memory=100, batch=16)
+    models = [make_sac(world, settings, seed) for seed in (0, 1)]
+    agents = Agents(models, settings, world.device)
+    for one in agents.actor.weights:  # what a training would have made of it
+        one.add_(0.3 * torch.randn(one.shape, generator=torch.Generator().manual_seed(1)))
+    agents.average.copy_(agents.actor.flat)
+    save(tmp_path, agents, Progress(2), ["a", "b"])
+    F = View().size(3)
+    seen = torch.randn(7, F)
+    for a, name in enumerate("ab"):
+        loaded = read_agent(tmp_path / name / "policy.zip")
+        for share in (0.0, -1.0, 0.6, 0.0):
+            set_price(loaded, share)
+            action, _ = loaded.predict(seen.numpy(), deterministic=True)
+            told = torch.cat([torch.full((7, 1), share), seen], dim=1)
+            mean = agents.actor.forward(told.expand(2, 7, F + 1)).output[a, :, :3]
+            assert np.allclose(action, torch.tanh(mean).numpy(), atol=1e-5), share
+            loaded.save(tmp_path / "again.zip")
+            loaded = read_agent(tmp_path / "again.zip")
