@@ -118,8 +118,8 @@ def joined(runs: list[Path]) -> dict[str, Any]:
     """What several runs tell, as one."""
     told = [json.loads((run / "ablation.json").read_text()) for run in runs]
     whole = {key: told[0][key] for key in ("repeats", "testbeds", "said", "targets")}
-    order = list(dict.fromkeys(agent["arm"] for agent in told[0]["agents"]))
     agents = [agent for one in told for agent in one["agents"]]
+    order = list(dict.fromkeys(agent["arm"] for agent in agents))
     agents.sort(key=lambda agent: (order.index(agent["arm"]), agent["seed"]))
     return {**whole, "agents": agents}
 

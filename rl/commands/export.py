@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> int:
     formats = tuple(dict.fromkeys(options.format or [_by_ending(out)]))
     from rl.deploy.export import read_zip, write_policy
 
-    policy = read_zip(options.policy, seed=options.seed)
+    policy = read_zip(options.policy, seed=options.seed, price=options.price)
     for file in write_policy(policy, out, formats):
         print(f"{file}: {len(policy.observation)} in, {len(policy.joints)} angles in rad out")
     return 0

@@ -185,6 +185,11 @@ def _export(command: argparse.ArgumentParser) -> None:
         choices=("npz", "c", "onnx"),
         help="NumPy arrays, a C header, ONNX: FILE with .npz, .h, .onnx (default: FILE's ending)",
     )
+    command.add_argument(
+        "--price",
+        type=float,
+        help="of energy, over the training's: 0.5 is faster, 2 more frugal (default: the file's)",
+    )
 
 
 def _swim(command: argparse.ArgumentParser) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from stable_baselines3 import SAC
@@ -23,7 +24,9 @@ from sim2real.output import check_writable, provenance, write_whole
 _EXPECTED = "a policy saved by Stable-Baselines3's SAC"
 
 
-def read_zip(path: str | os.PathLike[str], *, seed: int | None = None) -> Policy:
+def read_zip(
+    path: str | os.PathLike[str], *, seed: int | None = None, price: float | None = None
+) -> Policy:
     """Read the policy of an SAC agent, without its memory and critics.
 
     Where the agent says what angles its actions of -1 and 1 mean (as ``rl.sac.sac`` makes them), so
@@ -34,12 +37,17 @@ def read_zip(path: str | os.PathLike[str], *, seed: int | None = None) -> Policy
     Args:
         path: Saved by ``SAC.save``.
         seed: For the provenance.
+        price: What energy costs it, over the training's own; that of the file where None.
 
     Raises:
-        InputError: If it is none, or a policy that is not a plain network with ReLU.
+        InputError: If it is none, or a policy that is not a plain network with ReLU, or did not
+            learn for this price.
     """
     file = Path(path)
-    return policy_of(read_agent(file), where=str(file), made={**provenance([file], seed)})
+    agent = read_agent(file)
+    if price is not None:
+        set_price(agent, price)
+    return policy_of(agent, where=str(file), made={**provenance([file], seed)})
 
 
 def read_agent(path: str | os.PathLike[str]) -> SAC:
@@ -56,6 +64,30 @@ def read_agent(path: str | os.PathLike[str]) -> SAC:
     except Exception as error:  # whatever unpickling a file that is none may raise
         found = f"none that can be loaded ({type(error).__name__}: {error})"
         raise InputError(file, "", found, _EXPECTED) from None
+
+
+def set_price(agent: SAC, price: float) -> None:
+    """Let an agent swim at another price of energy that it learned for.
+
+    The price is a constant input of its actor, and goes into the first layer's bias.
+
+    Args:
+        agent: As ``rl.sac`` saves them.
+        price: Over the training's own.
+
+    Raises:
+        InputError: If the agent did not learn for this price.
+    """
+    known: dict[str, Any] = getattr(agent, "by_price", {})
+    prices = known.get("prices", 1.0)
+    if not 1 / prices <= price <= prices:
+        expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, the only one it learned for"
+        raise InputError("policy", "price", f"{price:g}", expected)
+    if prices > 1:
+        share, actor = math.log(price) / math.log(prices), cast(Any, agent.actor)
+        bias = actor.latent_pi[0].bias.data
+        bias += bias.new_tensor(known["column"]) * (share - known["share"])
+        known["share"] = share
 
 
 def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | None = None) -> Policy:

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import SAC
-from torch import Tensor
 
 from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
-from rl.deploy.export import policy_of, read_agent
+from rl.deploy.export import policy_of, read_agent, set_price
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
@@ -22,28 +20,10 @@ from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
-SHARES = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
-"""Of the way from the lowest price that an agent knows, -1, over its own, 0, to the highest."""
+EXPONENTS = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
+"""Of the prices tried: the lowest that an agent learned for at -1, its own at 0."""
 TRIED_ON = ("turn", "near")
 SEED = 78_000
-
-
-def set_price(agent: SAC, share: float) -> None:
-    """Let an agent swim at another price of energy that it learned for.
-
-    The price is an input like any other, and constant: it goes into the first layer's bias.
-
-    Args:
-        agent: As ``rl.sac`` saves them; nothing happens to one that knows one price alone.
-        share: See ``SHARES``.
-    """
-    known: dict[str, Any] = getattr(agent, "by_price", {})
-    if known.get("column") is None:
-        return
-    actor: Any = agent.actor
-    bias: Tensor = actor.latent_pi[0].bias.data
-    bias += bias.new_tensor(known["column"]) * (share - known["share"])
-    known["share"] = share
 
 
 def choose_prices(
@@ -74,7 +54,7 @@ def choose_prices(
     Returns:
         For each folder's name the price, over the training's own.
     """
-    agents = {folder: read_agent(folder / "policy.zip") for folder in folders}
+    agents: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
     known = {
         folder: agent
         for folder, agent in agents.items()
@@ -85,10 +65,10 @@ def choose_prices(
     limits = [joint.limits_rad for joint in robot.joints]
     policies: dict[str, Any] = {}
     for k, agent in enumerate(known.values()):
-        for share in SHARES:
-            set_price(agent, share)
-            policies[f"{k}@{share}"] = policy_of(agent)
-    worst = np.zeros((len(known), len(SHARES)))
+        for one in EXPONENTS:
+            set_price(agent, agent.by_price["prices"] ** one)
+            policies[f"{k}@{one}"] = policy_of(agent)
+    worst = np.zeros((len(known), len(EXPONENTS)))
     for name in TRIED_ON:
         controllers: dict[str, Controller] = {
             key: PolicyController(one) for key, one in policies.items()
@@ -100,16 +80,15 @@ def choose_prices(
         )  # fmt: skip
         told = {key: summary(one, TASKS[name]) for key, one in swum.items()}
         worst = np.maximum(worst, [
-            [_ratio(told[f"{k}@{share}"], told["pnl"]) for share in SHARES]
+            [_ratio(told[f"{k}@{one}"], told["pnl"]) for one in EXPONENTS]
             for k in range(len(known))
         ])  # fmt: skip
     chosen = {}
     for (folder, agent), row in zip(known.items(), worst, strict=True):
-        share = SHARES[int(np.argmin(row))]
-        set_price(agent, share)
+        chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
+        set_price(agent, chosen[folder.name])
         agent.save(folder / ".policy.zip")
         os.replace(folder / ".policy.zip", folder / "policy.zip")
-        chosen[folder.name] = float(agent.by_price["prices"] ** share)  # type: ignore[attr-defined]
     return chosen
 
 

@@ -95,7 +95,7 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
 
 
 def _by_price(agents: Agents, a: int) -> dict[str, Any]:
-    """What the price of energy does to an actor: see ``rl.experiments.paces.set_price``."""
+    """What the price of energy does to an actor: see ``rl.deploy.export.set_price``."""
     prices = agents.settings.prices
     column = agents.actor.weights[0][a, :, 0].cpu().numpy().copy() if prices > 1 else None
     return {"prices": prices, "column": column, "share": 0.0}

@@ -11,13 +11,13 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from rl.decisions import Decisions
-from rl.deploy.export import read_agent
-from rl.experiments.paces import set_price
+from rl.deploy.export import read_agent, set_price
 from rl.observer import PAPER, View
 from rl.sac.agents import PLAIN, Agents, Batch, Settings, mirrored
 from rl.sac.checkpoint import Progress, save
 from rl.sac.sac import make_sac
 from rl.task import Task
+from sim2real.errors import InputError
 
 SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)
 
@@ -217,10 +217,12 @@ def test_a_saved_policy_swims_at_the_price_that_it_is_set_to(world_of, tmp_path)
     for a, name in enumerate("ab"):
         loaded = read_agent(tmp_path / name / "policy.zip")
         for share in (0.0, -1.0, 0.6, 0.0):
-            set_price(loaded, share)
+            set_price(loaded, 2.0**share)
             action, _ = loaded.predict(seen.numpy(), deterministic=True)
             told = torch.cat([torch.full((7, 1), share), seen], dim=1)
             mean = agents.actor.forward(told.expand(2, 7, F + 1)).output[a, :, :3]
             assert np.allclose(action, torch.tanh(mean).numpy(), atol=1e-5), share
             loaded.save(tmp_path / "again.zip")
             loaded = read_agent(tmp_path / "again.zip")
+        with pytest.raises(InputError, match=r"0\.5 to 2"):
+            set_price(loaded, 2.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -147,8 +148,10 @@ def test_the_header_tells_order_units_and_origin(tmp_path):
     assert max(map(len, text.splitlines())) < 200
 
 
-def options_of(policy: Path, out: Path, formats: list[str] | None = None) -> argparse.Namespace:
-    return argparse.Namespace(policy=policy, out=out, format=formats, seed=0)
+def options_of(
+    policy: Path, out: Path, formats: list[str] | None = None, price: float | None = None
+) -> argparse.Namespace:
+    return argparse.Namespace(policy=policy, out=out, format=formats, seed=0, price=price)
 
 
 def test_the_command_writes_what_is_asked_for(tmp_path, capsys):
@@ -158,6 +161,28 @@ def test_the_command_writes_what_is_asked_for(tmp_path, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"agent.zip", "p.npz", "p.h", "q.h"}
     assert len(read_npz(tmp_path / "p.npz").provenance["inputs"]) == 1
     assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_a_price_of_energy_is_one_that_the_agent_learned_for(observations, tmp_path):
+    agent = agent_of()
+    agent.by_price = {"prices": 2.0, "column": np.full(32, 0.4, np.float32), "share": 0.0}
+    agent.save(tmp_path / "agent.zip")
+    agent_of().save(tmp_path / "one.zip")
+    actions = {}
+    for price in (None, 0.5, 1.0, 2.0):
+        run(options_of(tmp_path / "agent.zip", tmp_path / "p.npz", price=price))
+        actions[price] = PolicyController(read_npz(tmp_path / "p.npz")).act(observations)
+    (tmp_path / "p.npz").unlink()
+    assert np.array_equal(actions[None], actions[1.0])
+    assert all(np.abs(actions[price] - actions[1.0]).max() > 0.01 for price in (0.5, 2.0))
+    for file, price, expected in (
+        ("agent", 2.1, "2.1, expected 0.5 to 2"),
+        ("agent", float("nan"), "nan, expected 0.5 to 2"),
+        ("one", 0.5, "0.5, expected 1, the only one it learned for"),
+    ):
+        with pytest.raises(InputError, match=re.escape(expected)):
+            run(options_of(tmp_path / f"{file}.zip", tmp_path / "p.npz", price=price))
+    assert not (tmp_path / "p.npz").exists()
 
 
 def odd_zips(folder: Path) -> dict[str, Path]:

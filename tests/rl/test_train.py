@@ -13,7 +13,10 @@ import torch
 from stable_baselines3 import SAC
 
 import rl.sac.train
-from rl.experiments import selection
+from rl.deploy.controller import PolicyController
+from rl.deploy.export import policy_of, read_agent, set_price
+from rl.experiments import paces, selection
+from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
 from rl.observer import PAPER
@@ -247,6 +250,35 @@ def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatc
     assert again == found
     dear = selection.held_out(folders, robot, model, None, energy=1.0, episodes=3)
     assert dear["agents"]["a-0"]["score"] < scores["a-0"]
+
+
+def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, monkeypatch):
+    (folder,) = train(tmp_path, robot, arms(model)[:1], replace(PLAN, seeds=(0,)))
+    agent = read_agent(folder / "policy.zip")
+    column = np.linspace(-3, 3, len(agent.by_price["column"]))  # prices that decide how it beats
+    agent.by_price["column"] = column.astype(np.float32)
+    agent.save(folder / "policy.zip")
+    prices = [2.0**one for one in paces.EXPONENTS]
+    policies = {}
+    for price in prices:
+        set_price(agent, price)
+        policies[price] = policy_of(agent)
+    monkeypatch.setattr(paces, "TRIED_ON", ("turn",))
+    monkeypatch.setitem(paces.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setattr(paces, "controller_of", lambda *_: PolicyController(policies[1.0]))
+
+    chosen = paces.choose_prices([folder], robot, model, None, episodes=2)
+    (price,) = chosen.values()
+    assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
+    swum = run_trials(
+        robot, model, None, TASKS["turn"],
+        {str(one): PolicyController(policy) for one, policy in policies.items()},
+        episodes=2, seed=paces.SEED,
+    )  # fmt: skip
+    spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
+    assert max(spent.values()) > 1.2 * spent[1.0]
+    assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
+    assert paces.choose_prices([folder], robot, model, None, episodes=2) == chosen
 
 
 def test_trials_are_the_same_for_all(robot, model):
