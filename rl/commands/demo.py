@@ -197,7 +197,7 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
         "stands out. Reality is the twin with other numbers, friction, play and a skin here, as a "
         "pool of its own is too slow for two cores. Nine such ablations of ten tell the servo's "
         "calibration, one of five another technique by chance. Learned from nothing and swum in "
-        "the fluid, the servo's is worth most, and nothing else tells (reports/ablation)."
+        "the fluid, the servo's is worth most by far (reports/ablation)."
     )
     apart = differences(told)
     figures = [

@@ -81,7 +81,7 @@ def set_price(agent: SAC, price: float) -> None:
     known: dict[str, Any] = getattr(agent, "by_price", {})
     prices = known.get("prices", 1.0)
     if not 1 / prices <= price <= prices:
-        expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, the only one it learned for"
+        expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, as it learned"
         raise InputError("policy", "price", f"{price:g}", expected)
     if prices > 1:
         share, actor = math.log(price) / math.log(prices), cast(Any, agent.actor)

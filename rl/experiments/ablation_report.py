@@ -195,9 +195,10 @@ def power(told: Mapping[str, Difference]) -> str:
         f"{TITLES[arm]} {'more than 200' if count is None else count}"
         for arm, count in seeds_needed(told).items()
     ]
-    pairs = next(iter(told.values())).pairs
+    pairs = list(dict.fromkeys(one.pairs for one in told.values()))
+    seeds = f"{pairs[0]} seeds an arm" if len(pairs) == 1 else f"{min(pairs)} to {max(pairs)} seeds"
     return (
-        f"{pairs} seeds an arm. For intervals narrower than a third of the largest difference "
+        f"{seeds}. For intervals narrower than a third of the largest difference "
         f"({largest:.2f}) the spread over pairs asks for: {', '.join(parts)}."
     )
 
