@@ -4,7 +4,8 @@
 
 All weights and seeds learn side by side in one batch, in the twin calibrated to a shipped swim;
 then policies and controllers swim the same randomized trials of each task. ``--fidelity fluid``
-does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already.
+does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already,
+``--prices 0.5 1 2`` each of those at several prices of energy, joined by a line.
 Writes ``TASK.json`` and ``curve.png``: who is left and below the others wins.
 """
 
@@ -59,6 +60,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=30)
     parser.add_argument("--gains", type=Path)
     parser.add_argument("--trained", nargs="+", metavar="NAME=FOLDER", default=[])
+    parser.add_argument("--prices", type=float, nargs="+", help="of those trained, policy.zip each")
     parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -83,21 +85,21 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
     water: Any = {
         "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
     }  # fmt: skip
-    agents = known(options.trained)
+    agents = known(options.trained, options.prices)
     if not agents:
         seeds = tuple(range(options.seed, options.seed + options.seeds))
         plan = plan_of(vars(options), seeds=seeds, **water)
         draws = draws_of(model, ranges, robot, seed=0)
         arms = [Arm(f"energy-{weight:g}", draws, weight) for weight in options.weights]
         folders = train(options.out / "train", robot, arms, plan)
-        agents = {one.name: one / "policy.zip" for one in folders}
+        agents = {f"{one.name}/policy.zip": str(one / "policy.zip") for one in folders}
     limits = [joint.limits_rad for joint in robot.joints]
     found = {}
     for task in options.tasks:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
         controllers: dict[str, Controller] = {}
         for name, path in agents.items():
-            controllers[f"{name}/{path.name}"] = controller_of(str(path), limits, n)
+            controllers[name] = controller_of(path, limits, n)
         for kind in MARKS:
             for pace in PACES:
                 name = f"{kind}-{pace}"
@@ -111,13 +113,14 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
-def known(trained: list[str]) -> dict[str, Path]:
-    """Policies by "NAME-K", from "NAME=FOLDER" of runs."""
+def known(trained: list[str], prices: list[float] | None) -> dict[str, str]:
+    """Policies by "NAME-K/FILE", from "NAME=FOLDER" of runs, and at each of the prices."""
     out = {}
     for one in trained:
         name, _, folder = one.partition("=")
         for k, path in enumerate(sorted(Path(folder).rglob("policy.*"))):
-            out[f"{name}-{k}"] = path
+            for price in [f"@{x:g}" for x in prices or ()] or [""]:
+                out[f"{name}-{k}/{path.name}{price}"] = f"{path}{price}"
     return out
 
 
@@ -152,20 +155,30 @@ def draw(found: Mapping[str, Mapping[str, Any]], path: Path) -> None:
 def _policies(axes: Any, rows: Mapping[str, Any]) -> None:  # noqa: ANN401
     """All of them, and the mean of each group of seeds."""
     own: dict[str, list[Any]] = {}
+    lines: dict[str, list[tuple[float, float]]] = {}
     for name, row in rows.items():
-        if group := group_of(name):
-            own.setdefault(group, []).append(row)
+        file, at, price = name.partition("@")
+        if group := group_of(file):
+            own.setdefault(group + (at and f" {price}"), []).append(row)
+            lines.setdefault(file, []).append((row["energy"] / 1e3, row["time_s"]))
+    priced = any(len(one) > 1 for one in lines.values())
+    for one in lines.values():
+        axes.plot(*np.array(one).T, color=ACCENT, lw=0.5, alpha=0.4)
+    means = []
     for k, (name, some) in enumerate(own.items()):
         points = np.array([(one["energy"] / 1e3, one["time_s"]) for one in some])
         x, y = points.mean(axis=0)
+        means.append((x, y))
         label = "policies, each seed and the mean" if k == 0 else None
         axes.plot(*points.T, "o", color=ACCENT, ms=3, alpha=0.5)
         axes.plot([x], [y], "o", color=ACCENT, ms=6, label=label)
-        if len(own) > 1:
+        if len(own) > 1 and not priced:
             axes.annotate(
                 name.removeprefix("energy-"), (x, y), (-6, -10), textcoords="offset points",
                 color=ACCENT, ha="right", fontsize=7,
             )  # fmt: skip
+    if priced:
+        axes.plot(*np.array(means).T, color=ACCENT, lw=1.5)
 
 
 def _plain_ticks(axes: Any) -> None:  # noqa: ANN401

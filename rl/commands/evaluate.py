@@ -14,7 +14,7 @@ import torch
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes, summary
 from rl.experiments.film import Film
-from rl.experiments.named import controller_of
+from rl.experiments.named import controller_of, with_price
 from rl.experiments.trials import UNSEEN, run_trials
 from rl.make import draws_of, make_world, own_stream
 from rl.sac.recipes import RECIPES
@@ -60,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
     for name, row in table.items():
         print(said(name, row))
     if out is not None:
-        inputs = [options.robot, options.model, *(p for p in names if Path(p).exists())]
+        files = dict.fromkeys(with_price(name)[0] for name in names)
+        inputs = [options.robot, options.model, *(file for file in files if Path(file).exists())]
         inputs += [options.ranges] if options.ranges else []
         content: dict[str, Any] = {
             "task": options.task, "fidelity": options.fidelity, "randomized": ranges is not None,
@@ -83,8 +84,9 @@ def run(options: argparse.Namespace) -> int:
 
 def shown(name: str) -> str:
     """A policy's name for people: that of its folder where its own says no more than ``policy``."""
-    path = Path(name)
-    return path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+    file, price = with_price(name)
+    path, at = Path(file), "" if price is None else f" at {price:g}"
+    return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + at
 
 
 def said(name: str, row: dict[str, Any]) -> str:

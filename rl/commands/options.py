@@ -156,7 +156,8 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
         "policies",
         nargs="+",
         metavar="POLICY",
-        help="policy.zip, policy.npz, pnl or adrc, also pnl-fast, pnl-frugal and so on",
+        help="policy.zip, policy.zip@0.5 at another price of energy, policy.npz, pnl or adrc, "
+        "also pnl-fast, pnl-frugal and so on",
     )
     _water(command)
     command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")

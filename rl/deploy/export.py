@@ -46,7 +46,7 @@ def read_zip(
     file = Path(path)
     agent = read_agent(file)
     if price is not None:
-        set_price(agent, price)
+        set_price(agent, price, where=str(file))
     return policy_of(agent, where=str(file), made={**provenance([file], seed)})
 
 
@@ -66,7 +66,7 @@ def read_agent(path: str | os.PathLike[str]) -> SAC:
         raise InputError(file, "", found, _EXPECTED) from None
 
 
-def set_price(agent: SAC, price: float) -> None:
+def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
     """Let an agent swim at another price of energy that it learned for.
 
     The price is a constant input of its actor, and goes into the first layer's bias.
@@ -74,6 +74,7 @@ def set_price(agent: SAC, price: float) -> None:
     Args:
         agent: As ``rl.sac`` saves them.
         price: Over the training's own.
+        where: Its file, for errors.
 
     Raises:
         InputError: If the agent did not learn for this price.
@@ -82,7 +83,7 @@ def set_price(agent: SAC, price: float) -> None:
     prices = known.get("prices", 1.0)
     if not 1 / prices <= price <= prices:
         expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, as it learned"
-        raise InputError("policy", "price", f"{price:g}", expected)
+        raise InputError(where, "price", f"{price:g}", expected)
     if prices > 1:
         share, actor = math.log(price) / math.log(prices), cast(Any, agent.actor)
         bias = actor.latent_pi[0].bias.data

@@ -11,25 +11,34 @@ import torch
 from numpy.typing import NDArray
 
 from rl.deploy.controller import PolicyController
-from rl.deploy.export import policy_of, read_agent
+from rl.deploy.export import policy_of, read_agent, set_price
 from rl.sac.agents import Settings
 
 
 class SampledController(PolicyController):
     """Samples the actor's own distribution, its noise correlated in time as in training."""
 
-    def __init__(self, path: Path | str, seed: int = 0, noise_s: float = Settings.noise_s) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        seed: int = 0,
+        noise_s: float = Settings.noise_s,
+        price: float | None = None,
+    ) -> None:
         """Read an agent.
 
         Args:
             path: ``policy.zip``.
             seed: Of the noise.
             noise_s: Its correlation time; 0 for white noise.
+            price: What energy costs it, over the training's own; that of the file where None.
 
         Raises:
-            InputError: If there is none.
+            InputError: If there is none, or it did not learn for this price.
         """
         agent = read_agent(path)
+        if price is not None:
+            set_price(agent, price, where=str(path))
         super().__init__(policy_of(agent, where=str(path)))
         self._actor: Any = agent.actor
         self._rng = np.random.default_rng(seed)

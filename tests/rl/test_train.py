@@ -13,11 +13,12 @@ import torch
 from stable_baselines3 import SAC
 
 import rl.sac.train
+from rl.commands.evaluate import shown
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_agent, set_price
 from rl.experiments import paces, selection
 from rl.experiments.evaluate import summary
-from rl.experiments.named import controller_of
+from rl.experiments.named import controller_of, with_price
 from rl.experiments.trials import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
@@ -279,6 +280,17 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
     assert paces.choose_prices([folder], robot, model, None, episodes=2) == chosen
+
+
+def test_a_policy_is_called_with_a_price(tmp_path):
+    assert with_price("runs/a/policy.zip@0.5") == ("runs/a/policy.zip", 0.5)
+    assert with_price("me@home/policy.zip") == ("me@home/policy.zip", None)
+    assert with_price("policy.npz@2") == ("policy.npz@2", None)
+    assert shown("runs/a/policy.zip@0.5") == "a at 0.5"
+    assert shown("runs/a/policy.zip") == "a"
+    for name in ("policy.zip@", "policy.zip@fast"):
+        with pytest.raises(InputError, match="expected a number"):
+            with_price(name)
 
 
 def test_trials_are_the_same_for_all(robot, model):
