@@ -69,11 +69,11 @@ def controller_of(
 
     if (table := read_table(name)) is not None:
         return read_policy(name, table, limits_rad, n_envs)
-    file, price = with_price(name)
-    policy = read_npz(name) if name.endswith(".npz") else read_zip(file, price=price)
+    path, price = with_price(name)
+    policy = read_npz(name) if name.endswith(".npz") else read_zip(path, price=price)
     if len(policy.joints) != len(limits_rad):
         found = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", found, f"{len(limits_rad)}, as the robot has")
     if sampled and not name.endswith(".npz"):
-        return SampledController(file, price=price)
+        return SampledController(path, price=price)
     return PolicyController(policy)
