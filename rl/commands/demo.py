@@ -66,7 +66,7 @@ _SWIMS = ("p1", "p2")
 """Swims of the pool: the first is calibrated on, ranges take both."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 """What each arm of the ablation learns beyond the agents that all go on from."""
-SEEDS, REPEATS = 6, 16
+SEEDS, REPEATS = 8, 16
 
 
 def run(options: argparse.Namespace) -> int:
@@ -195,9 +195,9 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
         f"half way between the calibrated ones and the old simulator's, for {plan.steps} steps in "
         "their own arm's: pairs differ by their arms. A difference whose interval leaves out zero "
         "stands out. Reality is the twin with other numbers, friction, play and a skin here, as a "
-        "pool of its own is too slow for two cores. Nine such ablations of ten tell the servo's "
-        "calibration, one of five another technique by chance. Learned from nothing and swum in "
-        "the fluid, the servo's is worth most by far (reports/ablation)."
+        "pool of its own is too slow for two cores. Of a hundred such ablations 97 or more tell "
+        "the servo's calibration, twenty another technique by chance. Learned from nothing and "
+        "swum in the fluid, the servo's is worth most by far (reports/ablation)."
     )
     apart = differences(told)
     figures = [
