@@ -32,13 +32,17 @@ from rl.experiments.differences import differences
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
 from sim.inference.calibrate import Calibrated, calibrate
+from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.followed import by_followed_twin
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
 from sim.view.calibration_plot import comparison
+from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
 from sim2real.commands.diagnose import write as write_diagnosis
 from sim2real.commands.identify import most_telling
 from sim2real.diagnose.diagnose import diagnose
+from sim2real.diagnose.result import write_diagnosis as write_body
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import Model, read_model, write_model
@@ -66,7 +70,7 @@ _SWIMS = ("p1", "p2")
 """Swims of the pool: the first is calibrated on, ranges take both."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 """What each arm of the ablation learns beyond the agents that all go on from."""
-SEEDS, REPEATS = 8, 16
+SEEDS, REPEATS = 8, 12
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,7 +120,7 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
 
 
 def _pool(options: argparse.Namespace) -> list[Section]:
-    """A robot in a pool: calibration, ranges, a quick ablation."""
+    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation."""
     folder: Path = options.pool
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
     recordings = [read_recording(folder / f"{name}.csv") for name in _SWIMS]
@@ -124,6 +128,11 @@ def _pool(options: argparse.Namespace) -> list[Section]:
     with _stage("calibrate", f"the body in the twin, on {recordings[0].name}"):
         free = [*law_parameters(), *servo_parameters(model, robot)]
         fitted = calibrate([swim], model, free, twin)
+    followed = by_followed_twin(robot)
+    with _stage("diagnose", f"which physics the body leaves out, on {swim.name}"):
+        missing = diagnose_swims([swim], model, robot, followed)
+    write_model(missing.model, options.out / "swim.enriched.json")
+    write_body(missing, options.out / "swim.json", "swim.enriched.json")
     with _stage("ranges", "what to randomize, and how far"):
         found = gather(recordings, robot, fitted.model)
     write_model(fitted.model, options.out / "calibrated.json")
@@ -131,6 +140,7 @@ def _pool(options: argparse.Namespace) -> list[Section]:
     told, plan = _ablated(options, robot, fitted.model, found)
     return [
         _calibration(swim, model, fitted, twin, robot),
+        replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
         ranges_section(found),
         _ablation(told, plan),
         _swim(told, options, robot, fitted.model),
@@ -142,7 +152,10 @@ def _calibration(
 ) -> Section:
     """The figure that the paper shows, and the errors behind it."""
     figure = svg(comparison(swim, model, fitted.model, twin, robot))
-    lead = "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin."
+    lead = (
+        "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin. "
+        "What no parameter of its body makes up for, the next section finds."
+    )
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]

@@ -106,8 +106,10 @@ def run(options: argparse.Namespace) -> int:
         print(f"  considered: {rival.effect} ({rival.component}), {100 * rival.probability:.0f} %")
     if not options.no_page:
         title, page = f"Diagnosis of {robot.name}", out.with_suffix(".html")
-        subtitle = f"{len(swims)} swims, verdict: {found.verdict}"
-        write_page(page, title, subtitle, [swims_section(found)], found.provenance)
+        many = "1 swim" if len(swims) == 1 else f"{len(swims)} swims"
+        subtitle = f"{many}, verdict: {found.verdict.replace('_', ' ')}"
+        section = swims_section(found, given, simulate, robot)
+        write_page(page, title, subtitle, [section], found.provenance)
         print(f"page: {page}")
     return 0
 

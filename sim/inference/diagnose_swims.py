@@ -112,7 +112,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         if frozenset(names_of(h.members)) >= {one.name for one in said.named}
     )  # fmt: skip
     both = (found.plain, chosen)
-    errors = [_errors(problem, one.fit) for one in both]
+    errors = [_errors(problem, one) for one in both]
     speeds = {frozenset(names_of(m)): speed for m, (_, speed) in found.held.items()}
     before, after = speeds[frozenset()], speeds.get(said.offered, speeds[frozenset()])
     named = []
@@ -196,8 +196,9 @@ def _experiment(found: Searched, fitted: Hypothesis[Fit], said: Decided) -> Expe
     return None
 
 
-def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
-    """Errors of each signal of a fit to all of the swims, in their first part and their last."""
+def _errors(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[Array, Array]:
+    """Errors of each signal in the first part of the swims and the last, fitted to the first."""
+    fit, _ = problem.held(one.members, one.fit, HELD_OUT)
     parts: tuple[list[Array], list[Array]] = ([], [])
     for swim in problem.swims:
         (said,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)

@@ -1,4 +1,4 @@
-"""The calibration's figure: measured against simulated surge, sway, yaw and first joint."""
+"""Measured against simulated surge, sway, yaw and first joint, before and after."""
 
 from __future__ import annotations
 
@@ -15,9 +15,26 @@ if TYPE_CHECKING:
 
 
 def comparison(
-    swim: Swim, before: Model, after: Model, simulator: Simulator, robot: Robot
+    swim: Swim,
+    before: Model,
+    after: Model,
+    simulator: Simulator,
+    robot: Robot,
+    *,
+    label: str = "calibrated",
+    held_out: float = HELD_OUT_SHARE,
 ) -> Figure:
-    """Surge, sway, yaw rate and the first joint, before and after; what was held out is shaded."""
+    """Surge, sway, yaw rate and the first joint; what was held out is shaded.
+
+    Args:
+        swim: What was measured.
+        before: The model that was given.
+        after: The one that was found.
+        simulator: Both are simulated by it.
+        robot: The robot.
+        label: Of the model that was found.
+        held_out: Share of the swim, its end, that the fit has not seen.
+    """
     was, now = simulated(swim, [before, after], simulator)
     names = [*(f"{n} ({u})" for n, u in zip(SIGNALS, UNITS, strict=True))]
     names.append(f"{robot.joints[0].name} (rad)")
@@ -27,9 +44,10 @@ def comparison(
         for k, (axis, name) in enumerate(zip(axes, names, strict=True)):
             axis.plot(swim.t, swim.signals[:, k], color=INK, linewidth=1.4, label="measured")
             axis.plot(swim.t, was[:, k], color=FAINT, linewidth=1, label="before")
-            axis.plot(swim.t, now[:, k], color=ACCENT, linewidth=1, label="calibrated")
-            axis.axvspan(swim.t[-1] * (1 - HELD_OUT_SHARE), swim.t[-1], color=FAINT, alpha=0.15)
+            axis.plot(swim.t, now[:, k], color=ACCENT, linewidth=1, label=label)
+            if held_out:
+                axis.axvspan(swim.t[-1] * (1 - held_out), swim.t[-1], color=FAINT, alpha=0.15)
             axis.set_ylabel(name)
-        axes[-1].set_xlabel("time (s); shaded: held out")
+        axes[-1].set_xlabel("time (s); shaded: held out" if held_out else "time (s)")
         axes[0].legend(ncols=3, loc="upper left")
     return figure

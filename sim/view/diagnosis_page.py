@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from sim.inference.coordinates import Swum
+from sim.inference.swims import Swim
+from sim.view.calibration_plot import comparison
 from sim2real.diagnose.result import Diagnosis
-from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.model import Model
+from sim2real.report.drawing import svg
+from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.robot import Robot
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _FOUND = {
@@ -21,8 +29,19 @@ _FOUND = {
 }
 
 
-def swims_section(found: Diagnosis) -> Section:
-    """The verdict, what was named and how sure, what else was considered, and the errors."""
+_DRAWN = 3
+"""Swims that are drawn at most."""
+
+
+def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot: Robot) -> Section:
+    """The verdict, what was named and how sure, what else was considered, and the errors.
+
+    Args:
+        found: The diagnosis.
+        swims: What it is of; the first few are drawn where the simulator became another.
+        simulate: What simulates them.
+        robot: The robot.
+    """
     kind, said = _FOUND[found.verdict]
     blocks: list[Block] = [Note("good" if kind == "good" else "info", said)]
     if found.effects:
@@ -39,15 +58,32 @@ def swims_section(found: Diagnosis) -> Section:
         ]
         header = ("what is missing", "probability", "parameters, SI, with 90 % intervals")
         blocks.append(Table(header, rows))
-    rows = [
-        (name, f"{before['heldout']:.4g}", f"{found.enriched_fit[name]['heldout']:.4g}")
-        for name, before in found.baseline_fit.items()
+    was, now = (
+        {name: float(one["heldout"] or 0.0) for name, one in fit.items()}
+        for fit in (found.baseline_fit, found.enriched_fit)
+    )
+    errors = [
+        (name, f"{x:.4g}", f"{now[name]:.4g}", f"{100 * (now[name] / x - 1):+.0f} %" if x else "")
+        for name, x in was.items()
     ]
-    caption = "Root mean square error on what no fit has seen, in SI units."
-    blocks.append(Table(("signal", "before", "with what is named"), rows, caption))
+    caption = "Root mean square error at the end of the swims, fitted to what is before; SI units."
+    blocks.append(Table(("signal", "before", "with what is named", ""), errors, caption))
+    if found.baseline is not None and now != was:
+        blocks += [
+            _drawn(swim, found.baseline, found.model, simulate, robot) for swim in swims[:_DRAWN]
+        ]
     if found.rivals:
         considered = [
             (one.effect, one.component, f"{100 * one.probability:.0f} %") for one in found.rivals
         ]
         blocks.append(Table(("considered as well", "of", "probability"), considered))
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in found.gate)])
+
+
+def _drawn(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Figure:
+    figure = comparison(
+        swim, before, after, lambda models, *_: simulate(models, swim), robot,
+        label="with what is named", held_out=0.0,
+    )  # fmt: skip
+    said = "measured, and simulated before and after; both models were fitted to all of it"
+    return Figure(svg(figure), f"{swim.name}: {said}.")

@@ -253,6 +253,7 @@ def test_demo_ends_in_a_page(whole, short, tmp_path, capsys, monkeypatch):
     assert main(["demo", *folders, "--out", str(tmp_path / "demo")]) == 0
     page = (tmp_path / "demo" / "index.html").read_text()
     assert "Identification" in page
+    assert "Diagnosis of the swim" in page
     assert "<script" not in page
     assert "data:image/gif;base64," in page, "it ends in a swim to watch"
     assert (tmp_path / "demo" / "swim.gif").read_bytes()[:6] == b"GIF89a"

@@ -67,6 +67,28 @@ def test_what_was_concealed_is_named(few):
     assert any("Without a swim" in line for line in found.gate)
 
 
+def test_errors_are_of_a_fit_that_has_not_seen_the_end(few, monkeypatch):
+    seen = []
+    held = TwinSwims.held
+
+    def told(self, members, fit, share):
+        found, left = held(self, members, fit, share)
+        seen.append((self.coordinates, fit.x, found.x))
+        return found, left
+
+    monkeypatch.setattr(TwinSwims, "held", told)
+    found = diagnosed({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+    c, whole, first = seen[-1]
+    assert not np.array_equal(whole, first), "else this test can tell nothing"
+    swim = swum({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+    (track,) = by_followed_twin(FISH)([c.model_at(first)], swim)
+    pose = observed(swim.t, track[:, :3], values(c.model_at(first)))
+    error = body_velocity(swim.t, pose)[:, 0] - swim.signals[:, 0]
+    end = error[round(0.7 * swim.t.size) :]
+    stated = found.enriched_fit["body.surge"]["heldout"]
+    assert stated == pytest.approx(np.sqrt(np.mean(end**2)), rel=0.02)
+
+
 def test_a_swim_with_nothing_missing_is_consistent(few):
     found = diagnosed({})
     assert found.verdict == "consistent"
