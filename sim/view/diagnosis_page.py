@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim.inference.coordinates import Swum
+from sim.inference.swim_decision import LIKELY
 from sim.inference.swims import Swim
 from sim.view.calibration_plot import comparison
-from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival
 from sim2real.model import Model
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -44,7 +45,8 @@ def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot
     """
     kind, said = _FOUND[found.verdict]
     blocks: list[Block] = [Note("good" if kind == "good" else "info", said)]
-    if found.effects:
+    likely = [one for one in found.effects if one.probability >= LIKELY]
+    if likely:
         rows = [
             (
                 one.statement,
@@ -54,7 +56,7 @@ def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot
                     for name, x in one.parameters.items()
                 ),
             )
-            for one in found.effects
+            for one in likely
         ]
         header = ("what is missing", "probability", "parameters, SI, with 90 % intervals")
         blocks.append(Table(header, rows))
@@ -72,9 +74,11 @@ def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot
         blocks += [
             _drawn(swim, found.baseline, found.model, simulate, robot) for swim in swims[:_DRAWN]
         ]
-    if found.rivals:
+    unlikely = [one for one in found.effects if one.probability < LIKELY]
+    others: list[NamedEffect | Rival] = [*unlikely, *found.rivals]
+    if others:
         considered = [
-            (one.effect, one.component, f"{100 * one.probability:.0f} %") for one in found.rivals
+            (one.effect, one.component, f"{100 * one.probability:.0f} %") for one in others
         ]
         blocks.append(Table(("considered as well", "of", "probability"), considered))
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in found.gate)])
