@@ -39,10 +39,10 @@ from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_o
 from sim.view.calibration_plot import comparison
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
-from sim2real.commands.diagnose import write as write_diagnosis
+from sim2real.commands.diagnose import write as write_servos
 from sim2real.commands.identify import most_telling
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.result import write_diagnosis as write_body
+from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import Model, read_model, write_model
@@ -107,7 +107,7 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
         model = identify(recordings, robot, seed=options.seed)
     with _stage("diagnose", "which physics the servos leave out"):
         found = diagnose(_two(recordings), robot, seed=options.seed)
-    write_diagnosis(found, options.out / "diagnosis.json")
+    write_servos(found, options.out / "diagnosis.json")
     with _stage("replay", "the model beside what was recorded"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
@@ -132,7 +132,7 @@ def _pool(options: argparse.Namespace) -> list[Section]:
     with _stage("diagnose", f"which physics the body leaves out, on {swim.name}"):
         missing = diagnose_swims([swim], model, robot, followed)
     write_model(missing.model, options.out / "swim.enriched.json")
-    write_body(missing, options.out / "swim.json", "swim.enriched.json")
+    write_diagnosis(missing, options.out / "swim.json", "swim.enriched.json")
     with _stage("ranges", "what to randomize, and how far"):
         found = gather(recordings, robot, fitted.model)
     write_model(fitted.model, options.out / "calibrated.json")

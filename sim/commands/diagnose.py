@@ -108,7 +108,9 @@ def run(options: argparse.Namespace) -> int:
         title, page = f"Diagnosis of {robot.name}", out.with_suffix(".html")
         many = "1 swim" if len(swims) == 1 else f"{len(swims)} swims"
         subtitle = f"{many}, verdict: {found.verdict.replace('_', ' ')}"
-        section = swims_section(found, given, simulate, robot)
+        # only what the search was made with can draw what it found
+        elsewhere = options.water or (options.in_water and options.device != "cpu")
+        section = swims_section(found, given, None if elsewhere else simulate, robot)
         write_page(page, title, subtitle, [section], found.provenance)
         print(f"page: {page}")
     return 0

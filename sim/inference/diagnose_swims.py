@@ -112,9 +112,9 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         if frozenset(names_of(h.members)) >= {one.name for one in said.named}
     )  # fmt: skip
     both = (found.plain, chosen)
-    errors = [_errors(problem, one) for one in both]
-    speeds = {frozenset(names_of(m)): speed for m, (_, speed) in found.held.items()}
-    before, after = speeds[frozenset()], speeds.get(said.offered, speeds[frozenset()])
+    ahead = [found.held[one.members] for one in both]
+    errors = [_errors(problem, one.fit) for one in ahead]
+    before, after = (one.speed for one in ahead)
     named = []
     for one in said.named:
         effect = next(e for e in c.effects if (e.name, e.component) == one.name)
@@ -196,9 +196,8 @@ def _experiment(found: Searched, fitted: Hypothesis[Fit], said: Decided) -> Expe
     return None
 
 
-def _errors(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[Array, Array]:
-    """Errors of each signal in the first part of the swims and the last, fitted to the first."""
-    fit, _ = problem.held(one.members, one.fit, HELD_OUT)
+def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
+    """Errors of each signal in the first part of the swims and the last."""
     parts: tuple[list[Array], list[Array]] = ([], [])
     for swim in problem.swims:
         (said,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,20 @@ class Tried:
     settled: bool
 
 
+class Held(NamedTuple):
+    """What a fit to the beginning of the swims predicts of their end.
+
+    Attributes:
+        fit: To the beginning.
+        loss: Of the end.
+        speed: Error of the speed over ground there, m/s.
+    """
+
+    fit: Fit
+    loss: float
+    speed: float
+
+
 @dataclass(frozen=True)
 class Searched:
     """What a search found, before anything is decided.
@@ -67,7 +81,7 @@ class Searched:
         found: Every set that was tried, best first.
         best: The best of them that has an effect, be it worth saying or not.
         nameless: Evidence that shapes without a name add to the plain fit and to the best.
-        held: Held-out loss and error of the speed (m/s) by set.
+        held: By set, what it predicts that it has not seen.
         misfit: Mean square of the best fit's weighted errors by signal and band, shape (4, 3).
     """
 
@@ -76,7 +90,7 @@ class Searched:
     found: list[Hypothesis[Fit]]
     best: Hypothesis[Fit]
     nameless: dict[str, dict[str, float]]
-    held: dict[Members, tuple[float, float]]
+    held: dict[Members, Held]
     misfit: Array
 
     def table(self) -> list[Tried]:
@@ -212,8 +226,8 @@ def _parts(members: Members) -> list[Members]:
     return [members - {one} for one in sorted(members, key=str)]
 
 
-def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
-    """Loss, and error of the speed over ground in m/s, of what a fit to the beginning predicts."""
+def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> Held:
+    """What a set predicts of the end of the swims, fitted to their beginning."""
     fit, left = problem.held(one.members, one.fit, HELD_OUT)
     rows = fit.rows
     loss = 0.5 * float(np.sum(rows[left] ** 2))
@@ -224,7 +238,7 @@ def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> tuple[float, float]:
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
         count += int(left[at : at + n].reshape(weight.shape)[:, 0].sum())
         at += n
-    return loss, float(np.sqrt(square / max(count, 1)))
+    return Held(fit, loss, float(np.sqrt(square / max(count, 1))))
 
 
 def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
@@ -250,8 +264,8 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
         ],
         "nameless": found.nameless,
         "held": [
-            {"names": [list(n) for n in names_of(m)], "loss": loss, "speed": speed}
-            for m, (loss, speed) in found.held.items()
+            {"names": [list(n) for n in names_of(m)], "loss": one.loss, "speed": one.speed}
+            for m, one in found.held.items()
         ],
         "misfit": found.misfit.tolist(),
         "referred": referred,

@@ -34,13 +34,15 @@ _DRAWN = 3
 """Swims that are drawn at most."""
 
 
-def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot: Robot) -> Section:
+def swims_section(
+    found: Diagnosis, swims: Sequence[Swim], simulate: Swum | None, robot: Robot
+) -> Section:
     """The verdict, what was named and how sure, what else was considered, and the errors.
 
     Args:
         found: The diagnosis.
         swims: What it is of; the first few are drawn where the simulator became another.
-        simulate: What simulates them.
+        simulate: What simulated them in the search; nothing is drawn where None.
         robot: The robot.
     """
     kind, said = _FOUND[found.verdict]
@@ -70,7 +72,7 @@ def swims_section(found: Diagnosis, swims: Sequence[Swim], simulate: Swum, robot
     ]
     caption = "Root mean square error at the end of the swims, fitted to what is before; SI units."
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, caption))
-    if found.baseline is not None and now != was:
+    if simulate is not None and found.baseline is not None and now != was:
         blocks += [
             _drawn(swim, found.baseline, found.model, simulate, robot) for swim in swims[:_DRAWN]
         ]
