@@ -127,7 +127,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     named.sort(key=lambda one: -one.gain)
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [(name, _there((name,), keys, share)) for name in others]
-    rivals.sort(key=lambda one: -one[1])
+    rivals.sort(key=lambda one: (-one[1], one[0]))
     return Decided(
         _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
         unlisted, shape, strange,
