@@ -43,7 +43,7 @@ _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
 _WORSE, _RARELY = 0.01, 0.02
 """Share by which an error may grow, and share of cases in which it may grow by more."""
-_PRIOR = 0.5
+_PRIOR = 1.0
 """Of the weights, over the size of what they weigh."""
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""

@@ -69,11 +69,12 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
     if referred:
         kept = np.load(verdicts / f"{place.name}.npz")
         belief = Belief(**{name: kept[name] for name in kept.files})
-    if again:
+    begun = read_model(target / BESIDE) if again else None
+    if again and begun:
         other = read_water_swims(again / f"{place.name}.npz")
-        simulate = by_twin_in_water(robot, read_model(target / BESIDE), other, threads=1)
+        simulate = by_twin_in_water(robot, begun, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    found = searched(swims, model, robot, simulate, belief)
+    found = searched(swims, model, robot, simulate, belief, begun=begun)
     said = diagnosis_of(found, robot, known, referred=referred)
     target.mkdir(parents=True, exist_ok=True)
     write_diagnosis(said, target / "diagnosis.json", "enriched.json")

@@ -4,8 +4,9 @@
     python datasets/pool/sealed_water.py SET WATER --law
     python datasets/pool/sealed_water.py SET WATER --again VERDICTS AGAIN [--heldout HELD_OUT]
 
-Looks at robots, bench models and commands alone, not at what was recorded. ``--heldout``: of the
-swims that the grader keeps too, in a folder of their own, for the grader. ``--again``: with what
+Looks at robots, bench models and commands alone, not at what was recorded. What is there already is
+not swum again. ``--heldout``: of the swims that the grader keeps too, in a folder of their own, for
+the grader. ``--again``: with what
 was found in each case, where the fluid can.
 """
 
@@ -64,7 +65,7 @@ def main() -> None:
     parser.add_argument(
         "--law", action="store_true", help="the twin's law nearest to what is there"
     )
-    parser.add_argument("--most", type=int, help="swims of a robot, for a trial")
+    parser.add_argument("--most", type=int, help="swims of a robot and part, for a trial")
     parser.add_argument(
         "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"
     )
@@ -79,23 +80,29 @@ def main() -> None:
         if options.again:
             again(options, folder, robot)
             continue
-        if out.exists():
+        if options.law:
             known = read_water_swims(out)
-            if options.law and not known.law:
+            if not known.law:
                 write_water(out, with_nearest_law(robot, model, known, threads=1))
                 print(f"{folder.name}: law, {time.perf_counter() - start:.0f} s", flush=True)
             continue
         cases = sorted(path.parent.name for path in folder.glob("case_*/case.json"))
-        paths = sorted(folder.glob("ref_*.csv")) + [folder / name / "a.csv" for name in cases]
-        known = len(paths)
+        paths = {options.water: [*sorted(folder.glob("ref_*.csv")),
+                                 *(folder / name / "a.csv" for name in cases)]}  # fmt: skip
         if options.heldout:
-            paths += [options.set / "heldout" / name / "b.csv" for name in cases]
-        swims = [swim_of(read_recording(path), robot) for path in paths[: options.most]]
+            paths[options.heldout] = [options.set / "heldout" / name / "b.csv" for name in cases]
+        parts = {
+            target: [swim_of(read_recording(path), robot) for path in part[: options.most]]
+            for target, part in paths.items()
+            if not (target / out.name).exists()
+        }
+        swims = [swim for part in parts.values() for swim in part]
+        if not swims:
+            continue
         water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
-        for target, part in ((options.heldout, swims[known:]), (options.water, swims[:known])):
-            if part:
-                own = {key(swim): water.steps[key(swim)] for swim in part}
-                write_water(target / out.name, replace(water, steps=own))
+        for target, part in parts.items():
+            own = {key(swim): water.steps[key(swim)] for swim in part}
+            write_water(target / out.name, replace(water, steps=own))
         print(f"{folder.name}: {len(swims)} swims, {time.perf_counter() - start:.0f} s", flush=True)
 
 

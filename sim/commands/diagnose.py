@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     given = [swim_of(one, robot) for one in swims]
     earlier = [swim_of(one, robot) for one in references]
     simulate, known = by_followed_twin(robot), LAW_ERROR
-    again: Callable[[Model], Swum | None] = lambda found: None  # noqa: E731
+    again: Callable[[Model], tuple[Swum, Model] | None] = lambda found: None  # noqa: E731
     if options.in_water:
         water = _swum(options, robot, model, [*given, *earlier])
         model, known = water.of(model), read_law_error(IN_WATER)

@@ -45,6 +45,15 @@ def spectrum(signals: Array, edges: Sequence[tuple[int, int]]) -> Array:
     return np.concatenate(parts, axis=-2)
 
 
+def _about(coefficients: Array, edges: Sequence[tuple[int, int]]) -> Array:
+    square = coefficients**2
+    power = np.empty_like(square)
+    for a, b in edges:
+        wide = uniform_filter1d(square[a:b], 5, axis=0, mode="nearest")
+        power[a:b] = wide + _LEAK * square[a:b].mean(axis=0)
+    return power
+
+
 @dataclass(frozen=True)
 class Blocks:
     """One swim, as errors count in it.
@@ -75,31 +84,31 @@ class Blocks:
         hertz = np.concatenate([np.arange(n) / (2 * n * period) for n in sizes])
         signals = np.nan_to_num(swim.signals)
         seen = spectrum(signals, edges)
-        square = seen**2
-        power = np.empty_like(square)
-        for a, b in edges:
-            wide = uniform_filter1d(square[a:b], 5, axis=0, mode="nearest")
-            power[a:b] = wide + _LEAK * square[a:b].mean(axis=0)
+        power = _about(seen, edges)
         rng = np.random.default_rng(0)
         jitter = swim.shaken or PoseNoise(np.zeros(3))
         drawn = jitter.drawn(rng, (_DRAWS, swim.t.size), period)
         shaken = body_velocity(swim.t, drawn)
-        noise = np.empty_like(square)
+        noise = np.empty_like(seen)
         each = (spectrum(shaken, edges) ** 2).mean(axis=0)
         for a, b in edges:
             noise[a:b, :3] = uniform_filter1d(each[a:b], 9, axis=0, mode="nearest")
         noise[:, 3:] = np.broadcast_to(swim.noise, signals.shape[1])[3:] ** 2 + _STEP_RAD**2
         return cls(tuple(edges), block, np.searchsorted(BANDS_HZ, hertz), noise, power, seen)
 
-    def weights(self, shares: Array) -> Array:
+    def weights(self, shares: Array, more: Array | float = 0.0) -> Array:
         """One over standard deviations (T, K) with the twin's error by signal and band, (4, 3).
 
-        The last row of ``shares`` is that of joints.
+        The last row of ``shares`` is that of joints; ``more`` is variance beside, (T, K).
         """
         K = self.noise.shape[1]
         rows = np.minimum(np.arange(K), 3)
         share = shares[rows][:, self.band].T
-        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + 1e-12))
+        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + more + 1e-12))
+
+    def about(self, signals: Array) -> Array:
+        """Power of signals (T, K) about each coefficient, shape (T, K)."""
+        return _about(spectrum(np.nan_to_num(signals), self.edges), self.edges)
 
     def errors(self, signals: Array) -> Array:
         """Cosine transforms of simulated minus recorded signals, (..., T, K)."""

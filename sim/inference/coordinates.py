@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that swims may move."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
-WATER = ("cells", "viscosity", "eddies")
+WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """What may be otherwise of a water in which the fluid has swum (``in_water``)."""
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times whose mixture a skin that gives way is."""

@@ -54,7 +54,7 @@ def diagnose_swims(
     *,
     references: Sequence[Swim] = (),
     known: LawError = LAW_ERROR,
-    again: Callable[[Model], Swum | None] = lambda found: None,
+    again: Callable[[Model], tuple[Swum, Model] | None] = lambda found: None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
     """Find what the body's simulator leaves out.
@@ -66,8 +66,8 @@ def diagnose_swims(
         simulate: The twin (``sim.twin.followed.by_followed_twin``).
         references: Swims of the same robot in which nothing is thought to be missing.
         known: The twin's error and the thresholds.
-        again: From what was found to a simulator that is right beside it, to search with once more
-            (``in_water.swims_again``).
+        again: From what was found to a simulator that is right beside it, and with what it is, to
+            search with once more (``in_water.swims_again``).
         progress: Called with the share that is done.
 
     Returns:
@@ -77,7 +77,7 @@ def diagnose_swims(
     found = searched(swims, model, robot, simulate, before, progress)
     beside = again(likely_model(found, known, referred=bool(references)))
     if beside is not None:
-        found = searched(swims, model, robot, beside, before)
+        found = searched(swims, model, robot, beside[0], before, begun=beside[1])
     return diagnosis_of(found, robot, known, referred=bool(references))
 
 

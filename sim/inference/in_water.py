@@ -4,8 +4,9 @@ The twin is a force law and some three noises of a camera away from a robot; the
 two, and slow. So the fluid swims what was sent to the robot once, as the bench has it, and the
 twin is asked for differences alone: of an effect, of a gain (a control variate; Peherstorfer,
 Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). What cells of one size, one viscosity and one
-sub-grid constant get wrong is a difference too: the fluid swims with others as well, and how far a
-robot's water lies along each is fitted (``water.viscosity`` and so on), as a gain is.
+sub-grid constant get wrong, one friction line and one size of box, is a difference too: the fluid
+swims with others as well, and how far a robot's water lies along each is fitted
+(``water.viscosity`` and so on), as a gain is.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.fluid.wall import SLIP, Wall
 from sim.inference.coordinates import WATER, Coordinates, Swum
 from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
@@ -44,10 +46,15 @@ SUBSTEPS = 20
 """Steps of the lattice in a control period: with half as many a servo lags by another 5 %."""
 COARSE = 1.25
 """Side of a cell of the other waters, over that of the first."""
-VARIANTS: Mapping[str, Mapping[str, float]] = dict(
-    zip(WATER, ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}), strict=True)
+VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
+    zip(
+        WATER,
+        ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}, {"box": 0.85}),
+        strict=True,
+    )
 )
-"""Other waters, in larger cells: their viscosity and sub-grid constant over those of the first."""
+"""Other waters, in larger cells: their viscosity, sub-grid constant and box over those of the
+first, and the friction line of a boundary layer that stays laminar: where it turns nobody knows."""
 
 SWUM = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
@@ -91,7 +98,7 @@ def swum_in_water(
     *,
     cell_m: float = CELL_M,
     device: str = "cpu",
-    variants: Mapping[str, Mapping[str, float]] = VARIANTS,
+    variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     box_m: tuple[float, float, float] = BOX_M,
     threads: int = 1,
 ) -> InWater:
@@ -114,10 +121,11 @@ def swum_in_water(
     waters = []
     for side, given in ((1.0, {}), *((COARSE, one) for one in variants.values())):
         swimmer = Swimmer(
-            robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device, box_m=box_m,
+            robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device,
+            box_m=tuple(given.get("box", 1.0) * side_m for side_m in box_m),
             viscosity_m2_s=VISCOSITY_M2_S * given.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
-            substeps=SUBSTEPS,
+            substeps=SUBSTEPS, wall=Wall(slip=True, line=given.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
         track = []
@@ -168,8 +176,8 @@ def swims_again(
     swims: Sequence[Swim],
     water: InWater,
     **given: Any,  # noqa: ANN401
-) -> Callable[[Model], Swum | None]:
-    """From what was found to a simulator beside it: None where the fluid has nothing to add.
+) -> Callable[[Model], tuple[Swum, Model] | None]:
+    """From what was found to a simulator beside it, and with what: None if there is nothing to add.
 
     Args:
         robot: The robot.
@@ -179,12 +187,12 @@ def swims_again(
         given: As ``swum_in_water`` takes it.
     """
 
-    def beside_it(found: Model) -> Swum | None:
+    def beside_it(found: Model) -> tuple[Swum, Model] | None:
         there = beside(model, found)
         if not values(there):
             return None
         again = swum_again(robot, [there] * len(swims), swims, water, **given)
-        return by_twin_in_water(robot, there, again)
+        return by_twin_in_water(robot, there, again), there
 
     return beside_it
 

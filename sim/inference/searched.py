@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.coordinates import Coordinates, Swum
+from sim.inference.coordinates import Coordinates, Swum, seen_as
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.search import Effect
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Belief, Fit, TwinSwims
 from sim.inference.unlisted import gains
+from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -38,6 +39,11 @@ _ITS_OWN = (0.5, 6.0)
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """How much further than usual a robot's swims may be from its law."""
 _RIVALS = 4
+DOUBT = 0.05
+"""Share by which the twin is wrong of what an effect changes."""
+_DOUBTFUL = 3.0
+"""Evidence that such an error makes by itself, from which it counts."""
+_CURRENT = "pool_current"
 _CLOSE = 10.0
 """Evidence within which a rival is fitted as carefully as the best."""
 
@@ -175,10 +181,46 @@ def searched(
     simulate: Swum,
     belief: Belief,
     progress: Callable[[float], None] = lambda share: None,
+    begun: Model | None = None,
 ) -> Searched:
-    """Try sets of effects on swims of one robot."""
-    coordinates = Coordinates.of(robot, model)
-    problem = TwinSwims(coordinates, swims, simulate, belief)
+    """Try sets of effects on swims of one robot.
+
+    What the twin says of a strong effect is wrong by a share of what it changes. So where the fluid
+    has swum and the best set changes much, a second search counts that share of it as noise; of the
+    twin alone it is a part of the error that was measured.
+
+    Args:
+        swims: The recordings.
+        model: The servos, and the law where the fluid has swum.
+        robot: The robot.
+        simulate: The twin, alone or beside the fluid.
+        belief: What is known of servos and law.
+        progress: Called with the share that is done.
+        begun: With which the fluid swam, where that has effects: they are in no doubt.
+    """
+    problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief)
+    tried, order, best = _tried(problem, lambda share: progress(0.5 * share))
+    doubted = in_doubt(problem, best.fit.x, begun)
+    parts = zip(doubted, problem.weights, strict=True)
+    told = 0.5 * sum(float(np.sum(v * w**2)) for v, w in parts)
+    if "water" in model.body and told > _DOUBTFUL:
+        problem = replace(problem, doubted=doubted, before=None, cost=0.0)
+        tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
+    plain = tried[frozenset()]
+    held = {}
+    for members in [frozenset(), *_parts(best.members), best.members]:
+        if members in tried and members not in held:
+            held[members] = _held(problem, tried[members])
+    nameless = {"plain": gains(problem, plain.members, plain.fit)}
+    nameless["best"] = gains(problem, best.members, best.fit)
+    progress(1.0)
+    return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
+
+
+def _tried(
+    problem: TwinSwims, progress: Callable[[float], None]
+) -> tuple[dict[Members, Hypothesis[Fit]], list[Hypothesis[Fit]], Hypothesis[Fit]]:
+    """Every set that was tried; the same, best first; the best of them that has an effect."""
     plain = problem.plain()
     progress(0.1)
     ledger: Ledger[Fit] = Ledger(0)
@@ -204,17 +246,29 @@ def searched(
             if one.members not in done:
                 tried[one.members] = _looked(problem.settled(one, 1 if one.fit.looked else 2))
                 done.add(one.members)
-    progress(0.9)
-    order = sorted(tried.values(), key=worth, reverse=True)
-    best = next(one for one in order if one.members)
-    held = {}
-    for members in [frozenset(), *_parts(best.members), best.members]:
-        if members in tried and members not in held:
-            held[members] = _held(problem, tried[members])
-    nameless = {"plain": gains(problem, plain.members, plain.fit)}
-    nameless["best"] = gains(problem, best.members, best.fit)
     progress(1.0)
-    return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
+    order = sorted(tried.values(), key=worth, reverse=True)
+    return tried, order, next(one for one in order if one.members)
+
+
+def in_doubt(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[Array]:
+    """Variance of what the twin says that effects at a point (F,) change, of each swim, (T, K).
+
+    Effects of the camera and a current are exact; those of ``begun``, with which the fluid swam,
+    are in doubt by as much as they differ from it.
+    """
+    c = problem.coordinates
+    effects = {k.name: k.effect for k in c.columns if k.effect}
+    exact = {k for k, (name, of) in effects.items() if of == "camera" or name == _CURRENT}
+    full = c.model_at(x)
+    kept = {name: v for name, v in values(full).items() if name in exact}
+    there = kept | (values(begun) if begun else {})
+    without = replace(full, body={**full.body, "effects": listed(there)})
+    out = []
+    for swim, blocks in zip(problem.swims, problem.blocks, strict=True):
+        said = seen_as([full, without], swim, problem.simulate)
+        out.append(DOUBT**2 * blocks.about(said[0] - said[1]))
+    return out
 
 
 def _looked(one: Hypothesis[Fit]) -> Hypothesis[Fit]:

@@ -52,6 +52,7 @@ class TwinSwims:
         simulate: The twin.
         belief: What is known before.
         cost: What an effect costs in evidence.
+        doubted: Variance beside noise and the twin's usual error, of each swim, (T, K).
     """
 
     coordinates: Coordinates
@@ -59,6 +60,7 @@ class TwinSwims:
     simulate: Swum
     belief: Belief
     cost: float = 0.0
+    doubted: Sequence[Array | float] = ()
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
     before: Fit | None = None
@@ -68,7 +70,10 @@ class TwinSwims:
     def __post_init__(self) -> None:
         """Take the recordings apart."""
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        self.weights = [one.weights(self.belief.shares) for one in self.blocks]
+        more = self.doubted or [0.0] * len(self.swims)
+        self.weights = [
+            one.weights(self.belief.shares, v) for one, v in zip(self.blocks, more, strict=True)
+        ]
         if not any(c.kind.startswith("servo") for c in self.coordinates.columns):
             for weight in self.weights:  # joints that follow a film say nothing
                 weight[:, 3:] = 0.0

@@ -21,12 +21,16 @@ from sim.inference.in_water import (
     with_nearest_law,
     write_water,
 )
+from sim.inference.law_error import IN_WATER, read_law_error
+from sim.inference.searched import DOUBT, in_doubt, learned
 from sim.inference.swims import by_twin, with_values
+from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
 from sim2real.body import values
 from sim2real.cli import main
 
+KNOWN = read_law_error(IN_WATER)
 OTHER = {"twin.across": 2.5, "twin.along": 0.7, "twin.thrust": 0.9}
 
 
@@ -110,6 +114,35 @@ def test_the_nearest_law_swims_as_the_fluid_did(water):
     found = speeds(by_twin(FISH)([servos(), near], SENT, np.zeros(3)))
     before, after = np.abs(found - water.steps[key(swum({}))][0])[..., :2].mean(axis=(1, 2))
     assert after < 0.4 * before
+
+
+def test_a_share_of_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water):
+    model = water.of(servos())
+    c = Coordinates.of(FISH, model)
+    swim = swum({})
+    simulate = by_twin_in_water(FISH, model, water)
+    problem = TwinSwims(c, [swim], simulate, learned([], model, FISH, simulate, KNOWN))
+
+    def doubt(begun=None, **given):
+        x = c.nominal
+        for name, value in given.items():
+            x[c.place[name.replace("__", ".")]] = value
+        (found,) = in_doubt(problem, x, begun)
+        return found
+
+    stiff, other = "skin_elasticity__stiffness_Nm_per_rad", "camera_rotation__angle_rad"
+    one, two = doubt(**{stiff: 0.1}), doubt(**{stiff: 0.2})
+    assert np.all(one > 0) and 2.5 < two.sum() / one.sum() < 5.0
+    said = by_twin_in_water(FISH, model, water)(
+        [model, with_values(model, {stiff.replace("__", "."): 0.1})], swim
+    )[..., 3:]
+    moved = np.mean((said[1] - said[0]) ** 2)
+    assert one[:, 3:].mean() == pytest.approx(DOUBT**2 * moved, rel=0.2)
+    assert doubt(**{other: 0.1}).max() < 1e-20
+    assert doubt(pool_current__u_m_s=0.03).max() < 1e-20
+    there = beside(model, with_values(model, {stiff.replace("__", "."): 0.1}))
+    assert doubt(there, **{stiff: 0.1}).max() < 1e-20
+    assert doubt(there, **{stiff: 0.2}).sum() < two.sum()
 
 
 def test_what_was_swum_is_kept(water, tmp_path):
