@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -66,11 +65,10 @@ def main() -> None:
 
     everywhere(devices, robots, options.set, water, *cells)
     done("what was sent, in the water")
-    kept = threading.Thread(
-        target=everywhere,
-        args=(devices, robots, options.set, water, "--heldout", heldout, *cells),
+    beside = ThreadPoolExecutor(1)
+    kept = beside.submit(
+        everywhere, devices, robots, options.set, water, "--heldout", heldout, *cells
     )
-    kept.start()
     with ThreadPoolExecutor(options.processes) as pool:
         laws = [
             pool.submit(run, "sealed_water.py", options.set, water, "--law", "--only", robot)
@@ -81,7 +79,7 @@ def main() -> None:
     solve = (options.set, verdicts, "--water", water, "--processes", options.processes)
     run("sealed_solve.py", *solve)
     done("answered")
-    kept.join()
+    kept.result()
     done("held-out swims, in the water")
     found = ("--again", verdicts, again, "--heldout", heldout)
     everywhere(devices, robots, options.set, water, *found, *cells)

@@ -69,8 +69,9 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
     if referred:
         kept = np.load(verdicts / f"{place.name}.npz")
         belief = Belief(**{name: kept[name] for name in kept.files})
-    begun = read_model(target / BESIDE) if again else None
-    if again and begun:
+    begun = None
+    if again:
+        begun = read_model(target / BESIDE)
         other = read_water_swims(again / f"{place.name}.npz")
         simulate = by_twin_in_water(robot, begun, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]

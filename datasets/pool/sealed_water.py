@@ -6,8 +6,7 @@
 
 Looks at robots, bench models and commands alone, not at what was recorded. What is there already is
 not swum again. ``--heldout``: of the swims that the grader keeps too, in a folder of their own, for
-the grader. ``--again``: with what
-was found in each case, where the fluid can.
+the grader. ``--again``: with what was found in each case, where the fluid can.
 """
 
 from __future__ import annotations

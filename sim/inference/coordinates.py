@@ -63,6 +63,12 @@ class Column:
     prior_sd: float
 
     @property
+    def shown(self) -> bool:
+        """Whether it is added to a rollout, which it leaves as it is: the camera's, a current."""
+        of_camera = self.effect is not None and self.effect[1] == "camera"
+        return of_camera or self.name in _CURRENT
+
+    @property
     def kind(self) -> str:
         """What stands in ``law_error.json``: the name without joint or material."""
         parts = self.name.split(".")
@@ -203,10 +209,7 @@ def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) ->
 
     Points that differ in the camera and the current alone share a rollout.
     """
-    outer = [
-        k for k, c in enumerate(coordinates.columns)
-        if c.effect is not None and (c.effect[1] == "camera" or c.name in _CURRENT)
-    ]  # fmt: skip
+    outer = [k for k, c in enumerate(coordinates.columns) if c.shown]
     inner = points.copy()
     inner[:, outer] = 0.0
     unique, which = np.unique(inner, axis=0, return_inverse=True)

@@ -43,7 +43,6 @@ DOUBT = 0.05
 """Share by which the twin is wrong of what an effect changes."""
 _DOUBTFUL = 3.0
 """Evidence that such an error makes by itself, from which it counts."""
-_CURRENT = "pool_current"
 _CLOSE = 10.0
 """Evidence within which a rival is fitted as carefully as the best."""
 
@@ -186,8 +185,8 @@ def searched(
     """Try sets of effects on swims of one robot.
 
     What the twin says of a strong effect is wrong by a share of what it changes. So where the fluid
-    has swum and the best set changes much, a second search counts that share of it as noise; of the
-    twin alone it is a part of the error that was measured.
+    has swum and the best set changes much, a second search counts that share of it as noise; with
+    the twin alone that has not been tried.
 
     Args:
         swims: The recordings.
@@ -200,12 +199,12 @@ def searched(
     """
     problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief)
     tried, order, best = _tried(problem, lambda share: progress(0.5 * share))
-    doubted = in_doubt(problem, best.fit.x, begun)
-    parts = zip(doubted, problem.weights, strict=True)
-    told = 0.5 * sum(float(np.sum(v * w**2)) for v, w in parts)
-    if "water" in model.body and told > _DOUBTFUL:
-        problem = replace(problem, doubted=doubted, before=None, cost=0.0)
-        tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
+    if "water" in model.body:
+        doubted = in_doubt(problem, best.fit.x, begun)
+        parts = zip(doubted, problem.weights, strict=True)
+        if 0.5 * sum(float(np.sum(v * w**2)) for v, w in parts) > _DOUBTFUL:
+            problem = replace(problem, doubted=doubted, before=None, cost=0.0)
+            tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
     plain = tried[frozenset()]
     held = {}
     for members in [frozenset(), *_parts(best.members), best.members]:
@@ -258,11 +257,10 @@ def in_doubt(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[A
     are in doubt by as much as they differ from it.
     """
     c = problem.coordinates
-    effects = {k.name: k.effect for k in c.columns if k.effect}
-    exact = {k for k, (name, of) in effects.items() if of == "camera" or name == _CURRENT}
     full = c.model_at(x)
-    kept = {name: v for name, v in values(full).items() if name in exact}
-    there = kept | (values(begun) if begun else {})
+    shown = {column.name for column in c.columns if column.shown}
+    there = {name: v for name, v in values(full).items() if name in shown}
+    there |= values(begun) if begun else {}
     without = replace(full, body={**full.body, "effects": listed(there)})
     out = []
     for swim, blocks in zip(problem.swims, problem.blocks, strict=True):
