@@ -129,17 +129,25 @@ def _straightened(odds: Array, y: Array) -> tuple[Array, Array]:
     return line, expit(x @ line)
 
 
-def logistic(x: Array, y: Array, spread: float) -> Array:
-    """Weights of the likeliest curve with a normal prior; the first, of 1, is free (Newton)."""
+def logistic(x: Array, y: Array, spread: float, about: Array | None = None) -> Array:
+    """Weights of the likeliest curve with a normal prior; the first, of 1, is free (Newton).
+
+    Args:
+        x: What speaks for each finding, shape (N, K).
+        y: Whether it was so, shape (N,).
+        spread: Of the prior, over the scatter of each column.
+        about: Weights that are its mean, as those of findings seen before, shape (K,).
+    """
     scale = np.maximum(x.std(axis=0), 1e-3)
     scale[0] = 1.0
     z = x / scale
     prior = np.full(x.shape[1], spread**-2)
     prior[0] = 1e-4
-    w = np.zeros(x.shape[1])
+    mean = np.zeros(x.shape[1]) if about is None else about * scale
+    w = mean.copy()
     for _ in range(60):
         p = expit(z @ w)
-        slope = z.T @ (y - p) - prior * w
+        slope = z.T @ (y - p) - prior * (w - mean)
         bend = (z * np.maximum(p * (1 - p), 1e-6)[:, None]).T @ z + np.diag(prior)
         step = np.linalg.solve(bend, slope)
         w = w + step * min(1.0, 4.0 / max(float(np.abs(step).max()), 1e-9))

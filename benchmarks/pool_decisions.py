@@ -1,13 +1,14 @@
 """Read the thresholds and the odds that decide a diagnosis of swims off development sets.
 
-    python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET VERDICTS RESULTS ...] [--in-water]
+    python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET ...] [--in-water] [--go-on]
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
 thresholds whose answers are best; prints what they are worth with whole robots left out. The others
 stay as they are. What a model has to bring on the end of its swim to be offered is
 read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them,
-where RESULTS are there. Writes
-``decisions`` of ``sim/inference/law_error.json``, or of ``law_error_in_water.json``.
+where RESULTS are there. ``--go-on``: what is there is from other cases; the curves become those of
+both, thresholds stay. Writes ``decisions`` of ``sim/inference/law_error.json``, or of
+``law_error_in_water.json``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import argparse
 import json
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +43,11 @@ DETECTABLE = 10.0
 """Log-likelihood ratio of one who knows the water from which something can be seen."""
 _AT_ONCE = 3
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
-_GAINS, _BETTER = np.arange(-2.0, 9.0, 1.0), np.arange(0.0, 0.21, 0.01)
+_GAINS, _BETTER, _SURE = (-4.0, -2.0, 0.0, 2.0), np.arange(0.0, 0.21, 0.03), (0.8, 0.9, 0.95, 1.0)
 _WORSE, _RARELY = 0.01, 0.02
 """Share by which an error may grow, and share of cases in which it may grow by more."""
-_PRIOR = 1.0
-"""Of the weights, over the size of what they weigh."""
+_PRIOR, _GOES_ON = 1.0, 0.5
+"""Spread of the weights over the size of what they weigh: about 0, and about earlier ones."""
 _USUAL = 0.85
 """Of cases of the catalogue, that leave no more than what counts as usual."""
 Cases = list[tuple[dict[str, Any], dict[str, Any]]]
@@ -151,8 +154,10 @@ def choose(
     graded: Sequence[Path],
     target: Path,
     at_once: int = _AT_ONCE,
+    *,
+    go_on: bool = False,
 ) -> None:
-    """Numbers whose answers to the development set are best."""
+    """Numbers whose answers to the development sets are best; ``go_on``: from those there."""
     cases = []
     for challenge, place, results in zip(sets, verdicts, graded, strict=True):
         rows = json.loads(results.read_text())["cases"] if results.exists() else []
@@ -167,10 +172,10 @@ def choose(
     content = json.loads(target.read_text())
     robots = sorted({truth["robot"] for truth, _ in cases})
     parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
-    begun = [content["decisions"]] * (len(robots) + 1)
+    tune = partial(tuned, begun=content["decisions"], go_on=go_on)
     with ProcessPoolExecutor(at_once) as pool:
-        *found, best = pool.map(tuned, [*parts, cases], begun)
-    best |= offering([c for c in cases if c[0]["foretold"]], best)
+        *found, best = pool.map(tune, [*parts, cases])
+    best |= offering([c for c in cases if c[0]["foretold"]], best, go_on=go_on)
     apart = [
         (t, decide(f, numbers))
         for numbers, out in zip(found, robots, strict=True)
@@ -178,24 +183,32 @@ def choose(
         if t["robot"] == out
     ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
-    best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
+    if not go_on:
+        best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
-    content["decided"] = f"{len(cases)} cases of {len(robots)} robots"
+    earlier = f", after {content['decided']}" if go_on else ""
+    content["decided"] = f"{len(cases)} cases of {len(robots)} robots{earlier}"
     write_json(target, content)
     print("all:", judged([(t, decide(f, best)) for t, f in cases]))
 
 
-def offering(cases: Cases, numbers: Numbers) -> Numbers:
-    """What a set has to bring on the end of a swim, so that hardly one foretells another worse."""
+def offering(cases: Cases, numbers: Numbers, *, go_on: bool = False) -> Numbers:
+    """What a set has to bring on the end of a swim, so that hardly one foretells another worse.
+
+    ``go_on``: only how certain an effect must be that need not better the speed is looked for.
+    """
+    kept = (numbers["held_gain"],), (numbers["held_better"],)
+    gains, better = kept if go_on else (_GAINS, _BETTER)
     best: Numbers = {}
     top = -np.inf
-    for gain in _GAINS:
-        for better in _BETTER:
-            trial = numbers | {"held_gain": float(gain), "held_better": float(better)}
-            lower = np.array([_lower(truth, decide(found, trial)) for truth, found in cases])
-            if cases and np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
-                top = lower.mean()
-                best = {name: trial[name] for name in ("held_gain", "held_better")}
+    for levels in product(gains, better, _SURE) if cases else ():
+        given = dict(
+            zip(("held_gain", "held_better", "held_sure"), map(float, levels), strict=True)
+        )
+        said = [(truth, decide(found, numbers | given)) for truth, found in cases]
+        lower = np.array([_lower(truth, one) for truth, one in said])
+        if np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
+            top, best = lower.mean(), given
     return best
 
 
@@ -230,11 +243,14 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> f
     return float(relative)
 
 
-def tuned(cases: Cases, begun: Numbers) -> Numbers:
+def tuned(cases: Cases, begun: Numbers, *, go_on: bool = False) -> Numbers:
     """Numbers that decide best: curves of odds, what is alike, and from where a swim is flagged.
 
     The others stay as they begin: searched at random, they answered robots left out worse.
+    ``go_on``: only the curves are new, not far from what they begin with.
     """
+    if go_on:
+        return curves(cases, begun, begun)
     best = curves(cases, begun | usually(cases))
     for name, levels in LEVELS.items():
         trials = [curves(cases, best | {name: level}) for level in levels]
@@ -242,11 +258,12 @@ def tuned(cases: Cases, begun: Numbers) -> Numbers:
     return best
 
 
-def curves(cases: Cases, numbers: Numbers) -> Numbers:
+def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numbers:
     """Weights of the logistic curves: of something that the catalogue lacks, anything, and names.
 
-    What nobody could see is no example of anything that is there.
+    What nobody could see is no example of anything that is there. ``about``: earlier weights.
     """
+    weights = partial(_weights, about=about)
     terms = {"odds": 9, "strange": 8, "there": 8}
     out = numbers | {f"{which} {k}": 0.0 for which, n in terms.items() for k in range(n)}
     said = [(truth, decide(found, out)) for truth, found in cases]
@@ -264,9 +281,13 @@ def curves(cases: Cases, numbers: Numbers) -> Numbers:
     return out | weights("odds", [terms_of(one.spoken) for _, one in names], right)
 
 
-def weights(which: str, terms: Sequence[Sequence[float]], right: Sequence[bool]) -> Numbers:
+def _weights(
+    which: str, terms: Sequence[Sequence[float]], right: Sequence[bool], about: Numbers | None
+) -> Numbers:
     """Of a curve, as decisions hold them."""
-    found = logistic(np.array(terms), np.array(right, dtype=np.float64), _PRIOR)
+    x, y = np.array(terms), np.array(right, dtype=np.float64)
+    earlier = np.array([about[f"{which} {k}"] for k in range(x.shape[1])]) if about else None
+    found = logistic(x, y, _GOES_ON if about else _PRIOR, earlier)
     return {f"{which} {k}": float(v) for k, v in enumerate(found)}
 
 
@@ -275,11 +296,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")
+    parser.add_argument("--go-on", action="store_true", help="from the odds of earlier cases")
     parser.add_argument("--processes", type=int, default=_AT_ONCE)
     options = parser.parse_args()
     sets, verdicts, graded = (options.sets[k::3] for k in range(3))
     target = IN_WATER if options.in_water else FILE
-    choose(sets, verdicts, graded, target, options.processes)
+    choose(sets, verdicts, graded, target, options.processes, go_on=options.go_on)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,10 @@ LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """What may be otherwise of a water in which the fluid has swum (``in_water``)."""
+RESISTS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
+"""Effects of water that resists. What is missing of them can only add: where a law has too much of
+one its own coefficients say so, and a friction below zero would drive a robot. By them, too, a law
+that is wrong somewhere else helps itself."""
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times whose mixture a skin that gives way is."""
 _FOLLOWS = 1e4
@@ -118,7 +122,7 @@ class Coordinates:
         listed = tuple(Effect(*one) for one in candidates(robot))
         for one in listed:
             for p in one.free:
-                low, high = p.low, p.high
+                low, high = 0.0 if one.name in RESISTS else p.low, p.high
                 if p.name in (*_PULL[1:], _RELAX):
                     low, high = (0.0, 10.0) if p.name == _RELAX else (-10.0, 10.0)
                 sd = p.prior_sd if p.name != _RELAX else 4 * one.free[0].typical

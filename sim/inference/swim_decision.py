@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.inference.coordinates import RESISTS
 from sim2real.diagnose.result import Verdict
 
 Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
 Spoken = tuple[float, ...]
-Strange = tuple[float, float, float, float, float, float]
+Strange = tuple[float, float, float, float, float, float, float]
 
 STATED, LIKELY = 0.05, 0.5
 """Probabilities from which an effect is told at all, and from which a model has it."""
 _ENOUGH, _WIDEST = 0.7, 4
 """Probability that makes a group of several worth telling, and how many it may have."""
-IMITATORS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
-"""Effects by which a law that is wrong somewhere else helps itself."""
+_EVIDENT = 30.0
+"""Evidence beside which that of a shape counts where the best set has none."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
-    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
@@ -83,28 +84,32 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     settled = {_names(one) for one in raw["sets"] if one["settled"]}
     held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
     best = max((s for s in held if s and s in settled), key=lambda s: worth[s])
-    offered = _predicting(best, held, worth, numbers)
     keys = list(worth)
     level = np.array([worth[s] for s in keys]) / heat
     share = np.exp(level - level.max())
     share = share / share.sum()
-    beyond = {
-        shape: gain - numbers[f"usual {shape.split()[0]}"]
-        for shape, gain in raw["nameless"]["best"].items()
-    }
+    beyond, without = (
+        {
+            shape: gain - numbers[f"usual {shape.split()[0]}"]
+            for shape, gain in raw["nameless"][fit].items()
+        }
+        for fit in ("best", "plain")
+    )
     shape, more = max(beyond.items(), key=lambda one: one[1])
+    changed = [gain for one, gain in beyond.items() if one.startswith("change")]
+    shaped = [gain for one, gain in beyond.items() if not one.startswith("change")]
     usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
     ahead = worth[best] - worth[frozenset()]
-    instead = max(
-        gain - numbers[f"usual {shape.split()[0]}"]
-        for shape, gain in raw["nameless"]["plain"].items()
-    )
+    instead = max(without.values()) - ahead
     helps = _helps(best, frozenset(), held)
     alone = 0.0 if raw.get("referred", True) else 1.0
-    strange = (more, off, ahead, helps, alone, instead - ahead)
+    strange = (
+        max(shaped, default=0.0), max(changed, default=0.0), off, ahead, helps, alone, instead,
+    )  # fmt: skip
     unlisted = _odds(strange_terms(strange), "strange", numbers)
-    flagged = _odds(strange_terms(strange), "there", numbers) >= numbers["flagged from"]
+    there = _odds(strange_terms(strange), "there", numbers)
+    flagged = there >= numbers["flagged from"] or unlisted >= LIKELY
     gains = {
         name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
     }
@@ -117,12 +122,12 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
         margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
         spoken = (
             margin, gain, float(len(group)), more, off, _helps(best, rest, held),
-            float(name[0] in IMITATORS), float(gain < max(gains.values())), unlisted,
+            float(name[0] in RESISTS), float(gain < max(gains.values())), unlisted,
         )  # fmt: skip
         certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
-    offered &= {one.name for one in named if one.probability >= LIKELY}
-    offered = offered if offered in held else frozenset()
+    likely = {one.name: one.probability for one in named if one.probability >= LIKELY}
+    offered = _predicting(best & set(likely), held, worth, likely, numbers)
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
@@ -182,15 +187,20 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
 def strange_terms(strange: Strange) -> tuple[float, ...]:
     """What the odds of something that the catalogue lacks, or of anything, are a sum of.
 
+    What a shape adds counts over the evidence of the best set: a strong effect that is not quite
+    right leaves something that one of them fits, above all of a robot that becomes another.
+
     Args:
-        strange: How much a shape without a name would add, how much more is left than usual, the
-            evidence of the best set, how much likelier that makes what was held out, whether
-            no references were known, and by how much a shape alone is ahead of the best set.
+        strange: How much a shape without a name would add, how much a robot that becomes another
+            one, how much more is left than usual, the evidence of the best set, how much likelier
+            that makes what was held out, whether no references were known, and by how much a shape
+            alone is ahead of the best set.
     """
-    more, off, best, helps, alone, instead = strange
+    shaped, changed, off, best, helps, alone, instead = strange
+    size = max(best, 0.0) + _EVIDENT
     return (
-        1.0, _log(more), float(np.clip(off, -2, 4)), _log(best), _log(helps),
-        max(_log(more) - _log(best), 0.0), alone, _log(instead),
+        1.0, float(np.log1p(max(shaped, 0.0) / size)), float(np.clip(off, -2, 4)), _log(best),
+        _log(helps), float(np.log1p(max(changed, 0.0) / size)), alone, _log(instead),
     )  # fmt: skip
 
 
@@ -210,30 +220,32 @@ def _verdict(named: list[Named], offered: Names, unlisted: float, flagged: bool)
 
 
 def _predicting(
-    best: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
-    numbers: Mapping[str, float],
+    likely: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
+    certain: Mapping[Name, float], numbers: Mapping[str, float],
 ) -> Names:  # fmt: skip
-    """The best set whose every member makes what was held out likelier, and its speed better."""
-    now = best
-    while now:
-        parts = {now - {name}: name for name in now}
-        known = {part: held[part] for part in parts if part in held}
-        if now not in held:
-            return now
-        bad = [
-            part
-            for part, (loss, speed) in known.items()
-            if _worse(loss - held[now][0], held[now][1] / max(speed, 1e-9), numbers)
-        ]
+    """Those of the likely whose every member makes what was held out likelier.
+
+    It has to make the speed there better as well, unless it is nearly certain: what bends a path or
+    delays a camera may do little to the speed.
+    """
+    now = likely
+    while now in held and now:
+        loss, speed = held[now]
+        bad = []
+        for name in now:
+            before = held.get(now - {name})
+            if before is not None and (
+                before[0] - loss < numbers["held_gain"]
+                or (
+                    speed > (1 - numbers["held_better"]) * max(before[1], 1e-9)
+                    and certain[name] < numbers["held_sure"]
+                )
+            ):
+                bad.append(now - {name})
         if not bad:
             return now
         now = max(bad, key=lambda part: worth.get(part, -np.inf))
-    return now
-
-
-def _worse(gain: float, speed: float, numbers: Mapping[str, float]) -> bool:
-    """Whether what was held out is foretold no better: all signals, or the speed, by its factor."""
-    return gain < numbers["held_gain"] or speed > 1 - numbers["held_better"]
+    return now if now in held else frozenset()
 
 
 def _group(
@@ -246,7 +258,7 @@ def _group(
         instead = rest | {other}
         if instead in worth:
             limit = numbers["alike"]
-            if name[0] in IMITATORS or other[0] in IMITATORS:
+            if name[0] in RESISTS or other[0] in RESISTS:
                 limit = numbers["alike_imitated"]
             behind = worth[members] - worth[instead]
             if behind < limit:

@@ -194,8 +194,9 @@ class TwinSwims:
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
         absent = ~in_fit(self.coordinates.columns, members)
-        far = np.where(absent, _AT_MOST * self.belief.imitation, np.inf)
-        step = bounded(whole, gradient, np.stack([-far, far]))
+        far = _AT_MOST * self.belief.imitation
+        room = np.where(absent, np.stack([-far, far]), self.coordinates.room(fit.x))
+        step = bounded(whole, gradient, room)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
         loss += float(gradient @ step) + 0.5 * float(step @ whole @ step)
         size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]

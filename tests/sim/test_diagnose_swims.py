@@ -11,7 +11,7 @@ from test_calibrate import SENT, TIMES
 import sim.inference.coordinates as places
 from sim.inference import law_error
 from sim.inference.blocks import Blocks, bounds, spectrum
-from sim.inference.coordinates import Coordinates, in_fit
+from sim.inference.coordinates import RESISTS, Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import LAW_ERROR, read_law_error
@@ -169,6 +169,19 @@ def test_what_predicts_worse_is_not_offered():
     assert said.verdict in ("unexplained", "partly_explained")
 
 
+def test_what_is_nearly_certain_need_not_change_the_speed():
+    """A trim bends a path: its model predicts all signals better, and the speed hardly."""
+    sets = [((), 0.0), ((LATE,), 400.0)]
+    held = [((), 900.0, 0.03), ((LATE,), 800.0, 0.0299)]
+    strict = LAW_ERROR.decisions | {"held_better": 0.1, "held_sure": 1.0}
+    loose = strict | {"held_sure": 0.8}
+    said = [decide(raw(*sets, held=held), numbers) for numbers in (strict, loose)]
+    assert [one.named[0].probability > 0.8 for one in said] == [True, True]
+    assert [bool(one.offered) for one in said] == [False, True]
+    worse = [((), 900.0, 0.03), ((LATE,), 950.0, 0.0299)]
+    assert not decide(raw(*sets, held=worse), loose).offered
+
+
 def test_what_drags_can_imitate_is_a_group():
     sets = [((), 0.0), ((DRAG,), 120.0), ((ROUGH,), 119.9), ((SKIN,), 1.0)]
     said = decide(raw(*sets), LAW_ERROR.decisions)
@@ -229,6 +242,24 @@ def test_what_is_there_is_not_passed_off_as_error(few):
     absent = ~in_fit(problem.coordinates.columns, plain.members)
     assert (step[absent] <= 3.001 * before.imitation[absent]).all()
     assert (step[absent] > 2.999 * before.imitation[absent]).any()
+
+
+def test_a_skin_that_would_have_to_push_is_no_evidence():
+    """At the bound of what may be, what lies beyond it speaks for nothing; so of resistances."""
+    simulate = by_followed_twin(FISH)
+    before = learned([], servos(), FISH, simulate, IN_WATER)
+    c = Coordinates.of(FISH, servos())
+    assert all(
+        column.low == 0.0 for column in c.columns if column.effect and column.effect[0] in RESISTS
+    )
+    swim = swum({"j1.kp_Nm_per_rad": 1.3 * servos().joints["j1"].kp_Nm_per_rad})
+    problem = TwinSwims(c, [swim], simulate, before)
+    plain = problem.plain()
+    for effect in c.effects:
+        if effect.name in ("skin_elasticity", "linear_drag"):
+            members = frozenset({effect})
+            step = problem.seems(members, plain.fit)[c.of_effect(effect)]
+            assert (step >= 0.0).all()
 
 
 def test_swims_that_agree_tell_a_robot_that_is_steady():
