@@ -32,7 +32,7 @@ from sim2real.output import write_json
 Numbers = dict[str, float]
 
 LEVELS = {
-    "alike": (1.0, 2.5, 4.0, 6.0), "alike_imitated": (2.5, 5.0, 8.0, 12.0),
+    "alike": (1.0, 2.5, 4.0, 6.0), "alike_imitated": (2.5, 5.0, 8.0, 12.0, 20.0),
     "flagged from": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 }  # fmt: skip
 """Where thresholds are looked for: evidence within which others do as well, and the probability
@@ -126,7 +126,7 @@ def worth(found: dict[str, float]) -> float:
     return (
         found["detection"] + found["group_first"] + 0.8 * found["both"] + found["abstains"]
         - 6 * over("false_alarm", 0.0) - 4 * over("wrong", 0.015) - 3 * over("ece", 0.05)
-        - max(0.0, found["flagged_null"] - 0.05) - _WIDE * found["further"]
+        - max(0.0, found["flagged_null"] - 0.15) - _WIDE * found["further"]
     )  # fmt: skip
 
 
@@ -264,7 +264,7 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     What nobody could see is no example of anything that is there. ``about``: earlier weights.
     """
     weights = partial(_weights, about=about)
-    terms = {"odds": 9, "strange": 8, "there": 8}
+    terms = {"odds": 14, "strange": 8, "there": 8}
     out = numbers | {f"{which} {k}": 0.0 for which, n in terms.items() for k in range(n)}
     said = [(truth, decide(found, out)) for truth, found in cases]
     outside = [truth["kind"] == "outside" for truth, _ in said]

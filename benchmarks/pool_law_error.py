@@ -5,7 +5,8 @@
 What a calibrated twin still gets wrong of them, by signal and band, and what effects it imitates,
 by expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
 (1977) 1). A fit bends to what is thought to be the error, so fitting and learning take turns.
-Goes on from what was learned before, which counts for the swims and robots that it is from.
+What passes for an effect has two sizes: how far robots differ, which references tell, and how far
+one robot's swims do (a linear mixed model; Laird and Ware, Biometrics 38 (1982) 963).
 Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
 ``datasets/pool/sealed_water.py`` for each set, ``law_error_in_water.json``.
 """
@@ -15,9 +16,9 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.blocks import Blocks
-from sim.inference.coordinates import Coordinates, Swum
+from sim.inference.coordinates import ERROR, Coordinates, Swum
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
     BANDS,
@@ -37,7 +37,6 @@ from sim.inference.law_error import (
     LawError,
     read_law_error,
 )
-from sim.inference.searched import learned
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import Model, read_model
@@ -48,14 +47,16 @@ from sim2real.robot import Robot, read_robot
 Array = NDArray[np.float64]
 
 Files = tuple[Path, ...]
-_STEPS = 20
-_LEAST, _MOST = 0.3, 3.0
-"""Of what was known, between which an imitation stays: columns that all but cancel would run
-away."""
-_WILD = 0.1
-"""Share of the largest that is left out."""
-_WIDER = 1.3
-"""What is allowed for in how far robots differ, since few were seen."""
+_STEPS = 30
+_BEGUN = 0.5
+"""Where what was never measured begins, in steps."""
+_NEVER = 1e-3
+"""Standard deviation, in steps, of what robots never have."""
+_WORTH = 10.0
+"""Robots that what was known of their spread counts for: of columns that all but cancel, a sum and
+not each is seen."""
+_OWN = ("error.surge_1", "error.surge_2", "error.surge_3", "error.yaw_off_1")
+"""Columns that only a swim has: they change along it."""
 
 
 def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum]:
@@ -64,65 +65,57 @@ def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum]:
     return robot, *robot_in_water(robot, model, files, threads=1)
 
 
-def law(folder: Path, files: Files, known: LawError, without: str = "") -> Belief:
-    """What a robot's references say of its law, one of them left out if asked."""
-    robot, model, simulate = placed(folder, files)
-    paths = [p for p in sorted(folder.glob("ref_*.csv")) if p.name != without]
-    references = [swim_of(read_recording(p), robot) for p in paths]
-    return replace(learned(references, model, robot, simulate, known), shares=known.shares)
+@dataclass(frozen=True)
+class Near:
+    """A robot's swims in which nothing is missing, all near one point.
+
+    Attributes:
+        swims: Unweighted errors, slopes, noise, power and band of each.
+        kinds, nominal, steps: Of the columns, F of them.
+        point: From nominal values, but for the law's own where no water puts it right, (F,).
+    """
+
+    swims: list[dict[str, Array]]
+    kinds: list[str]
+    nominal: list[float]
+    steps: Array
+    point: Array
 
 
-def linear(folder: Path, path: Path, belief: Belief, files: Files) -> dict[str, Any]:
-    """A swim in which nothing is missing, near its fit."""
-    robot, model, simulate = placed(folder, files)
-    c = Coordinates.of(robot, model)
-    swim = swim_of(read_recording(path), robot)
-    problem = TwinSwims(c, [swim], simulate, belief)
-    fit = problem.plain().fit
-    spread = np.zeros(2 * [len(c.columns)])
-    own = np.diag(np.square(belief.imitation[c.base]))
-    spread[np.ix_(c.base, c.base)] = belief.covariance - own
-    weight = problem.weights[0].ravel()
-    blocks: Blocks = problem.blocks[0]
+def near(problem: TwinSwims, x: Array) -> dict[str, Array]:
+    """A swim's errors and slopes at a point (F,), as they are without weights."""
+    fit, weight, blocks = problem.at(x), problem.weights[0].ravel(), problem.blocks[0]
     return {
         "rows": (fit.rows / weight).astype(np.float32),
         "slope": (fit.near.slope / weight[:, None]).astype(np.float32),
-        "off": fit.x - problem.centre(frozenset()), "spread": spread,
         "noise": blocks.noise, "power": blocks.power, "band": blocks.band,
-        "kinds": [one.kind for one in c.columns], "nominal": [one.nominal for one in c.columns],
-        "robot": str(folder),
     }  # fmt: skip
 
 
-def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> Learned:
-    """A robot's swims in which nothing is missing, each near its fit, and its law."""
-    challenge = folder.parents[1]
-    whole = law(folder, files, known)
-    swims = [
-        linear(folder, path, law(folder, files, known, path.name), files)
-        for path in sorted(folder.glob("ref_*.csv"))
-    ]
+def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> Near:
+    """A robot's swims in which nothing is missing, near the fit of its references."""
+    robot, model, simulate = placed(folder, files)
+    challenge, c = folder.parents[1], Coordinates.of(robot, model)
+    usual = Belief(*known.prior(c), known.imitation(c), known.shares)
+    paths = sorted(folder.glob("ref_*.csv"))
+    references = [swim_of(read_recording(p), robot) for p in paths]
+    x = TwinSwims(c, references, simulate, usual).plain().fit.x
     for case in nulls:
         held = challenge / "heldout" / case / "b.csv"
-        for path in (folder / case / "a.csv", *([held] if len(files) != 1 else [])):
-            if path.exists():
-                swims.append(linear(folder, path, whole, files))
-    robot, model, _ = placed(folder, files)
-    c = Coordinates.of(robot, model)
-    means = zip((c.columns[k] for k in c.base), whole.mean, strict=True)
-    return swims, {
-        one.kind: float(v) - (one.nominal if files else 0.0)
-        for one, v in means
-        if not one.kind.startswith("servo")
-    }
-
-
-Learned = tuple[list[dict[str, Any]], dict[str, float]]
+        paths += [folder / case / "a.csv", *([held] if len(files) != 1 else [])]
+    swims = [swim_of(read_recording(path), robot) for path in paths if path.exists()]
+    law = np.array([one.kind.startswith("twin.") for one in c.columns])
+    zero = np.where(law & (not files), 0.0, c.nominal)
+    return Near(
+        [near(TwinSwims(c, [swim], simulate, usual), x) for swim in swims],
+        [one.kind for one in c.columns], [one.nominal for one in c.columns],
+        np.array([one.step for one in c.columns]), x - zero,
+    )  # fmt: skip
 
 
 def swims_near(
     sets: Sequence[Path], waters: Sequence[Path], processes: int, known: LawError
-) -> list[Learned]:
+) -> list[Near]:
     """``of_robot`` of every robot of some sets."""
     spawn = multiprocessing.get_context("spawn")
     jobs = []
@@ -140,93 +133,110 @@ def swims_near(
 
 
 Numbers = dict[str, float]
+Levels = tuple[Array, Numbers, Numbers, Numbers]
+"""Shares (4, 3); by kind of column, standard deviations of swims about their robot and of robots
+about what is usual, and that."""
 
 
-def sizes(
-    swims: list[dict[str, Any]], shares: Array, imitated: Numbers, before: LawError, worth: float
-) -> tuple[Array, Numbers]:
-    """One round of EM: shares and imitations from what is left of all swims.
+def _about(squares: list[float], before: float | None) -> float:
+    """Root mean square, with what was known before."""
+    worth = _WORTH if before else 0.0
+    return float(np.sqrt((sum(squares) + worth * (before or 0.0) ** 2) / (len(squares) + worth)))
 
-    What was known ``before`` counts for ``worth`` swims.
+
+def sizes(robots: Sequence[Near], levels: Levels, before: Numbers) -> Levels:
+    """One round of EM: shares, and both deviations, from what is left of all swims.
+
+    A swim's columns are those of its robot and its own; near a point both are normal. How far
+    robots were known to differ ``before`` counts for ``_WORTH`` of them.
     """
-    square: dict[str, list[float]] = {}
+    shares, swim_sd, robot_sd, usual = levels
+    places: dict[str, list[float]] = {}
+    own: dict[str, list[float]] = {}
+    common: dict[str, list[float]] = {}
     left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
-    for one in swims:
+    for one in robots:
         relative = np.array([
             abs(n) if k in RELATIVE else 1.0
-            for k, n in zip(one["kinds"], one["nominal"], strict=True)
+            for k, n in zip(one.kinds, one.nominal, strict=True)
         ])  # fmt: skip
-        own = np.diag(np.square(relative * [imitated[k] for k in one["kinds"]]))
-        prior = np.linalg.inv(own + one["spread"])
-        gain = own @ prior  # share of what is off that is not the references' uncertainty
-        K = one["noise"].shape[1]
-        rows = np.minimum(np.arange(K), 3)
-        size = shares[rows][:, one["band"]].T
-        weight = 1 / np.sqrt(one["noise"] + size**2 * one["power"] + 1e-12)
-        slope = one["slope"] * weight.reshape(-1, 1)
-        error = one["rows"] * weight.ravel()
-        inverse = np.linalg.inv(slope.T @ slope + prior)
-        step = -inverse @ (slope.T @ error + prior @ one["off"])
-        mean = gain @ (one["off"] + step)
-        wide = np.diag(own - gain @ own + gain @ inverse @ gain.T)
-        for kind, m, v, r in zip(one["kinds"], mean, wide, relative, strict=True):
-            square.setdefault(kind, []).append(float(m**2 + v) / r**2)
-        rest = (one["rows"] + one["slope"] @ step).reshape(weight.shape) ** 2
-        more = np.sum((one["slope"] @ inverse) * one["slope"], axis=1)
-        rest = rest + more.reshape(weight.shape) - one["noise"]
-        for k in range(K):
-            for b in range(len(BANDS)):
-                here = one["band"] == b
-                share = np.sum(rest[here, k]) / np.sum(one["power"][here, k])
-                left[rows[k]][b].append(float(share))
-    fresh = {}
-    for kind, values in square.items():
-        known = before.imitated[kind]
-        kept = np.sort(values)[: int(np.ceil((1 - _WILD) * len(values)))]
-        sd = float(np.sqrt((kept.sum() + worth * known**2) / (len(kept) + worth)))
-        fresh[kind] = float(np.clip(sd, _LEAST * known, _MOST * known))
-    sums, counts = (np.array([[f(cell) for cell in row] for row in left]) for f in (sum, len))
-    found = (sums + worth * before.shares**2) / (counts + worth)
-    return np.sqrt(np.maximum(found, 1e-6)), fresh
+        each = np.square(relative * [swim_sd.get(k, 0.0) for k in one.kinds])
+        each = np.maximum(each, np.square(_NEVER * one.steps))
+        wide = np.square(relative * [robot_sd.get(k, 0.0) for k in one.kinds])
+        wide = np.maximum(wide, np.square(_NEVER * one.steps))
+        mean = np.array([usual.get(k, 0.0) for k in one.kinds]) - one.point
+        whole, pull, parts = np.diag(1 / wide), mean / wide, []
+        for swim in one.swims:
+            K = swim["noise"].shape[1]
+            size = shares[np.minimum(np.arange(K), 3)][:, swim["band"]].T
+            weight = 1 / np.sqrt(swim["noise"] + size**2 * swim["power"] + 1e-12)
+            slope = swim["slope"] * weight.reshape(-1, 1)
+            normal, gradient = slope.T @ slope, slope.T @ (swim["rows"] * weight.ravel())
+            inner = np.linalg.inv(normal + np.diag(1 / each))
+            whole = whole + normal - normal @ inner @ normal
+            pull = pull - gradient + normal @ inner @ gradient
+            parts.append((swim, normal, gradient, inner))
+        spread = np.linalg.inv(whole)
+        at = spread @ pull
+        for kind, m, v, r in zip(one.kinds, at - mean, np.diag(spread), relative, strict=True):
+            common.setdefault(kind, []).append(float(m**2 + v) / r**2)
+        for kind, x in zip(one.kinds, at + one.point, strict=True):
+            places.setdefault(kind, []).append(float(x))
+        for swim, normal, gradient, inner in parts:
+            step = -inner @ (gradient + normal @ at)
+            sure = inner + inner @ normal @ spread @ normal @ inner
+            for kind, m, v, r in zip(one.kinds, step, np.diag(sure), relative, strict=True):
+                own.setdefault(kind, []).append(float(m**2 + v) / r**2)
+            rest_of = np.eye(len(at)) - inner @ normal
+            both = inner + rest_of @ spread @ rest_of.T
+            rest = (swim["rows"] + swim["slope"] @ (at + step)) ** 2
+            rest = rest + np.einsum("nf,nf->n", swim["slope"] @ both, swim["slope"])
+            rest = rest.reshape(swim["noise"].shape) - swim["noise"]
+            for k in range(rest.shape[1]):
+                for b in range(len(BANDS)):
+                    here = swim["band"] == b
+                    share = np.sum(rest[here, k]) / np.sum(swim["power"][here, k])
+                    left[min(k, 3)][b].append(float(share))
+    fresh = {kind: float(np.sqrt(np.mean(own[kind]))) for kind in swim_sd}
+    found = np.array([[np.mean(cell) for cell in row] for row in left])
+    return (
+        np.sqrt(np.maximum(found, 1e-6)), fresh,
+        {
+            kind: _about(common[kind], before.get(kind))
+            for kind in robot_sd
+        },
+        {kind: float(np.mean(places[kind])) for kind in usual},
+    )  # fmt: skip
 
 
-def learned_from(
-    robots: Sequence[Learned], before: LawError, seen: Mapping[str, int], *, in_water: bool
-) -> dict[str, Any]:
-    """What is kept of the twin's error, from swims near their fits and from what was known.
+def learned_from(robots: Sequence[Near], before: LawError, *, in_water: bool) -> dict[str, Any]:
+    """What is kept of the twin's error, from swims near a point of each robot.
 
     Args:
-        robots: Swims in which nothing is missing, and the law of each robot.
-        before: What was known.
-        seen: How many ``swims`` and ``robots`` that is from.
+        robots: Their swims in which nothing is missing.
+        before: Where the rounds begin.
         in_water: Whether the fluid puts the twin right.
     """
-    swims, laws = [swim for own, _ in robots for swim in own], [law for _, law in robots]
-    worth, others = seen["swims"], seen["robots"]
-    shares, imitated = before.shares, dict(before.imitated)
+    kinds = dict(zip(robots[0].kinds, robots[0].steps, strict=True))
+    begun = {k: _BEGUN * step for k, step in kinds.items() if k.startswith(ERROR)}
+    begun |= {k: v for k, v in before.imitated.items() if k in begun}
+    base = {k: before.unknown[k] for k in kinds if k.startswith(("servo.", "twin.", "water."))}
+    wide = base | {k: 2 * sd for k, sd in begun.items() if k not in _OWN}
+    usual = {k: 0.0 for k in kinds if k.startswith(("twin.", "water."))}
+    usual |= before.shift if in_water else before.usual
+    levels: Levels = (before.shares, begun, wide, usual)
     for _ in range(_STEPS):
-        shares, fresh = sizes(swims, shares, imitated, before, worth)
-        imitated |= fresh
-    usual, unknown = {}, {}
-    for k in before.unknown:
-        own = max(before.unknown[k] ** 2 - before.imitated[k] ** 2, 0.0)
-        if k in laws[0]:
-            found = np.array([law[k] for law in laws])
-            was = (before.shift if in_water else before.usual).get(k, 0.0)
-            usual[k] = float((others * was + found.sum()) / (others + len(found)))
-            own = _WIDER**2 * np.sum((found - usual[k]) ** 2) + others * (
-                own + (_WIDER * (was - usual[k])) ** 2
-            )
-            own = own / (others + len(found) - 1)
-        unknown[k] = float(np.sqrt(own + imitated[k] ** 2))
+        levels = sizes(robots, levels, base)
+    shares, imitated, common, usual = levels
     return {
         "shares": {
             row: dict(zip(BANDS, map(float, found), strict=True))
             for row, found in zip(ROWS, shares, strict=True)
         },
-        "imitated": imitated, "unknown": unknown,
+        "imitated": imitated,
+        "unknown": {k: float(np.hypot(sd, imitated.get(k, 0.0))) for k, sd in common.items()},
         "usual": {} if in_water else usual, "shift": usual if in_water else {},
-        "from": {"swims": worth + len(swims), "robots": others + len(laws)},
+        "from": {"swims": sum(len(one.swims) for one in robots), "robots": len(robots)},
     }  # fmt: skip
 
 
@@ -236,17 +246,22 @@ def main() -> None:
     parser.add_argument("sets", type=Path, nargs="+")
     parser.add_argument("--water", type=Path, nargs="*", default=[], help="two folders a set")
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--turns", type=int, default=1)
+    parser.add_argument("--without", default="", metavar="K/N", help="leave out every Nth robot")
+    parser.add_argument("--out", type=Path, help="another file than that which ships")
     options = parser.parse_args()
-    target = IN_WATER if options.water else FILE
-    content = json.loads(target.read_text())
-    before = known = read_law_error(target)
+    begun = IN_WATER if options.water else FILE
+    target = options.out or begun
+    content, known = json.loads(begun.read_text()), read_law_error(begun)
     for _ in range(options.turns):
         robots = swims_near(options.sets, options.water, options.processes, known)
-        found = learned_from(robots, before, content["from"], in_water=bool(options.water))
+        if options.without:
+            first, step = (int(x) for x in options.without.split("/"))
+            del robots[first::step]
+        found = learned_from(robots, known, in_water=bool(options.water))
         write_json(target, content | found)
-        print(json.dumps(found, indent=1))
         known = read_law_error(target)
+    print(json.dumps(found, indent=1))
 
 
 if __name__ == "__main__":

@@ -9,11 +9,12 @@ heading that was seen: a body goes along with even water.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.inference import discrepancy
 from sim.inference.parameters import candidates
 from sim.inference.search import Effect
 from sim.inference.swims import Swim, with_values
@@ -31,6 +32,10 @@ LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """What may be otherwise of a water in which the fluid has swum (``in_water``)."""
+ERROR = "error"
+"""What columns are called that are shapes of the simulator's own error (``discrepancy``)."""
+DOUBT = "error.doubt"
+"""And those of such shapes in what effects change."""
 RESISTS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
 """Effects of water that resists. What is missing of them can only add: where a law has too much of
 one its own coefficients say so, and a friction below zero would drive a robot. By them, too, a law
@@ -89,12 +94,15 @@ class Coordinates:
         model: The servos, and the law where the model has one.
         columns: F of them.
         effects: Those that may be missing.
+        seems: What swims of this robot in which nothing is missing seem to have of them, shape
+            (F,): the simulator's own error (``learned``), on top of which a swim is simulated.
     """
 
     model: Model
     columns: tuple[Column, ...]
     effects: tuple[Effect, ...]
     place: Mapping[str, int] = field(default_factory=dict)
+    seems: Array | float = 0.0
 
     @classmethod
     def of(cls, robot: Robot, model: Model) -> Coordinates:
@@ -130,8 +138,21 @@ class Coordinates:
                 step = one.free[0].typical / 2 if p.name == _RELAX else step
                 sd = 0.4 if p.name in _PULL else sd
                 columns.append(Column(p.name, (one.name, one.component), 0.0, low, high, step, sd))
+        for name in discrepancy.names(len(robot.joints)):
+            columns.append(Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0))
         place = {column.name: k for k, column in enumerate(columns)}
         return cls(model, tuple(columns), listed, place)
+
+    def doubting(self) -> Coordinates:
+        """With columns for what is wrong of what effects change, which no rollout moves."""
+        known = discrepancy.of_changes(len(self.model.joints))
+        more = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in known]
+        columns = (*self.columns, *more)
+        seems = np.concatenate(
+            [np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(more))]
+        )
+        place = {column.name: k for k, column in enumerate(columns)}
+        return replace(self, columns=columns, place=place, seems=seems)
 
     def of_effect(self, effect: Effect) -> list[int]:
         """Columns of an effect."""
@@ -174,11 +195,18 @@ class Coordinates:
             for e in self.effects
             if not any(x[k] for k in self.of_effect(e))
         }
-        return {name: v for name, v in out.items() if name.rpartition(".")[0] not in off}
+        return {
+            name: v
+            for name, v in out.items()
+            if name.rpartition(".")[0] not in off and (v or not name.startswith(ERROR))
+        }
 
     def model_at(self, x: Array) -> Model:
-        """The model at a point (F,)."""
-        return with_values(self.model, self.parameters(x))
+        """The model at a point (F,); ``seems`` stands apart in it, as ``body.seems``."""
+        model = with_values(self.model, self.parameters(x))
+        apart = np.broadcast_to(self.seems, x.shape)
+        seems = {self.columns[k].name: float(apart[k]) for k in np.flatnonzero(apart)}
+        return replace(model, body={**model.body, "seems": seems}) if seems else model
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,): into what is allowed."""
@@ -214,18 +242,27 @@ def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) ->
     Points that differ in the camera and the current alone share a rollout.
     """
     outer = [k for k, c in enumerate(coordinates.columns) if c.shown]
+    points = points + coordinates.seems
     inner = points.copy()
     inner[:, outer] = 0.0
     unique, which = np.unique(inner, axis=0, return_inverse=True)
-    track = simulate([coordinates.model_at(x) for x in unique], swim)[which.reshape(-1)]
+    given = [with_values(coordinates.model, coordinates.parameters(x)) for x in unique]
+    track = simulate(given, swim)[which.reshape(-1)]
     return _seen(track, [coordinates.parameters(x) for x in points], swim)
 
 
 def seen_as(models: Sequence[Model], swim: Swim, simulate: Swum) -> Array:
     """Signals of a swim by models, current and camera as in ``swum``, shape (E, T, 3 + J)."""
-    given = [values(model) for model in models]
+    given = []
+    for model in models:
+        there = values(model)
+        seems: Mapping[str, float] = model.body.get("seems", {})
+        given.append(there | {name: there.get(name, 0.0) + v for name, v in seems.items()})
     still = [
-        with_values(model, {name: 0.0 for name in _CURRENT if name in one})
+        with_values(
+            model,
+            {n: 0.0 if n in _CURRENT else v for n, v in one.items() if not n.startswith(ERROR)},
+        )
         for model, one in zip(models, given, strict=True)
     ]
     return _seen(simulate(still, swim), given, swim)
@@ -240,6 +277,11 @@ def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -
     shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in whole])
     out[whole, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
     out[whole, :, 3:] = track[whole, :, 3:]
+    for e, one in enumerate(parameters):
+        wrong = {n: v for n, v in one.items() if n.startswith(ERROR)}
+        if wrong:
+            every = discrepancy.shapes(out[e])
+            out[e] += sum(v * every[name] for name, v in wrong.items())
     u, v = np.array([[one.get(name, 0.0) for one in parameters] for name in _CURRENT])[..., None]
     out[..., 0] += c * u + s * v
     out[..., 1] += c * v - s * u

@@ -27,8 +27,8 @@ IN_WATER = Path(__file__).with_name("law_error_in_water.json")
 SCHEMA = "sim2real.law_error/1"
 RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are shares of their values."""
-_UNMEASURED = 0.2
-"""What an effect that was never measured is imitated by, in steps of its derivative."""
+_NEVER = 1e-3
+"""Of what the error does not pass for, in steps of a derivative."""
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 
 
@@ -41,7 +41,7 @@ class LawError:
             band (slow, beat, fast), shape (4, 3).
         imitated: By kind of column, the standard deviation of what the twin's error passes for:
             of servos and law from one swim to another, of effects that are not there.
-        unknown: The same of servos and law of a robot that was never seen.
+        unknown: The same of a robot that was never seen, where its swims have it in common.
         usual: Mean of the law's coefficients over robots.
         shift: Mean over robots of how far they are from the nominal ones.
         decisions: Thresholds, by name.
@@ -58,15 +58,17 @@ class LawError:
         """Standard deviation of what the error passes for in each column, shape (F,)."""
         out = []
         for c in coordinates.columns:
-            known = {c.kind: _UNMEASURED * c.step} | dict(self.imitated)
-            out.append(self._of(known, c.kind, c.nominal))
+            known = c.kind in self.imitated
+            out.append(self._of(self.imitated, c.kind, c.nominal) if known else _NEVER * c.step)
         return np.array(out)
 
     def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:
-        """Mean (B,) and covariance (B, B) of servos and law of a robot that was never seen."""
-        base = [coordinates.columns[k] for k in coordinates.base]
-        mean = [self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)) for c in base]
-        sd = [self._of(self.unknown, c.kind, c.nominal) for c in base]
+        """Mean (F,) and covariance (F, F) of a swim of a robot that was never seen."""
+        mean, sd = [], self.imitation(coordinates)
+        for k, c in enumerate(coordinates.columns):
+            mean.append(self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)))
+            if c.kind in self.unknown:
+                sd[k] = self._of(self.unknown, c.kind, c.nominal)
         return np.array(mean), np.diag(np.square(sd))
 
     @staticmethod

@@ -15,12 +15,15 @@ _HOLDS = 4
 
 @dataclass(frozen=True)
 class Belief:
-    """What is known before a swim.
+    """What is known before a swim, of servos and law and of all effects, F columns.
+
+    The twin's error passes for effects that are not there: for some in all swims of a robot alike,
+    which its references tell, for some in each swim anew.
 
     Attributes:
-        mean: Of servos and law, shape (B,).
-        covariance: Likewise, shape (B, B).
-        imitation: Standard deviation that each column seems to have without being there, (F,).
+        mean: Of servos and law; of effects what a robot's swims seem to have of them all, (F,).
+        covariance: Of a swim in which nothing is missing, shape (F, F).
+        imitation: Standard deviation from one swim of a robot to another, shape (F,).
         shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
     """
 
@@ -28,6 +31,18 @@ class Belief:
     covariance: Array
     imitation: Array
     shares: Array
+
+    def beside(self, sizes: Array) -> Belief:
+        """With more columns, which have these standard deviations (m,) about 0."""
+        n = self.mean.size + sizes.size
+        spread = np.zeros((n, n))
+        spread[: self.mean.size, : self.mean.size] = self.covariance
+        spread[self.mean.size :, self.mean.size :] = np.diag(sizes**2)
+        more = np.zeros(sizes.size)
+        return Belief(
+            np.concatenate([self.mean, more]), spread,
+            np.concatenate([self.imitation, sizes]), self.shares,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.inference.coordinates import Coordinates, Swum, seen_as
+from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.search import Effect
 from sim.inference.swims import Swim
@@ -30,6 +32,7 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 MOST = 2
+"""Effects of a set, beside lost frames that were counted."""
 COST = 3.422
 """Evidence that an effect costs in the search; what it is worth saying is decided later."""
 HELD_OUT = 0.3
@@ -38,9 +41,11 @@ _ITS_OWN = (0.5, 6.0)
 """How much better or worse (in squares) than usual the twin may be for a robot."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """How much further than usual a robot's swims may be from its law."""
+_LEAST = 1e-3
+"""Standard deviation, in steps of a derivative, of what swims of a robot never have in common."""
+_ROUNDS = 1
+"""Times that what swims have in common is worked out again, with slopes of its own."""
 _RIVALS = 4
-DOUBT = 0.05
-"""Share by which the twin is wrong of what an effect changes."""
 _DOUBTFUL = 3.0
 """Evidence that such an error makes by itself, from which it counts."""
 _CLOSE = 10.0
@@ -131,45 +136,48 @@ def learned(
         return replace(usual, shares=known.decisions["unreferred"] * known.shares)
     problem = TwinSwims(coordinates, references, simulate, usual)
     found = problem.plain()
-    base = coordinates.base
     wrong = np.sqrt(np.clip(_misfit(problem, found), *_ITS_OWN))
-    off, spread, scale = _shared(problem, found)
+    there, spread, scale = _shared(problem, found.fit, usual)
+    for _ in range(_ROUNDS):
+        problem = TwinSwims(coordinates, references, simulate, replace(usual, mean=there))
+        there, spread, scale = _shared(problem, problem.at(problem.centre(frozenset())), usual)
     imitation = scale * imitation
-    own = np.diag(np.square(imitation[base]))
-    return Belief(found.fit.x[base] + off, spread + own, imitation, known.shares * wrong)
+    return Belief(there, spread + np.diag(imitation**2), imitation, known.shares * wrong)
 
 
-def _shared(problem: TwinSwims, found: Hypothesis[Fit]) -> tuple[Array, Array, float]:
-    """How far a robot's law is from a fit of its swims, covariance of that, scale of its swims.
+def _shared(problem: TwinSwims, fit: Fit, usual: Belief) -> tuple[Array, Array, float]:
+    """What swims of a robot have in common (F,), covariance of that, scale of what they have not.
 
-    Near the fit each swim has coordinates of its own about a law that is the robot's; how far they
-    are from it, over what is usual, is the likeliest of ``_SCALES``.
+    Near a fit each swim has columns of its own about those that are the robot's. How far they are
+    from these, over what is usual, is the likeliest of ``_SCALES`` (a linear mixed model; Laird and
+    Ware, Biometrics 38 (1982) 963).
     """
-    fit, base, F = found.fit, np.array(problem.coordinates.base), found.fit.x.size
-    count, B = len(problem.swims), len(problem.coordinates.base)
-    columns = np.zeros((fit.rows.size, B + count * F))
-    columns[:, :B] = fit.near.slope[:, base]
-    at = 0
-    for k, weight in enumerate(problem.weights):
-        part = slice(at, at + weight.size)
-        columns[part, B + k * F : B + (k + 1) * F] = fit.near.slope[part]
+    own = np.square(usual.imitation)
+    common = usual.covariance - np.diag(own)
+    least = np.square(_LEAST * np.array([c.step for c in problem.coordinates.columns]))
+    known = np.linalg.inv(common + np.diag(np.maximum(least - np.diag(common), 0.0)))
+    here = fit.x + problem.coordinates.seems
+    parts, at = [], 0
+    for weight in problem.weights:
+        slope = fit.near.slope[at : at + weight.size]
+        parts.append((slope.T @ slope, slope.T @ fit.rows[at : at + weight.size]))
         at += weight.size
-    normal, pull = columns.T @ columns, columns.T @ fit.rows
-    known = np.linalg.inv(problem.belief.covariance)
-    off = problem.belief.mean - fit.x[base]
-    pull[:B] -= known @ off
     best = -np.inf
-    told: tuple[Array, Array, float] = (off, problem.belief.covariance, 1.0)
+    told: tuple[Array, Array, float] = (here, common, 1.0)
     for scale in _SCALES:
-        prior = np.zeros_like(normal)
-        prior[:B, :B] = known
-        each = np.tile(1 / np.square(scale * problem.belief.imitation), count)
-        prior[np.arange(B, len(prior)), np.arange(B, len(prior))] = each
-        whole: Array = np.asarray(np.linalg.inv(normal + prior), dtype=np.float64)
-        size = np.linalg.slogdet(normal + prior)[1] - np.log(each).sum()
-        worth = 0.5 * float(pull @ whole @ pull) - 0.5 * size
+        each = np.diag(1 / (scale**2 * own))
+        whole, pull = known.copy(), known @ (usual.mean - here)
+        worth = 0.0
+        for normal, gradient in parts:
+            inner = np.linalg.inv(normal + each)
+            whole += normal - normal @ inner @ normal
+            pull -= gradient - normal @ inner @ gradient
+            size = np.linalg.slogdet(normal + each)[1] + np.log(scale**2 * own).sum()
+            worth += 0.5 * float(gradient @ inner @ gradient) - 0.5 * float(size)
+        spread: Array = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+        worth += 0.5 * float(pull @ spread @ pull) - 0.5 * float(np.linalg.slogdet(whole)[1])
         if worth > best:
-            best, told = worth, (-(whole[:B] @ pull), whole[:B, :B], scale)
+            best, told = worth, (here + spread @ pull, spread, scale)
     return told
 
 
@@ -200,15 +208,17 @@ def searched(
     problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief)
     tried, order, best = _tried(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
-        doubted = in_doubt(problem, best.fit.x, begun)
-        parts = zip(doubted, problem.weights, strict=True)
-        if 0.5 * sum(float(np.sum(v * w**2)) for v, w in parts) > _DOUBTFUL:
-            problem = replace(problem, doubted=doubted, before=None, cost=0.0)
+        doubted = changed(problem, best.fit.x, begun)
+        weighed = zip(doubted, problem.blocks, problem.weights, strict=True)
+        size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in weighed)
+        if 0.5 * SHARE**2 * size > _DOUBTFUL:
+            problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief,
+                                doubted=doubted)  # fmt: skip
             tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
     plain = tried[frozenset()]
     held = {}
-    for members in [frozenset(), *_parts(best.members), best.members]:
-        if members in tried and members not in held:
+    for members in _subsets(best.members):
+        if members in tried:
             held[members] = _held(problem, tried[members])
     nameless = {"plain": gains(problem, plain.members, plain.fit)}
     nameless["best"] = gains(problem, best.members, best.fit)
@@ -224,7 +234,8 @@ def _tried(
     progress(0.1)
     ledger: Ledger[Fit] = Ledger(0)
     ledger.keep(plain)
-    breadth = Breadth(most=MOST, added=5, rivals=3, within=np.inf)
+    most = MOST + any(problem.counted(frozenset({e})) > 0 for e in problem.coordinates.effects)
+    breadth = Breadth(most=most, added=5, rivals=3, within=np.inf)
     problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     problem.cost = 0.0
@@ -250,11 +261,11 @@ def _tried(
     return tried, order, next(one for one in order if one.members)
 
 
-def in_doubt(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[Array]:
-    """Variance of what the twin says that effects at a point (F,) change, of each swim, (T, K).
+def changed(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[Array]:
+    """What effects at a point (F,) change of each swim by the twin, (T, 3 + J).
 
-    Effects of the camera and a current are exact; those of ``begun``, with which the fluid swam,
-    are in doubt by as much as they differ from it.
+    Not those of the camera and a current, which are exact; of ``begun``, with which the fluid swam,
+    what they are more or less than there.
     """
     c = problem.coordinates
     full = c.model_at(x)
@@ -262,15 +273,18 @@ def in_doubt(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[A
     there = {name: v for name, v in values(full).items() if name in shown}
     there |= values(begun) if begun else {}
     without = replace(full, body={**full.body, "effects": listed(there)})
-    out = []
-    for swim, blocks in zip(problem.swims, problem.blocks, strict=True):
-        said = seen_as([full, without], swim, problem.simulate)
-        out.append(DOUBT**2 * blocks.about(said[0] - said[1]))
-    return out
+    said = [seen_as([full, without], swim, problem.simulate) for swim in problem.swims]
+    return [one[0] - one[1] for one in said]
 
 
 def _looked(one: Hypothesis[Fit]) -> Hypothesis[Fit]:
     return replace(one, fit=replace(one.fit, looked=True))
+
+
+def _subsets(members: Members) -> list[Members]:
+    """Every part of a set, nothing and itself among them."""
+    every = sorted(members, key=str)
+    return [frozenset(s) for n in range(len(every) + 1) for s in combinations(every, n)]
 
 
 def _parts(members: Members) -> list[Members]:

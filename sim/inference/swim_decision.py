@@ -122,7 +122,8 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
         margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
         spoken = (
             margin, gain, float(len(group)), more, off, _helps(best, rest, held),
-            float(name[0] in RESISTS), float(gain < max(gains.values())), unlisted,
+            float(name[0] in RESISTS), max(gains.values()), unlisted, float(name[1] == "camera"),
+            ahead, alone,
         )  # fmt: skip
         certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
         named.append(Named(name, group, certain, gain, spoken))
@@ -173,14 +174,16 @@ def terms_of(spoken: Spoken) -> tuple[float, ...]:
         spoken: By how much evidence the set is ahead of all that lack its group, what it adds
             itself, how many its group has, how much a shape without a name would add, how much more
             is left than usual, how much likelier it makes what was held out, whether it is an
-            imitator, whether another brings more, and the probability that something is there that
-            the catalogue lacks.
+            imitator, what the one that brings most adds, the probability that something is there
+            that the catalogue lacks, whether it is the camera's, the evidence of the set, and
+            whether no references were known.
     """
-    margin, gain, many, more, off, helps, imitates, second, unlisted = spoken
+    margin, gain, many, more, off, helps, imitates, most, unlisted, camera, ahead, alone = spoken
     return (
         1.0, _log(margin), float(np.log(many)), max(_log(more) - _log(gain), 0.0),
-        float(np.clip(off, -2, 4)), _log(helps), imitates, second,
-        -float(np.log(max(1 - unlisted, 1e-3))),
+        float(np.clip(off, -2, 4)), _log(helps), imitates, _log(most) - _log(gain),
+        -float(np.log(max(1 - unlisted, 1e-3))), camera, _log(ahead), float(gain < most),
+        _log(gain), imitates * alone,
     )  # fmt: skip
 
 

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.blocks import Blocks
-from sim.inference.coordinates import Coordinates, Swum, in_fit, swum
+from sim.inference import discrepancy
+from sim.inference.blocks import Blocks, spectrum
+from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
 from sim.inference.linear import Belief, Fit, Slope, bounded
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
@@ -31,6 +32,9 @@ LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
 _EACH, _SURELY = 3.0, 600.0
 """Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
+_IN_DOUBT = 0.05
+"""Share by which the twin is wrong of what an effect changes, anywhere by itself; what is wrong of
+it all along stands in ``discrepancy``."""
 _AT_MOST = 3.0
 """Standard deviations by which the twin's error may pass for an effect that is not there: what is
 more is no error, and slopes do not hold so far."""
@@ -52,7 +56,7 @@ class TwinSwims:
         simulate: The twin.
         belief: What is known before.
         cost: What an effect costs in evidence.
-        doubted: Variance beside noise and the twin's usual error, of each swim, (T, K).
+        doubted: What effects change of each swim by the twin, (T, 3 + J): a share of it is wrong.
     """
 
     coordinates: Coordinates
@@ -60,23 +64,49 @@ class TwinSwims:
     simulate: Swum
     belief: Belief
     cost: float = 0.0
-    doubted: Sequence[Array | float] = ()
+    doubted: Sequence[Array] = ()
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
+    wrong: NDArray[np.bool_] = field(init=False)
     before: Fit | None = None
     kept: NDArray[np.bool_] | None = None
     rollouts: int = 0
+    _doubts: Array | None = field(default=None, init=False, repr=False)
+    _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Take the recordings apart."""
+        seems = self.belief.mean.copy()
+        seems[self.coordinates.base] = 0.0
+        self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        more = self.doubted or [0.0] * len(self.swims)
+        more: Sequence[Array | float] = [0.0] * len(self.swims)
+        if self.doubted:
+            every = zip(self.blocks, self.doubted, strict=True)
+            more = [_IN_DOUBT**2 * blocks.about(change) for blocks, change in every]
         self.weights = [
             one.weights(self.belief.shares, v) for one, v in zip(self.blocks, more, strict=True)
         ]
+        if self.doubted:
+            self._doubt()
+        self.wrong = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
         if not any(c.kind.startswith("servo") for c in self.coordinates.columns):
             for weight in self.weights:  # joints that follow a film say nothing
                 weight[:, 3:] = 0.0
+
+    def _doubt(self) -> None:
+        """Columns, and a belief, for what is wrong of what effects change."""
+        joints = len(self.coordinates.model.joints)
+        sizes = discrepancy.of_changes(joints)
+        self.coordinates = self.coordinates.doubting()
+        self.belief = self.belief.beside(np.array(list(sizes.values())))
+        parts = []
+        for blocks, weight, change in zip(self.blocks, self.weights, self.doubted, strict=True):
+            shapes = discrepancy.shapes(change)
+            known = np.array([shapes[f"{ERROR}.{name}"] for name in sizes])
+            told = spectrum(known, blocks.edges) * weight
+            parts.append(told.reshape(len(sizes), -1).T)
+        self._doubts = np.concatenate(parts)
 
     # --- simulations -------------------------------------------------------------------------
 
@@ -97,44 +127,46 @@ class TwinSwims:
         With those that are ``known`` nearby, only what a fit with these members moves is renewed.
         """
         points, base = self.coordinates.about(x)
-        fresh = np.arange(x.size)
+        moved = np.array([not c.name.startswith(DOUBT) for c in self.coordinates.columns])
         if known is not None:
-            fresh = np.flatnonzero(in_fit(self.coordinates.columns, members))
+            moved &= in_fit(self.coordinates.columns, members)
+        fresh = np.flatnonzero(moved)
         rows = self.rows(self.coordinates.clipped(points[np.concatenate([[0], fresh + 1])]))
         of = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
         slope = np.empty((rows.shape[1], x.size)) if known is None else known.slope.copy()
         slope[:, fresh] = ((rows[1:] - rows[of]) / self.coordinates.steps(x)[fresh, None]).T
+        if self._doubts is not None:
+            slope[:, -self._doubts.shape[1] :] = self._doubts
         return rows[0], Slope(x, slope, slope.T @ slope)
 
-    def fitted(self, rows: Array) -> Array:
-        """Of rows (..., n) those that a fit sees; the others are 0."""
-        return rows if self.kept is None else rows * self.kept
+    def at(self, x: Array) -> Fit:
+        """The fit that nothing is missing, at a point (F,)."""
+        rows, near = self.slope(x)
+        return Fit(x, rows, self.judged(frozenset(), x, rows, near)[0], near)
 
     # --- the normal model --------------------------------------------------------------------
 
     def precision(self, members: Members) -> Array:
         """Of all columns before the swim, shape (F, F)."""
-        c = self.coordinates
-        sd = self.belief.imitation.copy()
-        on = in_fit(c.columns, members)
-        for k in np.flatnonzero(on):
-            column = c.columns[k]
-            if column.effect is not None:
-                sd[k] = np.hypot(sd[k], column.prior_sd)
-        lost = c.place.get(LOST)
-        if lost is not None and on[lost]:
-            n = sum(swim.t.size for swim in self.swims)
-            sd[lost] = np.sqrt((self.repeated * (1 - self.repeated) + 1 / n) / n)
-        out = np.diag(1 / np.square(sd))
-        base = np.array(c.base)
-        out[np.ix_(base, base)] = np.linalg.inv(self.belief.covariance)
-        return out
+        if members not in self._precisions:
+            c, spread = self.coordinates, self.belief.covariance.copy()
+            on = in_fit(c.columns, members)
+            for k in np.flatnonzero(on):
+                column = c.columns[k]
+                if column.effect is not None:
+                    spread[k, k] += column.prior_sd**2
+            lost = c.place.get(LOST)
+            if lost is not None and on[lost]:
+                n = sum(swim.t.size for swim in self.swims)
+                spread[lost, lost] = (self.repeated * (1 - self.repeated) + 1 / n) / n
+            self._precisions[members] = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        return self._precisions[members]
 
     def centre(self, members: Members) -> Array:
         """The mean before the swim, shape (F,); lost frames are counted, not fitted."""
         c = self.coordinates
         x = c.nominal
-        x[c.base] = self.belief.mean
+        x[c.base] = self.belief.mean[c.base]
         if LOST in c.place and in_fit(c.columns, members)[c.place[LOST]]:
             x[c.place[LOST]] = self.repeated
         return x
@@ -161,17 +193,24 @@ class TwinSwims:
     def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
         """Loss at a point, and the step to where it is least by the slopes, shape (F,).
 
-        What the fit does not move stays at 0: a fit should predict by what it has.
+        The simulator's own error is as large as suits the point best: a fit should not bend to it.
+        What else the fit does not move stays at 0: it should predict by what it has.
         """
         own = in_fit(self.coordinates.columns, members)
-        prior = self.precision(members)[np.ix_(own, own)]
+        free = own | self.wrong
+        prior = self.precision(members)[np.ix_(free, free)]
         seen, slope, normal = self._part(rows, near)
-        off = (x - self.centre(members))[own]
-        gradient = slope[:, own].T @ seen + prior @ off
+        off = (x - self.centre(members))[free]
+        gradient = slope[:, free].T @ seen + prior @ off
+        curvature = normal[np.ix_(free, free)] + prior
         step = np.zeros(x.size)
-        room = self.coordinates.room(x)[:, own]
-        step[own] = bounded(normal[np.ix_(own, own)] + prior, gradient, room)
-        return 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off), step
+        step[free] = bounded(curvature, gradient, self.coordinates.room(x)[:, free])
+        step[self.wrong] = 0.0
+        loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
+        error = self.wrong[free]
+        pull = gradient[error]
+        told = float(pull @ np.linalg.solve(curvature[np.ix_(error, error)], pull))
+        return loss - 0.5 * told, step
 
     def evidence(self, members: Members, fit: Fit) -> float:
         """Logarithm of the marginal likelihood, up to a constant of the swims.
@@ -194,7 +233,7 @@ class TwinSwims:
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
         absent = ~in_fit(self.coordinates.columns, members)
-        far = _AT_MOST * self.belief.imitation
+        far = _AT_MOST * np.sqrt(np.diag(self.belief.covariance))
         room = np.where(absent, np.stack([-far, far]), self.coordinates.room(fit.x))
         step = bounded(whole, gradient, room)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
@@ -226,8 +265,7 @@ class TwinSwims:
         none: Members = frozenset()
         x = self.centre(none)
         for number in range(rounds):
-            rows, near = self.slope(x)
-            begun = Fit(x, rows, self.judged(none, x, rows, near)[0], near)
+            begun = self.at(x)
             self.before = begun if number == 0 else self.before
             (found,) = self._walk([(none, begun)], 2)
             x = found.x

@@ -29,8 +29,8 @@ _SHAKEN_HZ = (0.5, 0.8, 1.1, 1.4)
 _BEND_RAD, _BEND_M = 0.2, 0.04
 _MOUNT_RAD_S, _MOUNT_M_S = 0.02, 0.02
 _OTHER = ("twin.thrust", "twin.across", "twin.added_mass", "twin.along", "twin.linear")
-_OTHERWISE = (4.0, 16.0)
-"""How far a robot that became another is from what it was, in imitations of each column."""
+_OTHERWISE = (1.0, 4.0)
+"""How far a robot that became another is from what it was, in steps of each column."""
 
 
 def gains(problem: TwinSwims, members: Members, fit: Fit) -> dict[str, float]:
@@ -65,15 +65,24 @@ def _families(problem: TwinSwims, fit: Fit) -> Iterator[tuple[str, Array]]:
     chosen = [c.place[name] for name in _OTHER] + [
         k for k, column in enumerate(c.columns) if column.kind == "servo.kp_Nm_per_rad"
     ]
-    size = problem.belief.imitation[chosen]
-    for share in (0.35, 0.5, 0.65):
-        late = np.concatenate([
-            np.repeat((b.block >= round(share * len(b.edges))).astype(float), w.shape[1])
-            for _, b, w in swims
-        ])  # fmt: skip
-        for far in _OTHERWISE:
-            name = f"change at {share:g} by {far:g}"
-            yield name, fit.near.slope[:, chosen] * far * size * late[:, None]
+    size = np.array([c.columns[k].step for k in chosen])
+    for share in (0.1, 0.35, 0.5, 0.65):
+        for slowly in (False, True):
+            late = np.concatenate([
+                np.repeat(_later(b, share, slowly=slowly), w.shape[1]) for _, b, w in swims
+            ])  # fmt: skip
+            for far in _OTHERWISE:
+                name = f"change {'since' if slowly else 'at'} {share:g} by {far:g}"
+                yield name, fit.near.slope[:, chosen] * far * size * late[:, None]
+
+
+def _later(blocks: Blocks, share: float, *, slowly: bool) -> Array:
+    """How far a robot has become another by each coefficient's block, 0 to 1, shape (T,)."""
+    count = len(blocks.edges)
+    begun = round(share * count)
+    if not slowly:
+        return np.asarray(blocks.block >= begun, dtype=np.float64)
+    return np.clip((blocks.block + 0.5 - begun) / max(count - begun, 1), 0.0, 1.0)
 
 
 def _stacked(parts: list[Array], *, shared: bool = False) -> Array:

@@ -1,0 +1,84 @@
+"""The simulator's own error: shapes in the signals, those of a robot and those of one swim."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swimming_robots import FISH, servos
+from test_diagnose_swims import IN_WATER, swum
+
+import sim.inference.coordinates as places
+from sim.inference import discrepancy
+from sim.inference.coordinates import Coordinates, seen_as
+from sim.inference.coordinates import swum as signals_of
+from sim.inference.followed import by_followed_twin
+from sim.inference.parameters import candidates
+from sim.inference.searched import learned, searched
+from sim.inference.twin_search import TwinSwims
+from sim2real.model import read_model, write_model
+
+OURS = replace(IN_WATER, shift={}, usual={})
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    names = ("camera_latency", "linear_drag", "pool_current")
+    listed = [one for one in candidates(FISH) if one[0] in names]
+    monkeypatch.setattr(places, "candidates", lambda robot: listed)
+
+
+def slower(swim, share):
+    """The same with all ways forward shorter by a share."""
+    signals = swim.signals.copy()
+    signals[:, 0] *= 1 - share
+    return replace(swim, signals=signals)
+
+
+def test_shapes_are_of_one_signal_each_and_small_ones_add_up():
+    signals = swum({}).signals
+    shapes = discrepancy.shapes(signals)
+    assert tuple(shapes) == discrepancy.names(3)
+    for one in shapes.values():
+        assert one.shape == signals.shape
+        assert np.count_nonzero(np.abs(one).max(axis=0)) == 1
+    both = shapes["error.surge_0"] + shapes["error.surge_swing"]
+    np.testing.assert_allclose(both[:, 0], signals[:, 0], atol=1e-12)
+    t = 0.02 * np.arange(600)
+    wave, moved = (np.tile(np.sin(6 * (t - late))[:, None], 6) for late in (0.0, 0.01))
+    said = wave + 0.01 * discrepancy.shapes(wave)["error.joint0.late"]
+    assert np.abs(said - moved)[60:-60, 3].max() < 0.15 * np.abs(moved - wave).max()
+
+
+def test_what_all_swims_of_a_robot_are_wrong_by_is_foretold(tmp_path):
+    """References that are slower than the twin, by more than its law may be: so is what follows."""
+    simulate = by_followed_twin(FISH)
+    known = replace(OURS, unknown={**IN_WATER.unknown, **dict.fromkeys(
+        (k for k in IN_WATER.unknown if k.startswith(("twin.", "water."))), 1e-4)})  # fmt: skip
+    references = [slower(swum({}, seed=k), 0.03) for k in (1, 2)]
+    belief = learned(references, servos(), FISH, simulate, known)
+    fresh = slower(swum({}, seed=3), 0.03)
+    problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, belief)
+    x = problem.centre(frozenset())
+    (said,) = signals_of(problem.coordinates, fresh, x[None], simulate)
+    assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.008)
+    assert problem.coordinates.seems[problem.coordinates.place["error.surge_0"]] < -0.015
+    model = problem.coordinates.model_at(x)
+    write_model(model, tmp_path / "model.json")
+    (kept,) = seen_as([read_model(tmp_path / "model.json")], fresh, simulate)
+    np.testing.assert_allclose(kept, said, atol=1e-6)
+
+
+def test_an_error_that_is_usual_is_no_evidence():
+    """A swim that is slower by one usual error is none of drag, where its robot is not."""
+    simulate = by_followed_twin(FISH)
+    own = IN_WATER.imitated["error.surge_0"]
+    references = [swum({}, seed=k) for k in (1, 2)]
+
+    def evidence(share):
+        belief = learned(references, servos(), FISH, simulate, OURS)
+        swim = slower(swum({}, seed=3), share)
+        found = searched([swim], servos(), FISH, simulate, belief)
+        return found.best.evidence - found.plain.evidence
+
+    assert evidence(own) < 6.0
+    assert evidence(12 * own) > 12.0
