@@ -138,74 +138,107 @@ Levels = tuple[Array, Numbers, Numbers, Numbers]
 about what is usual, and that."""
 
 
-def _about(squares: list[float], before: float | None) -> float:
+def _about(squares: Array, before: float | None) -> float:
     """Root mean square, with what was known before."""
     worth = _WORTH if before else 0.0
-    return float(np.sqrt((sum(squares) + worth * (before or 0.0) ** 2) / (len(squares) + worth)))
+    return float(np.sqrt((squares.sum() + worth * (before or 0.0) ** 2) / (squares.size + worth)))
+
+
+def _weighted(swim: dict[str, Array], shares: Array) -> tuple[Array, Array]:
+    """Curvature (F, F) and gradient (F,) of a swim's loss at the point."""
+    K = swim["noise"].shape[1]
+    size = shares[np.minimum(np.arange(K), 3)][:, swim["band"]].T
+    weight = 1 / np.sqrt(swim["noise"] + size**2 * swim["power"] + 1e-12)
+    slope = swim["slope"] * weight.reshape(-1, 1)
+    return slope.T @ slope, slope.T @ (swim["rows"] * weight.ravel())
+
+
+def _left(swim: dict[str, Array], step: Array, spread: Array) -> list[tuple[int, int, float]]:
+    """Signal, band and share (squared) of what is left of a swim beside its noise."""
+    rest = (swim["rows"] + swim["slope"] @ step) ** 2
+    rest = rest + np.einsum("nf,nf->n", swim["slope"] @ spread, swim["slope"])
+    rest = rest.reshape(swim["noise"].shape) - swim["noise"]
+    out = []
+    for k in range(rest.shape[1]):
+        for b in range(len(BANDS)):
+            here = swim["band"] == b
+            share = np.sum(rest[here, k]) / np.sum(swim["power"][here, k])
+            out.append((min(k, 3), b, float(share)))
+    return out
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is expected of one robot: squares of deviations are over a gain's own size.
+
+    Attributes:
+        place: Of its columns, shape (F,).
+        common: Squares of how far it is from what is usual, shape (F,).
+        own: Squares of how far each of its swims is from it, shape (swims, F).
+        left: As ``_left`` has it.
+    """
+
+    place: Array
+    common: Array
+    own: Array
+    left: list[tuple[int, int, float]]
+
+
+def expected(one: Near, levels: Levels) -> Told:
+    """A robot's columns, its swims' about them, and what both leave; near a point all is normal."""
+    shares, swim_sd, robot_sd, usual = levels
+    kinds, least = one.kinds, _NEVER * one.steps
+    relative = np.array([
+        abs(n) if k in RELATIVE else 1.0 for k, n in zip(kinds, one.nominal, strict=True)
+    ])  # fmt: skip
+    each, wide = (
+        np.square(np.maximum(relative * [sd.get(k, 0.0) for k in kinds], least))
+        for sd in (swim_sd, robot_sd)
+    )
+    mean = np.array([usual.get(k, 0.0) for k in kinds]) - one.point
+    whole, pull, parts = np.diag(1 / wide), mean / wide, []
+    for swim in one.swims:
+        normal, gradient = _weighted(swim, shares)
+        inner = np.linalg.inv(normal + np.diag(1 / each))
+        whole = whole + normal - normal @ inner @ normal
+        pull = pull - gradient + normal @ inner @ gradient
+        parts.append((swim, normal, gradient, inner))
+    spread = np.linalg.inv(whole)
+    at = spread @ pull
+    own, left = [], []
+    for swim, normal, gradient, inner in parts:
+        step = -inner @ (gradient + normal @ at)
+        sure = inner + inner @ normal @ spread @ normal @ inner
+        own.append((step**2 + np.diag(sure)) / relative**2)
+        kept = np.eye(len(at)) - inner @ normal
+        left += _left(swim, at + step, inner + kept @ spread @ kept.T)
+    common = ((at - mean) ** 2 + np.diag(spread)) / relative**2
+    return Told(at + one.point, common, np.array(own), left)
 
 
 def sizes(robots: Sequence[Near], levels: Levels, before: Numbers) -> Levels:
     """One round of EM: shares, and both deviations, from what is left of all swims.
 
-    A swim's columns are those of its robot and its own; near a point both are normal. How far
-    robots were known to differ ``before`` counts for ``_WORTH`` of them.
+    How far robots were known to differ ``before`` counts for ``_WORTH`` of them.
     """
-    shares, swim_sd, robot_sd, usual = levels
-    places: dict[str, list[float]] = {}
-    own: dict[str, list[float]] = {}
-    common: dict[str, list[float]] = {}
+    told = [expected(one, levels) for one in robots]
+    pairs = list(zip(robots, told, strict=True))
+
+    def by_kind(kind: str, name: str) -> Array:
+        found = [getattr(t, name)[..., [k == kind for k in one.kinds]] for one, t in pairs]
+        return np.concatenate([f.ravel() for f in found])
+
+    _, swim_sd, robot_sd, usual = levels
     left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
-    for one in robots:
-        relative = np.array([
-            abs(n) if k in RELATIVE else 1.0
-            for k, n in zip(one.kinds, one.nominal, strict=True)
-        ])  # fmt: skip
-        each = np.square(relative * [swim_sd.get(k, 0.0) for k in one.kinds])
-        each = np.maximum(each, np.square(_NEVER * one.steps))
-        wide = np.square(relative * [robot_sd.get(k, 0.0) for k in one.kinds])
-        wide = np.maximum(wide, np.square(_NEVER * one.steps))
-        mean = np.array([usual.get(k, 0.0) for k in one.kinds]) - one.point
-        whole, pull, parts = np.diag(1 / wide), mean / wide, []
-        for swim in one.swims:
-            K = swim["noise"].shape[1]
-            size = shares[np.minimum(np.arange(K), 3)][:, swim["band"]].T
-            weight = 1 / np.sqrt(swim["noise"] + size**2 * swim["power"] + 1e-12)
-            slope = swim["slope"] * weight.reshape(-1, 1)
-            normal, gradient = slope.T @ slope, slope.T @ (swim["rows"] * weight.ravel())
-            inner = np.linalg.inv(normal + np.diag(1 / each))
-            whole = whole + normal - normal @ inner @ normal
-            pull = pull - gradient + normal @ inner @ gradient
-            parts.append((swim, normal, gradient, inner))
-        spread = np.linalg.inv(whole)
-        at = spread @ pull
-        for kind, m, v, r in zip(one.kinds, at - mean, np.diag(spread), relative, strict=True):
-            common.setdefault(kind, []).append(float(m**2 + v) / r**2)
-        for kind, x in zip(one.kinds, at + one.point, strict=True):
-            places.setdefault(kind, []).append(float(x))
-        for swim, normal, gradient, inner in parts:
-            step = -inner @ (gradient + normal @ at)
-            sure = inner + inner @ normal @ spread @ normal @ inner
-            for kind, m, v, r in zip(one.kinds, step, np.diag(sure), relative, strict=True):
-                own.setdefault(kind, []).append(float(m**2 + v) / r**2)
-            rest_of = np.eye(len(at)) - inner @ normal
-            both = inner + rest_of @ spread @ rest_of.T
-            rest = (swim["rows"] + swim["slope"] @ (at + step)) ** 2
-            rest = rest + np.einsum("nf,nf->n", swim["slope"] @ both, swim["slope"])
-            rest = rest.reshape(swim["noise"].shape) - swim["noise"]
-            for k in range(rest.shape[1]):
-                for b in range(len(BANDS)):
-                    here = swim["band"] == b
-                    share = np.sum(rest[here, k]) / np.sum(swim["power"][here, k])
-                    left[min(k, 3)][b].append(float(share))
-    fresh = {kind: float(np.sqrt(np.mean(own[kind]))) for kind in swim_sd}
-    found = np.array([[np.mean(cell) for cell in row] for row in left])
+    for one in told:
+        for row, band, share in one.left:
+            left[row][band].append(share)
+    shares = np.array([[np.mean(cell) for cell in row] for row in left])
     return (
-        np.sqrt(np.maximum(found, 1e-6)), fresh,
-        {
-            kind: _about(common[kind], before.get(kind))
-            for kind in robot_sd
-        },
-        {kind: float(np.mean(places[kind])) for kind in usual},
+        np.sqrt(np.maximum(shares, 1e-6)),
+        {kind: float(np.sqrt(np.mean(by_kind(kind, "own")))) for kind in swim_sd},
+        {kind: _about(by_kind(kind, "common"), before.get(kind)) for kind in robot_sd},
+        {kind: float(np.mean(by_kind(kind, "place"))) for kind in usual},
     )  # fmt: skip
 
 

@@ -148,9 +148,7 @@ class Coordinates:
         known = discrepancy.of_changes(len(self.model.joints))
         more = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in known]
         columns = (*self.columns, *more)
-        seems = np.concatenate(
-            [np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(more))]
-        )
+        seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(more)))
         place = {column.name: k for k, column in enumerate(columns)}
         return replace(self, columns=columns, place=place, seems=seems)
 

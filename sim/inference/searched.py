@@ -238,6 +238,9 @@ def _tried(
     breadth = Breadth(most=most, added=5, rivals=3, within=np.inf)
     problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
+    for part in _subsets(ledger.best.members)[1:-1]:  # begun elsewhere, it may have ended elsewhere
+        (found,) = problem.refit([(ledger, part, problem.start(ledger, part))])
+        ledger.keep(found)
     problem.cost = 0.0
     tried = {
         members: replace(one, evidence=one.evidence + COST * len(members))

@@ -129,9 +129,9 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
         named.append(Named(name, group, certain, gain, spoken))
     likely = {one.name: one.probability for one in named if one.probability >= LIKELY}
     offered = _predicting(best & set(likely), held, worth, likely, numbers)
+    others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     named = [one for one in named if one.probability >= STATED]
     named.sort(key=lambda one: -one.gain)
-    others = {name for s in keys for name in s} - {n for one in named for n in one.group}
     rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: (-one[1], one[0]))
     return Decided(

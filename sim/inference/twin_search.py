@@ -80,10 +80,9 @@ class TwinSwims:
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        more: Sequence[Array | float] = [0.0] * len(self.swims)
-        if self.doubted:
-            every = zip(self.blocks, self.doubted, strict=True)
-            more = [_IN_DOUBT**2 * blocks.about(change) for blocks, change in every]
+        changes = zip(self.blocks, self.doubted, strict=bool(self.doubted))
+        more: list[Array | float] = [_IN_DOUBT**2 * one.about(change) for one, change in changes]
+        more = more or [0.0] * len(self.blocks)
         self.weights = [
             one.weights(self.belief.shares, v) for one, v in zip(self.blocks, more, strict=True)
         ]

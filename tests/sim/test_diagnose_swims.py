@@ -9,7 +9,7 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
-from sim.inference import law_error
+from sim.inference import law_error, twin_search
 from sim.inference.blocks import Blocks, bounds, spectrum
 from sim.inference.coordinates import RESISTS, Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
@@ -100,6 +100,23 @@ def test_a_late_camera_is_found_from_afar(few):
     found = diagnosed({"camera_latency.latency_s": 0.12})
     assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
     assert found.effects[0].parameters["latency_s"].mean == pytest.approx(0.12, abs=0.01)
+
+
+def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
+    """Where a filter was tried first for a late camera, the camera is tried without it, too."""
+    names = ("camera_latency", "pose_filter")
+    listed = [one for one in candidates(FISH) if one[0] in names]
+    monkeypatch.setattr(places, "candidates", lambda robot: sorted(listed, reverse=True))
+    monkeypatch.setattr(twin_search, "FIRST", 1)
+    hopes = TwinSwims.additions
+
+    def filter_first(self, ledger, members, most):
+        found = hopes(self, ledger, members, 2)
+        return [one for one in found if members or one[0].name == "pose_filter"]
+
+    monkeypatch.setattr(TwinSwims, "additions", filter_first)
+    found = diagnosed({"camera_latency.latency_s": 0.12})
+    assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
 
 
 def test_a_carried_twin_swims_as_a_free_one_where_nothing_holds_it():
@@ -286,6 +303,7 @@ def test_a_shape_without_a_name_makes_it_abstain():
     said = decide(raw(*sets, shapes=500.0, left=30.0), LAW_ERROR.decisions)
     assert said.verdict == "unexplained"
     assert all(one.probability < 0.5 for one in said.named)
+    assert all(probability < 0.5 for _, probability in said.rivals)
 
 
 def test_a_mean_over_two_seconds_stands_beside_the_signals():
