@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.inference import poses
 from sim.inference.coordinates import Swum, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
@@ -166,7 +167,7 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
             "a camera above, and a model in the plane cannot follow it."
         )
-    repeated = max(swim.repeated for swim in problem.swims)
+    repeated = poses.repeated(problem.swims)
     if repeated > _REPEATED:
         gate.append(f"{100 * repeated:.0f} % of the poses repeat the one before: lost frames.")
     train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))

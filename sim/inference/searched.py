@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.inference import poses
 from sim.inference.coordinates import Coordinates, Swum, seen_as
 from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, LawError
@@ -238,9 +239,11 @@ def _tried(
     breadth = Breadth(most=most, added=5, rivals=3, within=np.inf)
     problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
-    for part in _subsets(ledger.best.members)[1:-1]:  # begun elsewhere, it may have ended elsewhere
+    best = ledger.best
+    for part in _subsets(best.members)[1:-1]:  # begun from nothing it may have ended elsewhere
         (found,) = problem.refit([(ledger, part, problem.start(ledger, part))])
-        ledger.keep(found)
+        if found.evidence > best.evidence:
+            ledger.keep(found)
     problem.cost = 0.0
     tried = {
         members: replace(one, evidence=one.evidence + COST * len(members))
@@ -338,6 +341,6 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
         ],
         "misfit": found.misfit.tolist(),
         "referred": referred,
-        "repeated": max(swim.repeated for swim in found.problem.swims),
+        "repeated": poses.repeated(found.problem.swims),
         "rollouts": found.problem.rollouts,
     }  # fmt: skip

@@ -17,10 +17,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference import discrepancy
+from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
 from sim.inference.linear import Belief, Fit, Slope, bounded
+from sim.inference.starts import jumped
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
 
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 FIRST = 8
 """Single effects that are refitted, of those that promise most."""
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
-_EACH, _SURELY = 3.0, 600.0
-"""Evidence of one repeated pose, and the most that they may bring."""
 _STEPS = 3
 _IN_DOUBT = 0.05
 """Share by which the twin is wrong of what an effect changes, anywhere by itself; what is wrong of
@@ -40,8 +39,6 @@ _AT_MOST = 3.0
 more is no error, and slopes do not hold so far."""
 _SETTLED = 0.7
 """Change of the loss below which a fit stays where it is."""
-_JUMPS = (-2.0, 2.0, 6.0)
-"""Sizes from which a search for an effect may begin, in steps of its derivative."""
 _SHARES = (1.0, 0.4, 0.1)
 """Of a step, tried together."""
 
@@ -156,8 +153,7 @@ class TwinSwims:
                     spread[k, k] += column.prior_sd**2
             lost = c.place.get(LOST)
             if lost is not None and on[lost]:
-                n = sum(swim.t.size for swim in self.swims)
-                spread[lost, lost] = (self.repeated * (1 - self.repeated) + 1 / n) / n
+                spread[lost, lost] = poses.repeated_variance(self.swims)
             self._precisions[members] = np.asarray(np.linalg.inv(spread), dtype=np.float64)
         return self._precisions[members]
 
@@ -167,27 +163,18 @@ class TwinSwims:
         x = c.nominal
         x[c.base] = self.belief.mean[c.base]
         if LOST in c.place and in_fit(c.columns, members)[c.place[LOST]]:
-            x[c.place[LOST]] = self.repeated
+            x[c.place[LOST]] = poses.repeated(self.swims)
         return x
 
-    @property
-    def repeated(self) -> float:
-        """Share of poses that repeat the one before to the last digit: frames that were lost."""
-        return max(swim.repeated for swim in self.swims)
-
     def counted(self, members: Members) -> float:
-        """Evidence of the count of repeated poses: noise never repeats, a lost frame always."""
-        if LOST not in self.coordinates.place:
-            return 0.0
-        n = sum(swim.t.size for swim in self.swims)
-        often = min(self.repeated * n * _EACH, _SURELY)
-        there = any(one.name == LOST.partition(".")[0] for one in members)
-        return (often if there else 0.0) if often > _EACH else (-_SURELY if there else 0.0)
+        """Evidence of the count of repeated poses."""
+        lost = any(one.name == LOST.partition(".")[0] for one in members)
+        return poses.counted(self.swims, lost=lost) if LOST in self.coordinates.place else 0.0
 
     def coloured(self, fit: Fit) -> float:
-        """Evidence of the colour of the poses' noise: a filter smooths that as well."""
-        lag = fit.x[self.coordinates.place[FILTER]] if FILTER in self.coordinates.place else 0.0
-        return sum(s.shaken.told(lag) for s in self.swims if s.shaken is not None and lag > 0)
+        """Evidence of the colour of the poses' noise."""
+        place = self.coordinates.place.get(FILTER)
+        return 0.0 if place is None else poses.coloured(self.swims, float(fit.x[place]))
 
     def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
         """Loss at a point, and the step to where it is least by the slopes, shape (F,).
@@ -349,7 +336,7 @@ class TwinSwims:
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
-                hopes = [self.evidence(more, self._linear(more, fit)) for fit in fits]
+                hopes = [self.evidence(more, self.linear(more, fit)) for fit in fits]
                 found.append((max(hopes), effect))
         found.sort(key=lambda one: -one[0])
         return [(effect, fits[0]) for _, effect in found[: most or FIRST]]
@@ -361,7 +348,7 @@ class TwinSwims:
         """
         return [] if members or self.before is None else [self.before]
 
-    def _linear(self, members: Members, fit: Fit) -> Fit:
+    def linear(self, members: Members, fit: Fit) -> Fit:
         """Where a step along the slopes would end, cut to what is allowed."""
         _, step = self.judged(members, fit.x, fit.rows, fit.near)
         there = self.coordinates.clipped(fit.x + step)
@@ -385,7 +372,7 @@ class TwinSwims:
         for _, members, _ in jobs:
             if len(members) == 1:
                 begun += [(members, fit) for fit in self._afresh(frozenset())]
-        begun = self._jumped(begun)
+        begun = jumped(self, begun)
         ended = self._walk(begun, _STEPS)
         best: dict[Members, Fit] = {}
         for (members, _), fit in zip(begun, ended, strict=True):
@@ -395,33 +382,6 @@ class TwinSwims:
             Hypothesis(members, best[members], self.evidence(members, best[members]))
             for members, _ in begun[:count]
         ]
-
-    def _jumped(self, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
-        """Starts from sizes that an effect of one number may have, where they promise more."""
-        trials, of = [], []
-        for k, (members, fit) in enumerate(begun):
-            for effect in members:
-                own = self.coordinates.of_effect(effect)
-                if len(own) == 1 and fit.x[own[0]] == 0.0:
-                    column = self.coordinates.columns[own[0]]
-                    for size in _JUMPS:
-                        x = fit.x.copy()
-                        x[own[0]] = np.clip(size * column.step, column.low, column.high)
-                        trials.append(x)
-                        of.append(k)
-        if not trials:
-            return list(begun)
-        rows = self.rows(np.array(trials))
-        out = list(begun)
-        best = [self._linear(m, f).loss for m, f in begun]
-        for x, row, k in zip(trials, rows, of, strict=True):
-            members, fit = begun[k]
-            loss, _ = self.judged(members, x, row, fit.near)
-            there = Fit(x, row, loss, fit.near)
-            promised = self._linear(members, there).loss
-            if promised < best[k] and loss < out[k][1].loss:
-                best[k], out[k] = promised, (members, there)
-        return out
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
         """Whether what was found is worth going on from."""
