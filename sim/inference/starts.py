@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.inference.linear import Fit
+from sim.inference.coordinates import Coordinates
+from sim.inference.linear import Fit, Slope
 from sim2real.inference.selection import Members
 
-if TYPE_CHECKING:
-    from sim.inference.twin_search import TwinSwims
+Array = NDArray[np.float64]
 
 _JUMPS = (-2.0, 2.0, 6.0)
 """Sizes from which a search for an effect may begin, in steps of its derivative."""
 
 
-def jumped(problem: TwinSwims, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
+class Problem(Protocol):
+    """What is asked of swims (``twin_search.TwinSwims``)."""
+
+    coordinates: Coordinates
+
+    def rows(self, points: Array) -> Array:
+        """Weighted errors at points (E, F)."""
+
+    def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
+        """Loss at a point, and the step to where it is least."""
+
+    def linear(self, members: Members, fit: Fit) -> Fit:
+        """Where that step would end."""
+
+
+def jumped(problem: Problem, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
     """Starts from sizes that an effect of one number may have, where they promise more."""
     trials, of = [], []
     for k, (members, fit) in enumerate(begun):
