@@ -32,11 +32,13 @@ from sim.inference.law_error import (
     BANDS,
     FILE,
     IN_WATER,
+    NEVER,
     RELATIVE,
     ROWS,
     LawError,
     read_law_error,
 )
+from sim.inference.linear import together
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import Model, read_model
@@ -50,8 +52,6 @@ Files = tuple[Path, ...]
 _STEPS = 30
 _BEGUN = 0.5
 """Where what was never measured begins, in steps."""
-_NEVER = 1e-3
-"""Standard deviation, in steps, of what robots never have."""
 _WORTH = 10.0
 """Robots that what was known of their spread counts for: of columns that all but cancel, a sum and
 not each is seen."""
@@ -187,7 +187,7 @@ class Told:
 def expected(one: Near, levels: Levels) -> Told:
     """A robot's columns, its swims' about them, and what both leave; near a point all is normal."""
     shares, swim_sd, robot_sd, usual = levels
-    kinds, least = one.kinds, _NEVER * one.steps
+    kinds, least = one.kinds, NEVER * one.steps
     relative = np.array([
         abs(n) if k in RELATIVE else 1.0 for k, n in zip(kinds, one.nominal, strict=True)
     ])  # fmt: skip
@@ -196,17 +196,12 @@ def expected(one: Near, levels: Levels) -> Told:
         for sd in (swim_sd, robot_sd)
     )
     mean = np.array([usual.get(k, 0.0) for k in kinds]) - one.point
-    whole, pull, parts = np.diag(1 / wide), mean / wide, []
-    for swim in one.swims:
-        normal, gradient = _weighted(swim, shares)
-        inner = np.linalg.inv(normal + np.diag(1 / each))
-        whole = whole + normal - normal @ inner @ normal
-        pull = pull - gradient + normal @ inner @ gradient
-        parts.append((swim, normal, gradient, inner))
-    spread = np.linalg.inv(whole)
-    at = spread @ pull
+    parts = [_weighted(swim, shares) for swim in one.swims]
+    whole, pull, inners = together(parts, each)
+    spread = np.linalg.inv(whole + np.diag(1 / wide))
+    at = spread @ (mean / wide - pull)
     own, left = [], []
-    for swim, normal, gradient, inner in parts:
+    for swim, (normal, gradient), inner in zip(one.swims, parts, inners, strict=True):
         step = -inner @ (gradient + normal @ at)
         sure = inner + inner @ normal @ spread @ normal @ inner
         own.append((step**2 + np.diag(sure)) / relative**2)

@@ -27,8 +27,8 @@ IN_WATER = Path(__file__).with_name("law_error_in_water.json")
 SCHEMA = "sim2real.law_error/1"
 RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are shares of their values."""
-_NEVER = 1e-3
-"""Of what the error does not pass for, in steps of a derivative."""
+NEVER = 1e-3
+"""Standard deviation of what the error does not pass for, in steps of a derivative."""
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 
 
@@ -39,8 +39,9 @@ class LawError:
     Attributes:
         shares: Error as a share of a signal's size, by signal (surge, sway, yaw rate, joints) and
             band (slow, beat, fast), shape (4, 3).
-        imitated: By kind of column, the standard deviation of what the twin's error passes for:
-            of servos and law from one swim to another, of effects that are not there.
+        imitated: By kind of column, the standard deviation from one swim of a robot to another: of
+            shapes of the error (``discrepancy``), or of what it passes for, be it servos, law or
+            effects that are not there.
         unknown: The same of a robot that was never seen, where its swims have it in common.
         usual: Mean of the law's coefficients over robots.
         shift: Mean over robots of how far they are from the nominal ones.
@@ -59,7 +60,7 @@ class LawError:
         out = []
         for c in coordinates.columns:
             known = c.kind in self.imitated
-            out.append(self._of(self.imitated, c.kind, c.nominal) if known else _NEVER * c.step)
+            out.append(self._of(self.imitated, c.kind, c.nominal) if known else NEVER * c.step)
         return np.array(out)
 
     def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:

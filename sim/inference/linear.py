@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,24 @@ class Fit:
     loss: float
     near: Slope
     looked: bool = False
+
+
+def together(parts: Sequence[tuple[Array, Array]], own: Array) -> tuple[Array, Array, list[Array]]:
+    """What swims tell together of what they have in common, each with columns of its own about it.
+
+    Args:
+        parts: Curvature (F, F) and gradient (F,) of each swim's loss at one point.
+        own: Variance of a swim's columns about those in common, shape (F,).
+
+    Returns:
+        Curvature and gradient of all losses by what is in common, and the covariance of each swim's
+        own columns where that is known.
+    """
+    inner = [np.asarray(np.linalg.inv(normal + np.diag(1 / own))) for normal, _ in parts]
+    both = list(zip(parts, inner, strict=True))
+    whole = np.sum([normal - normal @ i @ normal for (normal, _), i in both], axis=0)
+    pull = np.sum([gradient - normal @ i @ gradient for (normal, gradient), i in both], axis=0)
+    return whole, pull, inner
 
 
 def bounded(curvature: Array, gradient: Array, room: Array) -> Array:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from sim.inference import poses
 from sim.inference.coordinates import Coordinates, Swum, seen_as
 from sim.inference.discrepancy import SHARE
-from sim.inference.law_error import LAW_ERROR, LawError
+from sim.inference.law_error import LAW_ERROR, NEVER, LawError
+from sim.inference.linear import together
 from sim.inference.search import Effect
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Belief, Fit, TwinSwims
@@ -42,8 +43,6 @@ _ITS_OWN = (0.5, 6.0)
 """How much better or worse (in squares) than usual the twin may be for a robot."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """How much further than usual a robot's swims may be from its law."""
-_LEAST = 1e-3
-"""Standard deviation, in steps of a derivative, of what swims of a robot never have in common."""
 _ROUNDS = 1
 """Times that what swims have in common is worked out again, with slopes of its own."""
 _RIVALS = 4
@@ -155,26 +154,23 @@ def _shared(problem: TwinSwims, fit: Fit, usual: Belief) -> tuple[Array, Array, 
     """
     own = np.square(usual.imitation)
     common = usual.covariance - np.diag(own)
-    least = np.square(_LEAST * np.array([c.step for c in problem.coordinates.columns]))
+    least = np.square(NEVER * np.array([c.step for c in problem.coordinates.columns]))
     known = np.linalg.inv(common + np.diag(np.maximum(least - np.diag(common), 0.0)))
     here = fit.x + problem.coordinates.seems
     parts, at = [], 0
     for weight in problem.weights:
-        slope = fit.near.slope[at : at + weight.size]
-        parts.append((slope.T @ slope, slope.T @ fit.rows[at : at + weight.size]))
+        part = fit.near.slope[at : at + weight.size]
+        parts.append((part.T @ part, part.T @ fit.rows[at : at + weight.size]))
         at += weight.size
     best = -np.inf
     told: tuple[Array, Array, float] = (here, common, 1.0)
     for scale in _SCALES:
-        each = np.diag(1 / (scale**2 * own))
-        whole, pull = known.copy(), known @ (usual.mean - here)
+        whole, slope, inner = together(parts, scale**2 * own)
+        whole, pull = whole + known, known @ (usual.mean - here) - slope
         worth = 0.0
-        for normal, gradient in parts:
-            inner = np.linalg.inv(normal + each)
-            whole += normal - normal @ inner @ normal
-            pull -= gradient - normal @ inner @ gradient
-            size = np.linalg.slogdet(normal + each)[1] + np.log(scale**2 * own).sum()
-            worth += 0.5 * float(gradient @ inner @ gradient) - 0.5 * float(size)
+        for (_, gradient), each in zip(parts, inner, strict=True):
+            size = np.log(scale**2 * own).sum() - np.linalg.slogdet(each)[1]
+            worth += 0.5 * float(gradient @ each @ gradient) - 0.5 * float(size)
         spread: Array = np.asarray(np.linalg.inv(whole), dtype=np.float64)
         worth += 0.5 * float(pull @ spread @ pull) - 0.5 * float(np.linalg.slogdet(whole)[1])
         if worth > best:

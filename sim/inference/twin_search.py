@@ -2,11 +2,12 @@
 
 Near a fit a swim is linear in all coordinates, so one batch of rollouts (``look``) tells what every
 effect would bring, and refits follow its derivatives, a rollout or two a step. What the twin gets
-wrong is a part of the noise: what is left has the size that ``Blocks`` say, and every effect that a
-hypothesis does not have may still seem to be there by as much as the twin's error imitates it. So
-evidence is that of a normal model with all columns in every hypothesis: those of an effect that is
-there have its prior, the others the imitation's (MacKay, Information Theory, Inference, and
-Learning Algorithms (2003), ch. 28).
+wrong is a part of the noise: what is left has the size that ``Blocks`` say, shapes of that error
+(``discrepancy``) are columns that no fit bends to, and an effect that a hypothesis does not have
+may still seem to be there by as much as the error imitates it. So evidence is that of a normal
+model with all columns in every hypothesis: those of an effect that is there have its prior, the
+others the imitation's (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch.
+28).
 """
 
 from __future__ import annotations
@@ -77,11 +78,11 @@ class TwinSwims:
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        changes = zip(self.blocks, self.doubted, strict=bool(self.doubted))
-        more: list[Array | float] = [_IN_DOUBT**2 * one.about(change) for one, change in changes]
-        more = more or [0.0] * len(self.blocks)
+        doubts: list[Array | float] = [0.0] * len(self.blocks)
+        for k, change in enumerate(self.doubted):
+            doubts[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
         self.weights = [
-            one.weights(self.belief.shares, v) for one, v in zip(self.blocks, more, strict=True)
+            one.weights(self.belief.shares, v) for one, v in zip(self.blocks, doubts, strict=True)
         ]
         if self.doubted:
             self._doubt()
