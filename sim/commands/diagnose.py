@@ -11,13 +11,6 @@ from tqdm import tqdm
 
 from sim.inference.coordinates import Swum
 from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.fluid_diagnosis import (
-    diagnose_in_fluid,
-    effects_of,
-    moves,
-    read_water,
-    swim_batches,
-)
 from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     VARIANTS,
@@ -31,12 +24,10 @@ from sim.inference.in_water import (
     write_water,
 )
 from sim.inference.law_error import IN_WATER, LAW_ERROR, read_law_error
-from sim.inference.search import Effect
-from sim.inference.swim_decision import LIKELY
-from sim.inference.swims import Swim, by_fluid, swim_of, values_of, with_values
+from sim.inference.swims import Swim, swim_of
 from sim.view.diagnosis_page import swims_section
 from sim2real.commands import diagnose as servos
-from sim2real.diagnose.result import Diagnosis, write_diagnosis
+from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
@@ -50,8 +41,6 @@ def run(options: argparse.Namespace) -> int:
     recordings = [read_recording(path) for path in options.recordings]
     swims = [one for one in recordings if one.kind == "pool" and "body.x_m" in one.columns]
     if not swims:
-        if options.water:
-            raise InputError("diagnose", "--water", "recordings of a bench", "swims in a pool")
         return servos.run(options)
     if len(swims) < len(recordings):
         other = next(one for one in recordings if one not in swims)
@@ -62,8 +51,6 @@ def run(options: argparse.Namespace) -> int:
     references = [read_recording(path) for path in options.references or ()]
     out = check_writable(options.out)
     robot, model = read_robot(options.robot), read_model(options.model)
-    if options.water:
-        read_water(options.water, robot, options.cell_m)  # a wrong file is told before the work
     given = [swim_of(one, robot) for one in swims]
     earlier = [swim_of(one, robot) for one in references]
     simulate, known = by_followed_twin(robot), LAW_ERROR
@@ -85,14 +72,10 @@ def run(options: argparse.Namespace) -> int:
             again=again,
             progress=lambda share: bar.update(round(100 * share) - bar.n),
         )
-    if options.water:
-        found = _in_fluid(given, model, robot, found, options)
     files = [*options.recordings, *(options.references or ())]
-    files += [one for one in (options.water, options.in_water) if one]
+    files += [options.in_water] if options.in_water else []
     inputs = [*files, options.robot, options.model]
-    # the search in the twin draws nothing at random
-    seed = options.seed if options.water else None
-    found = replace(found, provenance=provenance(inputs, seed))
+    found = replace(found, provenance=provenance(inputs, None))  # nothing is drawn at random
     enriched = out.with_name(f"{out.stem}.enriched.json")
     write_model(found.model, enriched)
     write_diagnosis(found, out, enriched.name)
@@ -109,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
         many = "1 swim" if len(swims) == 1 else f"{len(swims)} swims"
         subtitle = f"{many}, verdict: {found.verdict.replace('_', ' ')}"
         # only what the search was made with can draw what it found
-        elsewhere = options.water or (options.in_water and options.device != "cpu")
+        elsewhere = options.in_water and options.device != "cpu"
         section = swims_section(found, given, None if elsewhere else simulate, robot)
         write_page(page, title, subtitle, [section], found.provenance)
         print(f"page: {page}")
@@ -135,50 +118,3 @@ def _swum(
         if key(swim) not in kept.steps:
             raise InputError(path, "commands", f"not those of {swim.name}", "what was sent in it")
     return kept
-
-
-def _in_fluid(
-    swims: list[Swim], model: Model, robot: Robot, twin: Diagnosis, options: argparse.Namespace
-) -> Diagnosis:
-    """The search again in the fluid, from what the twin named."""
-    water, prior = read_water(options.water, robot, options.cell_m)
-    named = [(one.effect, one.component) for one in twin.effects if one.probability >= LIKELY]
-    own = {p.name for p in water}  # what the water has is searched from its own mean
-    claimed = [
-        one
-        for one in effects_of(robot)
-        if moves(one) and one.free[0].name not in own and (one.name, one.component) in named
-    ]
-    names = [p.name for one in claimed for p in one.free]
-    start = with_values(model, dict(zip((p.name for p in water), prior.mean, strict=True)))
-    start = with_values(start, dict(zip(names, values_of(twin.model, names), strict=True)))
-    fluid = by_fluid(robot, cell_m=options.cell_m, device=options.device, threads=2)
-
-    def search(start: Model, claimed: Sequence[Effect]) -> Diagnosis:
-        count = options.rollouts
-        batches = [
-            swim_batches(swim, start, robot, fluid, water, claimed, count=count, seed=options.seed)
-            for swim in swims
-        ]
-        with tqdm(total=100, desc="diagnose, fluid", unit="%", disable=None) as bar:
-            return diagnose_in_fluid(
-                batches,
-                start,
-                robot,
-                fluid,
-                water,
-                prior,
-                claimed,
-                progress=lambda share: bar.update(round(100 * share) - bar.n),
-            )
-
-    found = search(start, claimed)
-    if not claimed:
-        return found
-    named = [(one.effect, one.component) for one in found.effects]
-    start = with_values(start, {one.free[0].name: 0.0 for one in claimed})
-    claimed = [one for one in claimed if (one.name, one.component) in named]
-    names = [p.name for one in claimed for p in one.free]
-    # again, about where it landed: far from the twin's guess the emulator knows little
-    found_there = dict(zip(names, values_of(found.model, names), strict=True))
-    return search(with_values(start, found_there), claimed)

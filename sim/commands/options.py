@@ -64,12 +64,6 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json"
     )
     command.add_argument(
-        "--water",
-        type=Path,
-        metavar="MODEL",
-        help="swims: go on in the fluid, with the water of MODEL.json by calibrate --fluid",
-    )
-    command.add_argument(
         "--in-water",
         type=Path,
         metavar="NPZ",
@@ -77,10 +71,6 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
         "it), and the twin says only what changes",
     )
     command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0, for the fluid")
-    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="side of a cell")
-    command.add_argument(
-        "--rollouts", type=int, default=48, metavar="N", help="of a batch in the fluid (default 48)"
-    )
     command.add_argument(
         "--negligible",
         type=float,

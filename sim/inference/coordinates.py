@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.inference import discrepancy
-from sim.inference.parameters import candidates
-from sim.inference.search import Effect
+from sim.inference.parameters import Candidate, candidates
 from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
 from sim2real.body import values
@@ -100,7 +99,7 @@ class Coordinates:
 
     model: Model
     columns: tuple[Column, ...]
-    effects: tuple[Effect, ...]
+    effects: tuple[Candidate, ...]
     place: Mapping[str, int] = field(default_factory=dict)
     seems: Array | float = 0.0
 
@@ -127,7 +126,7 @@ class Coordinates:
         for name in WATER:
             if name in model.body.get("water", {}):
                 columns.append(Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5, np.inf))
-        listed = tuple(Effect(*one) for one in candidates(robot))
+        listed = tuple(candidates(robot))
         for one in listed:
             for p in one.free:
                 low, high = 0.0 if one.name in RESISTS else p.low, p.high
@@ -152,7 +151,7 @@ class Coordinates:
         place = {column.name: k for k, column in enumerate(columns)}
         return replace(self, columns=columns, place=place, seems=seems)
 
-    def of_effect(self, effect: Effect) -> list[int]:
+    def of_effect(self, effect: Candidate) -> list[int]:
         """Columns of an effect."""
         return [self.place[p.name] for p in effect.free]
 
@@ -286,7 +285,7 @@ def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -
     return out
 
 
-def in_fit(columns: Sequence[Column], members: frozenset[Effect]) -> NDArray[np.bool_]:
+def in_fit(columns: Sequence[Column], members: frozenset[Candidate]) -> NDArray[np.bool_]:
     """Which columns a fit with these effects moves, shape (F,)."""
     on = {(e.name, e.component) for e in members}
     return np.array([c.effect is None or c.effect in on for c in columns])

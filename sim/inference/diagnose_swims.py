@@ -19,7 +19,7 @@ from sim.inference import poses
 from sim.inference.coordinates import Swum, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
-from sim.inference.search import Effect
+from sim.inference.parameters import Candidate
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import LIKELY, Decided, decide
 from sim.inference.swim_findings import findings
@@ -211,7 +211,7 @@ def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
 
 
 def _estimates(
-    found: Searched, chosen: Hypothesis[Fit], effect: Effect, relative: float
+    found: Searched, chosen: Hypothesis[Fit], effect: Candidate, relative: float
 ) -> dict[str, Estimate]:
     """What the fit says of an effect, by draws: its parameters bend with its coordinates.
 

@@ -29,12 +29,8 @@ ROLLOUTS = 48
 """Rollouts of a batch: 42 s of an H200 in cells of 1 cm."""
 REACH = 0.75
 """How far a batch goes to each side of its centre, in the parameters' sizes."""
-_RIDGE, _RIDGE_OF_SQUARES = 1.0, 4.0
-"""How much slopes are drawn to 0, against a weight of one a rollout."""
-_STRONG = ("skin_", "tether", "trim_asymmetry")
-"""Effects that may be large, whose squares are regressed too."""
-_RELAXATIONS_S = (0.12, 0.5)
-"""A skin that gives way acts as a mixture of two with these times."""
+_RIDGE = 1.0
+"""Ridge penalty of the slopes, against a weight of one per rollout."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +122,15 @@ class _Regression:
             found = f"{np.sum(~well)} of {well.size} rollouts stopped"
             raise InputError(batch.swim.name, "simulator", found, "most of them whole")
         steps = steps_of(batch.track[well])
-        places = [places_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[well]]
-        self.names, self._keys = batch.names, tuple(places[0])
+        places = [
+            coordinates_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[well]
+        ]
+        self.names = batch.names
         x = np.array([list(place.values()) for place in places])
         self._centre, self._size = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-12)
-        self._strong = np.array([key.startswith(_STRONG) for key in self._keys])
         terms = self._terms(x)
         ridge = np.full(terms.shape[1], _RIDGE)
-        ridge[0], ridge[1 + x.shape[1] :] = 0.0, _RIDGE_OF_SQUARES
+        ridge[0] = 0.0
         normal = terms.T @ terms + np.diag(ridge)
         flat = steps.reshape(len(steps), -1)
         self._weights = np.linalg.solve(normal, terms.T @ flat)
@@ -142,35 +139,19 @@ class _Regression:
 
     def _terms(self, x: Array) -> Array:
         z = (x - self._centre) / self._size
-        return np.concatenate([np.ones((len(z), 1)), z, z[:, self._strong] ** 2 - 1], axis=1)
+        return np.concatenate([np.ones((len(z), 1)), z], axis=1)
 
     def track(self, models: Sequence[Model], start: Array) -> Array:
         rows = [values_of(model, self.names) for model in models]
-        places = [places_of(dict(zip(self.names, row, strict=True))) for row in rows]
+        places = [coordinates_of(dict(zip(self.names, row, strict=True))) for row in rows]
         x = np.array([list(place.values()) for place in places])
         steps = (self._terms(x) @ self._weights).reshape(len(models), *self._shape)
         return path_of(steps, start, self._joint)
 
 
-def places_of(values: Mapping[str, float]) -> dict[str, float]:
-    """Coordinates in which a rollout is smooth, by name, of parameters by name.
-
-    A tether's force is linear in its stiffness and in stiffness times anchor; that of a skin that
-    gives way in its stiffness, at a time between two known ones nearly linear in the time's
-    logarithm; the fluid feels its viscosity's logarithm.
-    """
+def coordinates_of(values: Mapping[str, float]) -> dict[str, float]:
+    """Coordinates in which a rollout is nearly linear: the logarithm of the viscosity."""
     out = dict(values)
-    tether = out.get("tether.stiffness_N_per_m")
-    for name in ("tether.x_m", "tether.y_m"):
-        if name in out and tether is not None:
-            out[name] = tether * out[name]
-    stiff, time = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
-    if stiff in out and time in out:
-        short, long = np.log(_RELAXATIONS_S)
-        share = (np.log(max(out[time], 1e-3)) - short) / (long - short)
-        share = float(np.clip(share, -0.5, 1.7))
-        out[stiff], out[time] = out[stiff] * (1 - share), out[stiff] * share
-        out["skin_viscoelasticity.long"] = out.pop(time)
     if "water.viscosity_m2_s" in out:
         out["water.viscosity_m2_s"] = float(np.log(out["water.viscosity_m2_s"]))
     return out
@@ -198,4 +179,4 @@ def path_of(steps: Array, start: Array, joint: Array) -> Array:
     return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
 
 
-__all__ = ["ROLLOUTS", "Batch", "Emulator", "places_of", "path_of", "rollouts", "steps_of"]
+__all__ = ["ROLLOUTS", "Batch", "Emulator", "coordinates_of", "path_of", "rollouts", "steps_of"]

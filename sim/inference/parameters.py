@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
 from sim2real.body import BODY, CAMERA, body_effect
@@ -9,6 +11,21 @@ from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
+
+
+class Candidate(NamedTuple):
+    """An effect of the body or of the camera that a simulator may leave out.
+
+    Attributes:
+        name: Its identifier in the catalogue.
+        component: The material that it belongs to, or ``body`` or ``camera``.
+        free: Its parameters.
+    """
+
+    name: str
+    component: str
+    free: tuple[Parameter, ...]
+
 
 _LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
 """What counts as a usual value of a coefficient where the fitted one is smaller."""
@@ -84,18 +101,18 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
     return [*free, _about("water.viscosity_m2_s", 1.2 * least, 0.4 * least, bounds, 0.6 * least)]
 
 
-def candidates(robot: Robot) -> list[tuple[str, str, tuple[Parameter, ...]]]:
-    """Effects, what they belong to (a material, the body or the camera), their parameters."""
+def candidates(robot: Robot) -> list[Candidate]:
+    """Every effect of the catalogue's body and camera that this robot may have."""
     out = []
     every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
     for effect in every:
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))
-                out.append((effect.name, material or "body", free))
+                out.append(Candidate(effect.name, material or "body", free))
         else:
             where = "camera" if effect.camera else "body"
-            out.append((effect.name, where, tuple(effect_parameters(effect.name))))
+            out.append(Candidate(effect.name, where, tuple(effect_parameters(effect.name))))
     return out
 
 

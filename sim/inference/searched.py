@@ -22,7 +22,7 @@ from sim.inference.coordinates import Coordinates, Swum, seen_as
 from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.linear import together
-from sim.inference.search import Effect
+from sim.inference.parameters import Candidate
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Belief, Fit, TwinSwims
 from sim.inference.unlisted import gains
@@ -113,7 +113,7 @@ class Searched:
 
 def names_of(members: Members) -> tuple[tuple[str, str], ...]:
     """Effects of a set, as names and components."""
-    listed: list[Effect] = list(members)
+    listed: list[Candidate] = list(members)
     return tuple(sorted((one.name, one.component) for one in listed))
 
 

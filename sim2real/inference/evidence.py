@@ -1,4 +1,4 @@
-"""What a fit is worth: likelihoods at their best, Laplace's evidence, probabilities of rivals."""
+"""Terms of the log-evidence of a fit: profile likelihood, Occam factor, expected chance gain."""
 
 from __future__ import annotations
 
@@ -36,27 +36,9 @@ def occam_factor(information: Array, prior_sd: float, nuisance: int = 0) -> Arra
     return np.asarray(0.5 * np.linalg.slogdet(matrix)[1])
 
 
-def log_evidence(loss: float, curvature: Array, covariance: Array) -> float:
-    """Laplace's, up to a constant that models of the same data share (MacKay (2003), ch. 28).
-
-    Args:
-        loss: Minus log-likelihood and log-prior at the best, without their constants.
-        curvature: Its second derivatives, the prior's included, shape (F, F).
-        covariance: Of the normal prior, shape (F, F).
-    """
-    size = np.linalg.slogdet(curvature)[1] + np.linalg.slogdet(covariance)[1]
-    return -loss - 0.5 * float(size)
-
-
 def chance_gain(parameters: int, count: float) -> float:
     """Log-likelihood that parameters gain by chance: Schwarz, Ann. Stat. 6 (1978) 461."""
     return 0.5 * parameters * float(np.log(count))
-
-
-def probabilities(evidence: Array) -> Array:
-    """Of models that exclude each other, from logarithms (N,) of evidence and prior together."""
-    weight = np.exp(evidence - np.max(evidence))
-    return np.asarray(weight / weight.sum())
 
 
 def student(score2: ArrayLike, known: float) -> Array:

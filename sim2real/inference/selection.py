@@ -1,4 +1,4 @@
-"""The search: which candidates does a problem need? Forward, swap, prune; every set refitted.
+"""The search: which candidates does a problem need? Forward and swap steps; every set is refitted.
 
 A problem is what ``Problem`` says: it refits sets of candidates and knows which are worth trying.
 Many cases (joints, robots) go along together, so that a problem may share launches between them.
@@ -143,28 +143,6 @@ def select(
         _extend(problem, going, breadth)
         going = [ledger for ledger in going if ledger.best.members != before[ledger.case]]
     progress(1.0)
-
-
-def prune(
-    refit: Callable[[Members], Hypothesis[Fit]], members: Members
-) -> tuple[Hypothesis[Fit], dict[Hashable, float]]:
-    """Leave out members of a set, the least useful first, while the evidence grows.
-
-    Args:
-        refit: The fit of a set.
-        members: Where to begin.
-
-    Returns:
-        What stays, and the evidence that each of its members adds to the others.
-    """
-    found = refit(members)
-    while found.members:
-        without = {m: refit(found.members - {m}) for m in sorted(found.members, key=str)}
-        least = max(without, key=lambda m: without[m].evidence)
-        if without[least].evidence <= found.evidence:
-            return found, {m: found.evidence - h.evidence for m, h in without.items()}
-        found = without[least]
-    return found, {}
 
 
 def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadth: Breadth) -> None:

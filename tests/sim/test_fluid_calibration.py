@@ -10,14 +10,13 @@ import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES, swum
 
-from sim.inference.emulator import Batch, Emulator, places_of, rollouts
+from sim.inference.emulator import Batch, Emulator, rollouts
 from sim.inference.fluid_calibration import calibrate_in_fluid
-from sim.inference.fluid_fit import fit
 from sim.inference.parameters import effect_parameters, servo_parameters, water_parameters
 from sim.inference.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
 from sim.robot.swimmer import Swimmer, least_viscosity
 from sim2real.errors import InputError
-from sim2real.inference.parameters import Gaussian, Parameter
+from sim2real.inference.parameters import Parameter
 from sim2real.recording import read_recording
 
 NOISE = np.array([0.005, 0.005, 0.02, 0.002, 0.002, 0.002])
@@ -87,21 +86,6 @@ def test_swims_with_the_same_commands_are_told_apart_by_where_they_began():
         both([servos()], SENT, np.array([9.0, 9.0, 0.0]))
 
 
-def test_a_tethers_anchor_counts_with_its_stiffness():
-    placed = places_of(
-        {"tether.stiffness_N_per_m": 0.2, "tether.x_m": 0.5, "water.viscosity_m2_s": np.e}
-    )
-    assert placed["tether.x_m"] == pytest.approx(0.1)
-    assert placed["water.viscosity_m2_s"] == pytest.approx(1.0)
-    skin = "skin_viscoelasticity."
-    ends = [
-        places_of({f"{skin}stiffness_Nm_per_rad": 0.6, f"{skin}relaxation_s": time})
-        for time in (0.12, 0.5)
-    ]
-    assert list(ends[0].values()) == pytest.approx([0.6, 0.0])
-    assert list(ends[1].values()) == pytest.approx([0.0, 0.6])
-
-
 def test_what_was_put_in_comes_out_of_the_emulator():
     truth = {"form_drag.coefficient": 0.3, "j1.latency_s": 0.075, "j2.kp_Nm_per_rad": 2.2}
     found = calibrate_in_fluid(
@@ -139,27 +123,6 @@ def test_coarser_cells_widen_the_intervals():
     assert (widths[1] >= widths[0]).all()
     form = [p.name for p in alone.free].index("form_drag.coefficient")
     assert widths[1][form] > 1.2 * widths[0][form]
-
-
-def test_evidence_says_which_parameter_is_there():
-    swim = recorded({"skin_elasticity.stiffness_Nm_per_rad": 0.3})
-    both = some("skin_elasticity", "form_drag")
-    emulator = Emulator([rollouts(by_twin(FISH), swim, servos(), both, count=32)])
-    plain = fit([swim], servos(), some("form_drag"), emulator)
-    skin = fit([swim], servos(), both, emulator, weights=plain.weights)
-    nothing = fit([swim], servos(), [*both, *some("camera_scale")], emulator, weights=plain.weights)
-    assert skin.evidence > plain.evidence + 5
-    assert nothing.evidence < skin.evidence
-    assert skin.best[0] == pytest.approx(0.3, rel=0.15)
-
-
-def test_a_posterior_is_the_next_prior():
-    swim = recorded({"form_drag.coefficient": 0.3})
-    free = some("form_drag", "added_mass")
-    emulator = Emulator([rollouts(by_twin(FISH), swim, servos(), free, count=24)])
-    found = fit([swim], servos(), free, emulator)
-    held = fit([swim], servos(), free, emulator, prior=Gaussian(found.best, 1e-9 * np.eye(2)))
-    assert held.best == pytest.approx(found.best, abs=1e-4)
 
 
 def test_noise_of_a_shipped_swim_is_what_the_camera_has():
