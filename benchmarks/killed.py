@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.commands.ranges import POSTERIOR, chain_file
-from sim2real.posterior.chain import Chain, read_chain
+from sim2real.commands.ranges import POSTERIOR
+from sim2real.posterior.chain import Chain, chain_file, read_chain
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "datasets" / "servo_steps"

@@ -1,39 +1,24 @@
-"""The verbs of ``sim2real.verbs`` that need water: ``diagnose``, ``calibrate``, ``simulate``.
+"""The verbs of ``sim2real.verbs`` that need the fluid: ``diagnose``, ``calibrate``, ``simulate``.
 
-They are called as the others are; ``import sim2real`` offers them too, and loads them when used.
+They are called like the others; ``import sim2real`` offers them too, and loads them when used.
+Like ``sim2real.verbs``, this module imports nothing heavy.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.commands.calibrate import table, with_figures
-from sim.commands.simulate import every_period
-from sim.inference import calibrate as bodies
-from sim.inference.calibrate import Calibrated
-from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.followed import by_followed_twin
-from sim.inference.parameters import law_parameters, servo_parameters
-from sim.inference.problem import HELD_OUT_SHARE
-from sim.inference.swims import Swim, by_fluid, by_twin, swim_of
-from sim2real.diagnose import diagnose as servos
-from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
-from sim2real.model import Model
-from sim2real.recording import Commands, Recording
-from sim2real.robot import Robot, match_joints
-from sim2real.verbs import File, Recorded, model_of, recordings_of, robot_of
+from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-
-POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
+    from sim.inference.calibration import Calibration
+    from sim.simulation import Simulated
+    from sim2real.diagnose.result import Diagnosis
+    from sim2real.model import Model
+    from sim2real.robot import Robot
+    from sim2real.verbs import File, Recorded
 
 
 def diagnose(
@@ -42,66 +27,61 @@ def diagnose(
     model: Model | File | None = None,
     *,
     references: Recorded = (),
+    negligible: float = 0.05,
+    in_water: File | None = None,
+    device: str = "cpu",
     seed: int = 0,
 ) -> Diagnosis:
     """Find the physics that a fitted servo leaves out, or, from swims, that the body does.
 
-    Swims are diagnosed in the reduced-order twin; ``sim2real diagnose --water`` goes on in the
-    fluid.
-
     Args:
-        recordings: Recordings of servos, or of a robot that swims; not both.
-        robot: The robot that was recorded.
-        model: A model to start from; swims need one.
-        references: Recordings from before: then only what has changed since is named.
-        seed: Of everything random.
+        recordings: Recordings of servos, or of a robot that swims; not both (NAME.csv with
+            NAME.json).
+        robot: The robot that was recorded (robot.toml).
+        model: A model to start from; swims need one (MODEL.json).
+        references: Earlier recordings of the same robot; only what has changed since is reported.
+        negligible: An effect that changes the held-out error by less than this share is listed and
+            does not change the verdict.
+        in_water: Swims only. The fluid first simulates the recorded commands (a minute on a GPU),
+            the result is kept in this file (.npz), or read from it, and the twin predicts only the
+            differences.
+        device: Warp device of the fluid, cpu or cuda:0.
+        seed: Seed of the bootstraps.
 
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
-    given, known = recordings_of(recordings), robot_of(robot)
-    before = recordings_of(references) if references else []
+    from sim.inference.recorded_swims import diagnose_recorded_swims, has_poses
+    from sim2real.diagnose import diagnose as servos
+    from sim2real.progress import progress_bar
+
+    read, known = recordings_of(recordings), robot_of(robot)
+    earlier = recordings_of(references) if references else []
     start = None if model is None else model_of(model)
-    swims = [one for one in given if one.kind == "pool" and POSE[0] in one.columns]
+    swims = [recording for recording in read if has_poses(recording)]
     if not swims:
-        return servos.diagnose(given, known, model=start, references=before, seed=seed)
-    if len(swims) < len(given):
-        other = next(one for one in given if one not in swims)
+        if in_water is not None:
+            found, expected = "recordings of a bench", "swims in a pool"
+            raise InputError("diagnose", "in_water", found, expected)
+        with progress_bar("diagnose") as progress:
+            return servos.diagnose(
+                read,
+                known,
+                model=start,
+                references=earlier,
+                negligible=negligible,
+                seed=seed,
+                progress=progress,
+            )
+    if len(swims) < len(read):
+        other = next(recording for recording in read if recording not in swims)
         raise InputError(other.file, "kind", "a recording of a bench", "swims alone, or none")
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
-    seen, then = ([swim_of(one, known) for one in some] for some in (swims, before))
-    return diagnose_swims(seen, start, known, by_followed_twin(known), references=then)
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """A body fitted to swims.
-
-    Attributes:
-        model: The calibrated model, with intervals (``body``) and errors (``fit``).
-        before: The model that it started from.
-        robot: The robot.
-        swims: What was fitted, its last part held out.
-        found: Parameters, their standard deviations and errors before and after.
-    """
-
-    model: Model
-    before: Model
-    robot: Robot
-    swims: tuple[Swim, ...]
-    found: Calibrated
-
-    def __str__(self) -> str:
-        """Parameters with 90 % intervals, and errors on what was held out."""
-        return table(self.found, "twin", self.robot)
-
-    def plot(self, swim: int = 0) -> Figure:
-        """One swim as measured, and simulated before and after."""
-        from sim.view.calibration_plot import comparison
-
-        twin = by_twin(self.robot)
-        return comparison(self.swims[swim], self.before, self.model, twin, self.robot)
+    kept = None if in_water is None else Path(in_water)
+    return diagnose_recorded_swims(
+        swims, start, known, references=earlier, in_water=kept, device=device
+    )
 
 
 def calibrate(
@@ -110,65 +90,50 @@ def calibrate(
     model: Model | File,
     *,
     fit_gains: bool = False,
-    held_out: float = HELD_OUT_SHARE,
+    held_out: float = 1 / 3,
+    fluid: bool = False,
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    rollouts: int = 48,
+    seed: int = 0,
 ) -> Calibration:
-    """Fit the body in the water to swims, in the reduced-order twin.
-
-    ``sim2real calibrate --fluid`` goes on in the fluid. Nothing in it is random.
+    """Fit the body in the water to swims, in the reduced-order twin and then in the fluid.
 
     Args:
-        recordings: Swims, with poses of the body.
-        robot: The robot that was recorded.
-        model: Its servos.
-        fit_gains: Fit the servos' gains too, not only their latency.
+        recordings: Swims, with poses of the body (NAME.csv with NAME.json).
+        robot: The robot that was recorded (robot.toml).
+        model: Its servos (MODEL.json).
+        fit_gains: Fit the servos' gains too, and not only their latencies.
         held_out: Share of each swim, at its end, that is scored and not fitted.
+        fluid: Continue the fit in the fluid, which needs a GPU.
+        device: Warp device of the fluid, cpu or cuda:0.
+        cell_m: Side of a cell of the fluid, in m.
+        rollouts: Rollouts of a batch in the fluid.
+        seed: Seed of the designs of the fluid's batches.
 
     Raises:
-        InputError: If recordings, robot and model do not agree.
+        InputError: If recordings, robot and model do not agree, or the fluid stops the robot.
     """
+    from dataclasses import replace
+
+    from sim.inference.calibration import Fluid, calibrate_body
+    from sim.inference.swims import swim_of
+    from sim2real.output import provenance_of
+
     known, start = robot_of(robot), model_of(model)
     check_joints(start, known)
-    swims = [swim_of(one, known) for one in recordings_of(recordings)]
-    free = [*law_parameters(), *servo_parameters(start, known, gains=fit_gains)]
-    found = bodies.calibrate(swims, start, free, by_twin(known), held_out=held_out)
-    return Calibration(with_figures(found, known), start, known, tuple(swims), found)
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """Swims of a model.
-
-    Attributes:
-        swims: Pool recordings: commands, measured joint angles and the head's pose, every 20 ms.
-    """
-
-    swims: tuple[Recording, ...]
-
-    def __str__(self) -> str:
-        """How long and how far each robot swam."""
-        lines = []
-        for one in self.swims:
-            x, y = (one.columns[name] for name in POSE[:2])
-            way = float(np.hypot(np.diff(x), np.diff(y)).sum())
-            away = float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
-            said = f"{one.name}: {one.duration_s:.2f} s, its head's way {way:.3f} m"
-            lines.append(f"{said}, {away:.3f} m from where it began")
-        return "\n".join(lines)
-
-    def plot(self) -> Figure:
-        """The ways of the heads, from above."""
-        from sim2real.report.style import house_style, new_figure
-
-        with house_style():
-            figure = new_figure(420, "the ways of the heads, from above")
-            axes = figure.subplots()
-            for one in self.swims:
-                axes.plot(one.columns[POSE[0]], one.columns[POSE[1]], label=one.name)
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.set_xlabel("x, m")
-            axes.set_title("y, m")
-            axes.legend()
-        return figure
+    read = recordings_of(recordings)
+    found = calibrate_body(
+        [swim_of(recording, known) for recording in read],
+        start,
+        known,
+        fit_gains=fit_gains,
+        held_out=held_out,
+        fluid=Fluid(cell_m, device, rollouts) if fluid else None,
+        seed=seed,
+    )
+    origin = provenance_of([*read, known, model], seed)
+    return replace(found, model=replace(found.model, provenance=origin))
 
 
 def simulate(
@@ -179,39 +144,62 @@ def simulate(
     fidelity: Literal["fluid", "twin"] = "fluid",
     cell_m: float = 0.02,
     device: str = "cpu",
+    dimensions: int = 3,
+    walls: bool = False,
+    plot: File | None = None,
+    video: File | None = None,
 ) -> Simulated:
-    """Swim the commands of recordings, in the fluid or in its twin.
+    """Simulate the commands of recordings in the fluid or in its twin.
 
-    What was measured in them is not looked at, but for the first pose of a swim.
+    Measurements are not used, except for the first pose of a swim.
 
     Args:
-        recordings: Whose commands are sent.
-        robot: The robot.
-        model: Its servos and its body.
-        fidelity: The lattice-Boltzmann fluid, or its reduced-order twin.
+        recordings: Recordings, or tables of commands (t_s, J.command_rad) without measurements.
+        robot: The robot (robot.toml).
+        model: Its servos and its body (MODEL.json).
+        fidelity: The lattice-Boltzmann fluid or its reduced-order twin.
         cell_m: Side of a cell of the fluid, in m.
-        device: ``cpu`` or ``cuda:0``.
+        device: Warp device, cpu or cuda:0.
+        dimensions: 3, or 2 for a fluid in the plane.
+        walls: Simulate a closed box, and not one that follows the robot.
+        plot: PNG file for the flow at the end.
+        video: MP4, AVI or GIF file for a video of the flow.
 
     Raises:
         InputError: If recordings, robot and model do not agree, or a set-point is missing.
-        FloatingPointError: If the water became supersonic, and the robot was stopped.
+        FloatingPointError: If the flow became supersonic, and the robot was stopped.
     """
-    known, fitted = robot_of(robot), model_of(model)
+    from sim.simulation import Simulated, simulate_recording
+    from sim.view.render import check_picture
+    from sim.view.video import check_video
+
+    if plot is not None:
+        check_picture(Path(plot))
+    if video is not None:
+        check_video(video)
+    if fidelity == "twin" and (plot is not None or video is not None):
+        raise InputError("simulate", "fidelity", "'twin'", "'fluid', for a picture of the flow")
+    read, known, fitted = recordings_or_commands(recordings), robot_of(robot), model_of(model)
+    if len(read) > 1 and (plot is not None or video is not None):
+        raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, known)
-    on_fluid = {"cell_m": cell_m, "device": device, "threads": 2}
-    twin = fidelity == "twin"
-    water = by_twin(known, device=device) if twin else by_fluid(known, **on_fluid)
-    swims = []
-    for one in recordings_of(recordings):
-        match_joints(one, known)
-        sent = {joint: one.command[:, j] for j, joint in enumerate(one.joints)}
-        t, command = every_period(Commands(one.t, sent, one.loads), known, one.file)
-        start = np.array([_first(one, name) for name in POSE])
-        track = water([fitted], command, start)[0]
-        if not np.isfinite(track).all():
-            raise FloatingPointError(f"{one.name}: the water became supersonic")
-        swims.append(_swum(one.name, known, t, command, track))
-    return Simulated(tuple(swims))
+    return Simulated(
+        tuple(
+            simulate_recording(
+                recording,
+                known,
+                fitted,
+                fidelity=fidelity,
+                cell_m=cell_m,
+                device=device,
+                dimensions=dimensions,
+                walls=walls,
+                plot=plot,
+                video=video,
+            )
+            for recording in read
+        )
+    )
 
 
 def check_joints(model: Model, robot: Robot) -> None:
@@ -224,23 +212,3 @@ def check_joints(model: Model, robot: Robot) -> None:
         if joint.name not in model.joints:
             known = ", ".join(model.joints) or "none"
             raise InputError("model", "joints", known, f"the robot's joint {joint.name}")
-
-
-def _first(recording: Recording, column: str) -> float:
-    known = recording.columns.get(column, np.zeros(0))
-    finite = known[np.isfinite(known)]
-    return float(finite[0]) if finite.size else 0.0
-
-
-def _swum(name: str, robot: Robot, t: Array, command: Array, track: Array) -> Recording:
-    return Recording(
-        name=name,
-        kind="pool",
-        joints=tuple(joint.name for joint in robot.joints),
-        t=t,
-        command=command,
-        position=track[:, 3:],
-        medium="water",
-        source=f"Simulated, not measured: a model on the commands of {name}.",
-        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
-    )

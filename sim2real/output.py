@@ -82,6 +82,14 @@ def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> di
     }
 
 
+def provenance_of(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
+    """``provenance`` of values: of the file that each is, or was read from (``path``)."""
+    files = [
+        one if isinstance(one, str | os.PathLike) else getattr(one, "path", None) for one in inputs
+    ]
+    return provenance([file for file in files if file is not None], seed)
+
+
 def _version(name: str) -> str:
     try:
         return version(name)

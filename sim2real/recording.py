@@ -182,6 +182,26 @@ def read_commands(path: str | os.PathLike[str]) -> Commands:
     return Commands(t, {joint: command[:, j] for j, joint in enumerate(joints)}, loads)
 
 
+def read_commands_as_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read the commands of a CSV as a bench recording without measurements (positions are NaN).
+
+    Raises:
+        InputError: If times or commands are not as the format says.
+    """
+    commands = read_commands(path)
+    command = np.stack(list(commands.by_joint.values()), axis=1)
+    return Recording(
+        name=Path(path).stem,
+        kind="servo",
+        joints=tuple(commands.by_joint),
+        t=commands.t,
+        command=command,
+        position=np.full_like(command, np.nan),
+        loads=commands.loads,
+        path=Path(path),
+    )
+
+
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write ``NAME.csv`` and ``NAME.json``; reading them gives the recording back.
 

@@ -1,40 +1,34 @@
-"""The verbs that a program calls, each in the same way: ``verb(recordings, robot, model)``.
+"""The verbs that a program calls, all in the same way: ``verb(recordings, robot, model)``.
 
-Recordings, robots and models are values or the files they are in; one recording stands for a list
-of one. What is random takes ``seed`` by keyword. What comes back is a frozen dataclass that prints
-as a table and draws itself (``plot``, a Matplotlib figure). The verbs that need water
-(``diagnose``, ``calibrate``, ``simulate``) are in ``sim.verbs``.
+Recordings, robots and models are values or the files that hold them; a single recording stands for
+a list of one. The result is a frozen dataclass that prints as a table and has ``plot()``, which
+returns a Matplotlib figure. The commands of the same names parse their options and call these
+functions; the options are made from the signatures and docstrings below. The verbs that need the
+fluid (``diagnose``, ``calibrate``, ``simulate``) are in ``sim.verbs``.
+
+This module imports nothing heavy, so that the command line can read it at once.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim2real.density import Density, normalised_density
 from sim2real.errors import InputError
-from sim2real.identification import identify as servos
-from sim2real.model import Law, Model, read_model
-from sim2real.posterior.check import Check
-from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
-from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior
-from sim2real.ranges.gather import Gathered, Sampling, gather, sample_joints
-from sim2real.recording import Recording, read_recording
-from sim2real.robot import Robot, match_joints, read_robot
-from sim2real.servo.predict import predict as predict_angles
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from sim2real.density import Density
+    from sim2real.model import Model
+    from sim2real.posterior.posteriors import Posteriors
+    from sim2real.ranges.gather import Gathered
+    from sim2real.recording import Recording
+    from sim2real.robot import Robot
+    from sim2real.servo.prediction import Prediction
 
-Array = NDArray[np.float64]
-File = str | os.PathLike[str]
-Recorded = Recording | File | Sequence[Recording | File]
-"""Recordings as the verbs take them: values or files, one or many."""
+    File = str | os.PathLike[str]
+    Recorded = Recording | File | Sequence[Recording | File]
 
 
 def identify(
@@ -42,87 +36,58 @@ def identify(
     robot: Robot | File,
     *,
     held_out: str | None = None,
-    effects: Sequence[str] = (),
-    law: Law | None = None,
+    effects: Sequence[str] | str = (),
+    law: Literal["pd", "motor"] | None = None,
+    together: bool = False,
     seed: int = 0,
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
 
     Args:
-        recordings: Recordings of the servos; all of one joint are fitted together.
-        robot: The robot that was recorded.
-        held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
-            recording the last quarter is held out.
-        effects: Names of effects to fit together with the gains of every joint.
-        law: ``"motor"``, a servo on its data sheet's line, or ``"pd"``, the linear one; by default
-            the motor, and the linear one where there are ``effects``.
-        seed: Seed of the scan for a start.
+        recordings: Recordings of the servos (NAME.csv with NAME.json); all recordings of one joint
+            are fitted together.
+        robot: The robot that was recorded (robot.toml).
+        held_out: Name of the recording to score on and not to fit; the last one by default, or the
+            last quarter of a single recording.
+        effects: Names of effects to fit together with the gains of every joint, such as
+            load_friction or unmodelled_inertia.
+        law: A motor limited by the torque-speed line of its data sheet (motor) or a linear servo
+            (pd); by default motor, and pd where effects are given.
+        together: Assume that joints with the same servo in robot.toml have motors of one make.
+        seed: Seed of the search for a starting point.
+
+    Returns:
+        The fitted model, with 90 % intervals and held-out errors.
 
     Raises:
-        InputError: If no joint moves, a recording and the robot do not agree, or the catalogue
-            lacks an effect.
+        InputError: If no joint moves, a recording and the robot do not agree, or the catalogue has
+            no such effect.
     """
-    given = recordings_of(recordings)
-    return servos.identify(
-        given, robot_of(robot), held_out=held_out, effects=effects, law=law, seed=seed
+    from tqdm import tqdm
+
+    from sim2real.identification.identify import identify as fit
+
+    return fit(
+        recordings_of(recordings),
+        robot_of(robot),
+        held_out=held_out,
+        effects=(effects,) if isinstance(effects, str) else effects,
+        law=law,
+        together=together,
+        seed=seed,
+        progress=lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     )
 
 
 def density(robot: Robot | File) -> Density:
-    """Mass per length of each link over that of the robot; see ``normalised_density``."""
-    return normalised_density(robot_of(robot))
+    """Compute the mass per length of each link relative to that of the robot.
 
-
-@dataclass(frozen=True)
-class Posterior:
-    """Posteriors of a robot's servos.
-
-    Attributes:
-        joints: Of each joint that moved.
-        checks: What each predicts of the recording held out, if there is one.
-        seed: With which they were sampled.
+    Args:
+        robot: The robot, with masses and lengths of its links (robot.toml).
     """
+    from sim2real.density import normalised_density
 
-    joints: Mapping[str, ServoPosterior]
-    checks: Mapping[str, Check]
-    seed: int = 0
-
-    def sample(self) -> JointSample:
-        """Draws of all parameters of all joints, a row a draw, as ``posterior.npz`` keeps them."""
-        return joint_sample(self.joints, np.random.default_rng(self.seed))
-
-    def to_arviz(self) -> Any:  # noqa: ANN401 - ArviZ is not a dependency
-        """ArviZ's ``InferenceData``: variables ``J.PARAMETER``, a chain a walker.
-
-        Raises:
-            ModuleNotFoundError: If the extra ``arviz`` is not installed.
-        """
-        return to_inference_data(self.joints)
-
-    def __str__(self) -> str:
-        """Median and 90 % interval of each parameter."""
-        lines = []
-        for joint, one in self.joints.items():
-            rows = zip(one.priors.each, one.quantiles(0.05, 0.5, 0.95).T, strict=True)
-            lines += [
-                f"{joint}.{prior.name:30s} {middle:10.4g} {prior.unit:12s} "
-                f"90 % {low:.4g} to {high:.4g}"
-                for prior, (low, middle, high) in rows
-            ]
-        return "\n".join(lines) or "no joint moved on the bench"
-
-    def plot(self, joint: str | None = None) -> Figure:
-        """Marginals of one joint (the first by default), and of every two parameters.
-
-        Raises:
-            InputError: If that joint was not sampled.
-        """
-        from sim2real.report.corner_plot import corner_figure
-
-        name = next(iter(self.joints), "") if joint is None else joint
-        if name not in self.joints:
-            raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
-        return corner_figure(self.joints[name], name)
+    return normalised_density(robot_of(robot))
 
 
 def posterior(
@@ -131,31 +96,35 @@ def posterior(
     model: Model | File,
     *,
     held_out: str | None = None,
-    steps: int = STEPS,
-    walkers: int = WALKERS,
+    steps: int = 2000,
+    walkers: int = 32,
     seed: int = 0,
-) -> Posterior:
+) -> Posteriors:
     """Sample the posterior of each servo's gains, latency and effects.
 
     Args:
         recordings: Bench recordings.
         robot: The robot that was recorded.
-        model: Its fitted servos; what effects they have is sampled too.
-        held_out: Name of the recording to check on and not sample; the last one by default.
+        model: Its fitted servos; the effects that they have are sampled too.
+        held_out: Name of the recording to check on and not to sample; the last one by default.
         steps: Steps of each chain.
         walkers: Walkers of each chain.
-        seed: Of everything random.
+        seed: Seed of the chains.
 
     Raises:
-        InputError: If recordings, robot and model do not agree, or a chain is too short to be
-            believed.
+        InputError: If recordings, robot and model do not agree, or a chain is too short to have
+            converged.
     """
-    given, known = recordings_of(recordings), robot_of(robot)
-    for recording in given:
+    from sim2real.posterior.posteriors import Posteriors
+    from sim2real.ranges.gather import Sampling, sample_joints
+    from sim2real.robot import match_joints
+
+    read, known = recordings_of(recordings), robot_of(robot)
+    for recording in read:
         match_joints(recording, known)
-    bench = [recording for recording in given if recording.kind == "servo"]
+    bench = [recording for recording in read if recording.kind == "servo"]
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
-    return Posterior(*sample_joints(bench, model_of(model), sampling), seed)
+    return Posteriors(*sample_joints(bench, model_of(model), sampling), seed)
 
 
 def ranges(
@@ -164,94 +133,131 @@ def ranges(
     model: Model | File,
     *,
     held_out: str | None = None,
-    steps: int = STEPS,
-    walkers: int = WALKERS,
+    steps: int = 2000,
+    walkers: int = 32,
+    chains: File | None = None,
     seed: int = 0,
 ) -> Gathered:
-    """Make randomization ranges; arguments as for ``posterior``, and swims count too.
+    """Generate randomization ranges, each from data.
+
+    Args:
+        recordings: Bench and pool recordings (NAME.csv with NAME.json).
+        robot: The robot that was recorded (robot.toml).
+        model: Its fitted servos, and its body where that was calibrated (MODEL.json).
+        held_out: Name of the recording to check on and not to sample; the last one by default.
+        steps: Steps of each chain.
+        walkers: Walkers of each chain.
+        chains: Path next to which the chains are kept, in files STEM.chain.JOINT.npz, so that an
+            interrupted call continues where it stopped.
+        seed: Seed of the chains.
 
     Returns:
-        ``ranges`` (what ``write_ranges`` writes), and the posteriors, latencies and densities that
+        ``ranges``, which ``write_ranges`` writes, and the posteriors, latencies and densities that
         they come from.
+
+    Raises:
+        InputError: If recordings, robot and model do not agree, or a chain is too short to have
+            converged.
     """
-    sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
-    return gather(recordings_of(recordings), robot_of(robot), model_of(model), sampling)
+    from dataclasses import replace
+
+    from tqdm import tqdm
+
+    from sim2real.output import provenance_of
+    from sim2real.posterior.chain import chain_file
+    from sim2real.ranges.gather import Sampling, gather
+
+    for name, count in (("steps", steps), ("walkers", walkers)):
+        if count < 1:
+            raise InputError("ranges", name, str(count), "at least 1")
+    read, known, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
+    made: dict[str, int] = {}
+
+    def advance(joint: str, count: int) -> None:
+        made[joint] = count
+        bar.update(sum(made.values()) - bar.n)
+
+    def file(joint: str) -> Path | None:
+        return None if chains is None else chain_file(Path(chains), joint)
+
+    total = steps * len(fitted.joints)
+    with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
+        sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
+        found = gather(read, known, fitted, sampling)
+    origin = provenance_of([*read, known, model], seed)
+    return replace(found, ranges=replace(found.ranges, provenance=origin))
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """What a model makes of the commands of recordings.
-
-    Attributes:
-        recordings: The recordings, R of them.
-        angles: Predicted angles in rad of each recording's joints, R arrays of shape (T, J).
-    """
-
-    recordings: tuple[Recording, ...]
-    angles: tuple[Array, ...]
-
-    @property
-    def rmse(self) -> dict[tuple[str, str], float]:
-        """Root mean square error in rad by recording and joint; NaN where nothing was measured."""
-        out = {}
-        for one, angles in zip(self.recordings, self.angles, strict=True):
-            square = (angles - one.position) ** 2
-            for j, joint in enumerate(one.joints):
-                known = square[np.isfinite(square[:, j]), j]
-                out[one.name, joint] = float(np.sqrt(known.mean())) if known.size else float("nan")
-        return out
-
-    def __str__(self) -> str:
-        """The error of each joint in each recording."""
-        return "\n".join(
-            f"{name}, {joint}: {1e3 * error:.2f} mrad" for (name, joint), error in self.rmse.items()
-        )
-
-    def plot(self, recording: int = 0, joint: str | None = None) -> Figure:
-        """Measured and predicted angles of one joint of one recording."""
-        from sim2real.report.fit_plot import fit_figure
-
-        one = self.recordings[recording]
-        name = one.joints[0] if joint is None else joint
-        return fit_figure(one, name, self.angles[recording][:, one.joints.index(name)])
-
-
-def predict(recordings: Recorded, robot: Robot | File, model: Model | File) -> Prediction:
+def predict(recordings: Recorded, robot: Robot | File | None, model: Model | File) -> Prediction:
     """Simulate a model from rest on the commands of recordings.
 
-    What was measured in them is not looked at. ``sim2real.servo.predict.predict`` does the same
-    with arrays of commands.
+    Measured angles are not used. ``sim2real.servo.predict.predict`` does the same with arrays.
+
+    Args:
+        recordings: Recordings, or tables of commands (t_s, J.command_rad) without measurements.
+        robot: The robot, to check the names of the joints; not needed.
+        model: The fitted servos (MODEL.json).
 
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
-    given, known, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
-    angles = []
-    for one in given:
-        match_joints(one, known)
-        sent = {joint: one.command[:, j] for j, joint in enumerate(one.joints)}
-        found = predict_angles(fitted, one.t, sent, one.loads, where=one.file)
-        angles.append(np.stack([found[joint] for joint in one.joints], axis=1))
-    return Prediction(tuple(given), tuple(angles))
+    from sim2real.robot import match_joints
+    from sim2real.servo.prediction import predict_recordings
+
+    read = recordings_or_commands(recordings)
+    if robot is not None:
+        for recording in read:
+            match_joints(recording, robot_of(robot))
+    return predict_recordings(read, model_of(model))
 
 
-def recordings_of(given: Recorded) -> list[Recording]:
-    """Recordings, read where files are given.
+def recordings_of(recordings: Recorded) -> list[Recording]:
+    """The recordings, read where files are given.
 
     Raises:
-        InputError: If there is none, or a file is no recording.
+        InputError: If there is none, or a file is not a recording.
     """
-    several = [given] if isinstance(given, Recording | str | os.PathLike) else list(given)
-    if not several:
-        raise InputError("recordings", "", "none", "at least one")
-    return [one if isinstance(one, Recording) else read_recording(one) for one in several]
+    from sim2real.recording import Recording, read_recording
+
+    return [
+        one if isinstance(one, Recording) else read_recording(one) for one in _several(recordings)
+    ]
 
 
-def robot_of(given: Robot | File) -> Robot:
+def recordings_or_commands(recordings: Recorded) -> list[Recording]:
+    """The recordings, read where files are given; a CSV without JSON is a table of commands.
+
+    Raises:
+        InputError: If there is none, or times or commands are not as the format says.
+    """
+    from sim2real.recording import Recording, read_commands_as_recording, read_recording
+
+    def read(path: File) -> Recording:
+        measured = Path(path).with_suffix(".json").exists()
+        return read_recording(path) if measured else read_commands_as_recording(path)
+
+    return [one if isinstance(one, Recording) else read(one) for one in _several(recordings)]
+
+
+def robot_of(robot: Robot | File) -> Robot:
     """The robot, read where a file is given."""
-    return given if isinstance(given, Robot) else read_robot(given)
+    from sim2real.robot import Robot, read_robot
+
+    return robot if isinstance(robot, Robot) else read_robot(robot)
 
 
-def model_of(given: Model | File) -> Model:
+def model_of(model: Model | File) -> Model:
     """The model, read where a file is given."""
-    return given if isinstance(given, Model) else read_model(given)
+    from sim2real.model import Model, read_model
+
+    return model if isinstance(model, Model) else read_model(model)
+
+
+def _several(recordings: Recorded) -> list[Recording | File]:
+    from sim2real.recording import Recording
+
+    if isinstance(recordings, Recording | str | os.PathLike):
+        return [recordings]
+    if not recordings:
+        raise InputError("recordings", "", "none", "at least one")
+    return list(recordings)

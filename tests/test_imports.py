@@ -17,7 +17,14 @@ REACHES_UP = {
     "sim2real/cli.py": "a command may live on any floor, and is loaded when it runs",
     "sim2real/__init__.py": "verbs that need the water are offered here, and loaded when used",
 }
-LIGHT = (*REACHES_UP, "sim2real/commands/options.py", "sim2real/commands/hardware_options.py")
+LIGHT = (
+    *REACHES_UP,
+    "sim2real/commands/options.py",
+    "sim2real/commands/hardware_options.py",
+    "sim2real/verbs.py",
+    "sim/commands/options.py",
+    "sim/verbs.py",
+)
 HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "casadi", "scipy", "pandas", "numpy"}
 ONLY_IN = {
     "warp": ("sim2real/servo/", "sim2real/effects/", "sim2real/warp_start.py", "sim/"),

@@ -110,10 +110,10 @@ def test_calibrate_and_simulate_in_the_twin() -> None:
     swim = s2r.read_recording(POOL / "p1.csv").between(0, 500)
     found = s2r.calibrate(swim, POOL / "robot.toml", POOL / "model.json")
     prints_and_draws(found, "twin.thrust", "held-out error", "surge")
-    before, after = found.found.train[:, 0]
+    before, after = found.twin.train[:, 0]
     assert after < before
     swum = s2r.simulate(swim, POOL / "robot.toml", found.model, fidelity="twin")
-    prints_and_draws(swum, "p1", "way")
+    prints_and_draws(swum, "p1", "path of the head")
     one = swum.swims[0]
     assert one.kind == "pool"
     assert one.columns["body.x_m"][0] == pytest.approx(swim.columns["body.x_m"][0], abs=1e-6)

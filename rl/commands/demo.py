@@ -31,6 +31,7 @@ from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import differences
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
+from sim.commands.diagnose import write_all
 from sim.inference.calibrate import Calibrated, calibrate
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
@@ -39,8 +40,7 @@ from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_o
 from sim.view.calibration_plot import comparison
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
-from sim2real.commands.diagnose import write as write_servos
-from sim2real.commands.identify import most_telling
+from sim2real.commands.identify import most_held_out
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
@@ -107,7 +107,7 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
         model = identify(recordings, robot, seed=options.seed)
     with _stage("diagnose", "which physics the servos leave out"):
         found = diagnose(_two(recordings), robot, seed=options.seed)
-    write_servos(found, options.out / "diagnosis.json")
+    write_all(found, options.out / "diagnosis.json")
     with _stage("replay", "the model beside what was recorded"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
@@ -239,7 +239,7 @@ def _two(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _shown(replays: Sequence[Replay]) -> list[Fit]:
-    telling = list(most_telling(replays).values())
+    telling = list(most_held_out(replays).values())
     more = [one for one in replays if one.recording.name == _SHOWN and one not in telling]
     return [(r.recording, r.joint, r.predicted, r.held_out) for r in [*more[:1], *telling]]
 

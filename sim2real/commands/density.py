@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from sim2real.density import normalised_density, with_density
+from sim2real import verbs
+from sim2real.density import with_density
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
-from sim2real.robot import read_robot
 
 
 def run(options: argparse.Namespace) -> int:
@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     if (options.model is None) != (options.out is None):
         missing, other = ("--out", "--model") if options.out is None else ("--model", "--out")
         raise InputError(missing, "", "nothing", f"a file, to go with {other}")
-    density = normalised_density(read_robot(options.robot))
+    density = verbs.density(options.robot)
     if options.out is not None:
         write_model(with_density(read_model(options.model), density), options.out)
     if options.plot is not None:

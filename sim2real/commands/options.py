@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from sim2real import verbs
 from sim2real.commands.command import Command, add_former, add_recordings
+from sim2real.commands.verb import add_verb
 
 
 def _check(command: argparse.ArgumentParser) -> None:
@@ -14,37 +16,15 @@ def _check(command: argparse.ArgumentParser) -> None:
 
 
 def _identify(command: argparse.ArgumentParser) -> None:
-    add_recordings(command)
-    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
-    command.add_argument("--out", type=Path, required=True, metavar="MODEL", help="MODEL.json")
+    add_verb(command, verbs.identify)
     command.add_argument(
-        "--held-out",
-        metavar="NAME",
-        help="recording to score on, not fit (default: the last; of a lone one its last quarter)",
-    )
-    command.add_argument(
-        "--effects",
-        nargs="+",
-        default=(),
-        metavar="EFFECT",
-        help="effects to fit with the gains, as load_friction or unmodelled_inertia",
-    )
-    command.add_argument(
-        "--law",
-        choices=("pd", "motor"),
-        help="the linear servo, or a motor on its data sheet's line (default: motor; pd with "
-        "--effects)",
-    )
-    command.add_argument(
-        "--together",
-        action="store_true",
-        help="joints with one servo in robot.toml have motors of one make",
+        "--out", type=Path, required=True, metavar="MODEL", help="model to write (MODEL.json)"
     )
     command.add_argument("--no-plots", action="store_true", help="write no MODEL.JOINT.png")
 
 
 def _density(command: argparse.ArgumentParser) -> None:
-    command.add_argument("robot", type=Path, metavar="ROBOT", help="robot.toml")
+    add_verb(command, verbs.density, positional=("robot",))
     command.add_argument("--model", type=Path, help="MODEL.json to put the densities into")
     command.add_argument("--out", type=Path, metavar="MODEL", help="the model with them")
     command.add_argument("--plot", type=Path, metavar="PNG", help="how the mass is spread")
@@ -52,14 +32,9 @@ def _density(command: argparse.ArgumentParser) -> None:
 
 
 def _ranges(command: argparse.ArgumentParser) -> None:
-    add_recordings(command)
-    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
-    command.add_argument("--model", type=Path, required=True, help="MODEL.json")
-    command.add_argument("--out", type=Path, required=True, metavar="RANGES", help="ranges.json")
-    command.add_argument("--steps", type=int, default=2000, help="of each chain (default 2000)")
-    command.add_argument("--walkers", type=int, default=32, help="of each chain (default 32)")
+    add_verb(command, verbs.ranges, leave_out=("chains",))
     command.add_argument(
-        "--held-out", metavar="NAME", help="recording to check on, not sample (default: the last)"
+        "--out", type=Path, required=True, metavar="RANGES", help="ranges to write (ranges.json)"
     )
     command.add_argument("--no-page", action="store_true", help="write no RANGES.html")
 

@@ -100,6 +100,8 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
     plan = found.next_experiment
     if plan is None or plan.t is None or plan.signal is None:
         return found
+    if plan.component not in found.model.joints:  # a swim
+        return found
     path = out.with_name(f"{out.stem}.next.csv")
     load = found.model.joints[plan.component].load
     load = None if load is None else _loaded(load, plan.context)

@@ -25,6 +25,11 @@ SMALLEST_BLOCK, BLOCK_SHARE = 100, 0.1
 however long the chain."""
 
 
+def chain_file(out: Path, joint: str) -> Path:
+    """Where the chain of a joint is kept, next to the result ``out``."""
+    return out.with_name(f"{out.stem}.chain.{joint}.npz")
+
+
 @dataclass(frozen=True)
 class Chain:
     """An ensemble of walkers after N steps.

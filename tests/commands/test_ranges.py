@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from sim2real.cli import main
-from sim2real.commands.ranges import chain_file
-from sim2real.posterior.chain import read_chain, write_chain
+from sim2real.posterior.chain import chain_file, read_chain, write_chain
 from sim2real.posterior.sample import read_sample
 from sim2real.ranges.entry import read_ranges
 from sim2real.recording import read_recording, write_recording
@@ -105,7 +104,7 @@ def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys
 @pytest.mark.parametrize("option", ["--steps", "--walkers"])
 def test_numbers_that_mean_nothing(command, tmp_path, capsys, option):
     assert main(command(tmp_path / "ranges.json", option, "0")) == 2
-    assert option in capsys.readouterr().err
+    assert option.strip("-") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["ranges", "density"])

@@ -81,7 +81,7 @@ def test_what_cannot_swim_is_refused_in_one_line(files, capsys):
     )
     refused(capsys, files(), "wave.csv", "row")
     wave.write_text(whole.replace("j1.", "j9."))
-    refused(capsys, files(), "j1.command_rad")
+    refused(capsys, files(), "'j9'", "one of j1")
     wave.write_text(whole)
     robot.write_text(ROBOT.format(mass=0))
     refused(capsys, files(), "mass_kg")

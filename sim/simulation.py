@@ -1,0 +1,211 @@
+"""Recorded commands simulated in the fluid or in its reduced-order twin."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from sim.inference.swims import by_twin
+from sim.robot.swimmer import CONTROL_S, State, Swimmer
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.recording import Recording
+from sim2real.robot import Robot, match_joints
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+File = str | os.PathLike[str]
+POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
+THREADS = 2
+"""CPU threads of the fluid."""
+_KEPT_STATES = 16
+"""States before a breakdown that the error carries."""
+
+
+class SupersonicFlow(FloatingPointError):
+    """The lattice's flow reached its speed of sound, and the robot was stopped.
+
+    Attributes:
+        time_s: When, from the start.
+        step: Step of the lattice.
+        cell: Indices of the first cell that broke down.
+        states: The last states before it.
+    """
+
+    def __init__(self, name: str, swimmer: Swimmer, states: list[State]) -> None:
+        """The breakdown of a swimmer, found in the last of its states."""
+        cell, (nx, ny, _) = int(states[-1].stopped[0]), swimmer.tank.size
+        self.time_s = float(states[-1].time[0])
+        self.step = round(self.time_s / swimmer.units.step_s)
+        self.cell = [cell % nx, cell // nx % ny, cell // (nx * ny)]
+        self.states = states[-_KEPT_STATES:]
+        super().__init__(
+            f"{name}: the flow became supersonic after {self.time_s:.3f} s at cell {self.cell}"
+        )
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Swims of a model.
+
+    Attributes:
+        swims: Pool recordings: commands, measured joint angles and the head's pose, every 20 ms.
+    """
+
+    swims: tuple[Recording, ...]
+
+    def __str__(self) -> str:
+        """Duration, path length and displacement of each swim."""
+        lines = []
+        for swim in self.swims:
+            x, y = (swim.columns[name] for name in POSE[:2])
+            length = float(np.hypot(np.diff(x), np.diff(y)).sum())
+            displacement = float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
+            lines.append(
+                f"{swim.name}: {swim.duration_s:.2f} s, path of the head {length:.3f} m, "
+                f"displacement {displacement:.3f} m"
+            )
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """The paths of the heads, from above."""
+        from sim2real.report.style import house_style, new_figure
+
+        with house_style():
+            figure = new_figure(420, "paths of the heads, from above")
+            axes = figure.subplots()
+            for swim in self.swims:
+                axes.plot(swim.columns[POSE[0]], swim.columns[POSE[1]], label=swim.name)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_xlabel("x, m")
+            axes.set_title("y, m")
+            axes.legend()
+        return figure
+
+
+def simulate_recording(
+    recording: Recording,
+    robot: Robot,
+    model: Model,
+    *,
+    fidelity: Literal["fluid", "twin"],
+    cell_m: float,
+    device: str,
+    dimensions: int,
+    walls: bool,
+    plot: File | None = None,
+    video: File | None = None,
+) -> Recording:
+    """Simulate the commands of a recording from its first pose; see ``sim.verbs.simulate``.
+
+    Raises:
+        InputError: If recording, robot and model do not agree, or a set-point is missing.
+        SupersonicFlow: If the flow became supersonic.
+    """
+    match_joints(recording, robot)
+    t, command = every_period(recording, robot)
+    pose = _first_pose(recording)
+    if fidelity == "twin":
+        track = by_twin(robot, device=device)([model], command, pose)[0]
+        return _as_recording(recording, robot, t, command, track)
+    swimmer = Swimmer(
+        robot,
+        model,
+        device=device,
+        cell_m=cell_m,
+        dimensions=dimensions,
+        walls=walls,
+        threads=THREADS,
+    )
+    if POSE[0] in recording.columns:
+        swimmer.reset(pose=pose)
+    with ExitStack() as stack:
+        watch = _filmed(stack, swimmer, video)
+        states = [swimmer.state()]
+        for sent in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
+            swimmer.step(sent)
+            states.append(swimmer.state())
+            if states[-1].stopped[0] >= 0:
+                raise SupersonicFlow(recording.name, swimmer, states)
+            watch()
+    if plot is not None:
+        from sim.view.render import picture, save_picture
+
+        save_picture(picture(swimmer), plot)
+    track = np.array([np.concatenate([state.pose[0], state.measured[0]]) for state in states])
+    return _as_recording(recording, robot, t, command, track)
+
+
+def every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
+    """Times and set-points of every control period: each holds until the next one was sent.
+
+    Raises:
+        InputError: If a joint of the robot has no set-points, or one is missing.
+    """
+    t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
+    row = np.searchsorted(recording.t, t + 1e-9, side="right") - 1
+    columns = []
+    for joint in robot.joints:
+        field = f"{joint.name}.command_rad"
+        if joint.name not in recording.joints:
+            known = ", ".join(recording.joints)
+            raise InputError(recording.file, field, f"set-points of {known}", "its set-points too")
+        sent = recording.command[row, recording.joints.index(joint.name)]
+        if not np.all(np.isfinite(sent)):
+            line = int(row[np.flatnonzero(~np.isfinite(sent))[0]]) + 2
+            raise InputError(recording.file, f"row {line}, {field}", "no number", "a set-point")
+        columns.append(sent)
+    return t, np.stack(columns, axis=1)
+
+
+def _filmed(stack: ExitStack, swimmer: Swimmer, path: File | None) -> Callable[[], None]:
+    """A function to call after every control period, which adds the frames of a video."""
+    if path is None:
+        return lambda: None
+    from sim.view.render import picture
+    from sim.view.video import FRAMES_PER_S, Video
+
+    video = stack.enter_context(Video(path))
+    periods = round(1 / CONTROL_S / FRAMES_PER_S)  # the video plays in real time
+
+    def add() -> None:
+        if swimmer.step_count % periods == 0:
+            video.add(picture(swimmer, width=video.width))
+
+    return add
+
+
+def _first_pose(recording: Recording) -> Array:
+    pose = np.zeros(3)
+    for k, name in enumerate(POSE):
+        column = recording.columns.get(name, np.zeros(0))
+        finite = column[np.isfinite(column)]
+        pose[k] = finite[0] if finite.size else 0.0
+    return pose
+
+
+def _as_recording(
+    recording: Recording, robot: Robot, t: Array, command: Array, track: Array
+) -> Recording:
+    if not np.isfinite(track).all():
+        raise FloatingPointError(f"{recording.name}: the simulation diverged")
+    return Recording(
+        name=recording.name,
+        kind="pool",
+        joints=tuple(joint.name for joint in robot.joints),
+        t=t,
+        command=command,
+        position=track[:, 3:],
+        medium="water",
+        source=f"Simulated, not measured: a model on the commands of {recording.name}.",
+        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
+    )
