@@ -27,14 +27,14 @@ def main() -> None:
     seen, _ = env.reset(seed=1)
     steps_per_s = env.unwrapped.metadata["render_fps"]
     with Video(options.out / "swim.gif") as video:
-        for step in range(options.filmed):
+        for step in range(1, options.filmed + 1):
             action, _ = agent.predict(seen, deterministic=True)
             seen, _, arrived, late, _ = env.step(action)
             for _ in range(round(FRAMES_PER_S / steps_per_s)):
                 video.add(env.render())
-            if arrived or late:
+            if arrived or late or step == options.filmed:
+                print(f"{options.out / 'swim.gif'}: {step / steps_per_s:.1f} s")
                 break
-    print(f"{options.out / 'swim.gif'}: {(step + 1) / steps_per_s:.1f} s")
 
 
 if __name__ == "__main__":
