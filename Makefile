@@ -36,5 +36,5 @@ bench: .venv/installed   ## speed and memory, as ratios
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,hardware,arviz,completion,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,render,hardware,arviz,completion,dev]'
 	touch $@

@@ -26,7 +26,7 @@ import torch
 
 import sim2real as s2r
 from rl.commands.ablate import tried_in
-from rl.commands.demo import QUICK, REPEATS, SEEDS, agents_in
+from rl.commands.demo_pool import QUICK, REPEATS, SEEDS, agents_in
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import Difference, differences

@@ -7,7 +7,7 @@ import gymnasium
 from stable_baselines3 import SAC
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
-from sim.view.video import Video
+from sim.view.video import FRAMES_PER_S, Video
 
 
 def main() -> None:
@@ -25,15 +25,16 @@ def main() -> None:
     agent.save(options.out / "policy.zip")
 
     seen, _ = env.reset(seed=1)
+    steps_per_s = env.unwrapped.metadata["render_fps"]
     with Video(options.out / "swim.gif") as video:
-        for step in range(options.filmed):
+        for step in range(1, options.filmed + 1):
             action, _ = agent.predict(seen, deterministic=True)
             seen, _, arrived, late, _ = env.step(action)
-            if step % 2 == 0:
+            for _ in range(round(FRAMES_PER_S / steps_per_s)):
                 video.add(env.render())
-            if arrived or late:
+            if arrived or late or step == options.filmed:
+                print(f"{options.out / 'swim.gif'}: {step / steps_per_s:.1f} s")
                 break
-    print(f"{options.out / 'swim.gif'}: {(step + 1) / 50:.1f} s")
 
 
 if __name__ == "__main__":

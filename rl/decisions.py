@@ -42,7 +42,7 @@ class Decisions:
             begin: Begin an episode where one has ended.
 
         Returns:
-            As ``World.step``, reward and effort summed over the decision's periods.
+            As ``World.step``, with reward, effort and bonus summed over the decision's periods.
         """
         self.observer.decide(action)
         told = self.world.step(self.observer.set_points(0), begin=False)
@@ -50,13 +50,18 @@ class Decisions:
             ended = told.terminated | told.truncated
             told = _added(told, self.world.step(self.observer.set_points(tick), begin=False), ended)
         final = self.observer.see(told.final)
-        seen = final
-        if begin:
-            ended = told.terminated | told.truncated
-            raw = self.world.begin(ended)
-            self.observer.begin(raw, ended)
-            seen = self.observer.see(raw)
+        seen = self.begin(told.terminated | told.truncated) if begin else final
         return replace(told, observation=seen, final=final)
+
+    def begin(self, which: Tensor) -> Tensor:
+        """Begin an episode in the environments ``which``, shape (E,).
+
+        Returns:
+            The observations of all environments, shape (E, F).
+        """
+        raw = self.world.begin(which)
+        self.observer.begin(raw, which)
+        return self.observer.see(raw)  # type: ignore[no-any-return]
 
 
 def _added(told: Step, step: Step, ended: Tensor) -> Step:
@@ -66,6 +71,7 @@ def _added(told: Step, step: Step, ended: Tensor) -> Step:
         step.observation,
         told.reward + goes * step.reward,
         told.effort + goes * step.effort,
+        told.bonus + goes * step.bonus,
         told.terminated | goes & step.terminated,
         told.truncated | goes & step.truncated,
         torch.where(goes, step.reached, told.reached),

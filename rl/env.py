@@ -11,11 +11,12 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
+from torch import Tensor
 
 from rl.decisions import Decisions
 from rl.observer import LARGEST, View
-from rl.task import observation_bounds
-from rl.world import World
+from rl.task import Task, observation_bounds
+from rl.world import Step, World
 
 Array = NDArray[np.float32]
 
@@ -37,14 +38,39 @@ def action_space(world: World) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(world.low),), dtype=np.float32)
 
 
+def reward_terms(task: Task, step: Step) -> dict[str, Tensor]:
+    """The terms that add up to the reward of a step, as ``info`` has them, each of shape (E,).
+
+    ``reward_progress`` is what coming nearer to the target earns, ``reward_bonus`` what arriving
+    earns or leaving the pool costs, ``reward_energy`` (never positive) the price of the joints'
+    squared rates; see ``rl.task``.
+    """
+    energy = -task.energy * step.effort
+    return {
+        "reward_progress": step.reward - energy - step.bonus,
+        "reward_bonus": step.bonus,
+        "reward_energy": energy,
+    }
+
+
+def succeeded(task: Task, step: Step) -> Tensor:
+    """Where the last waypoint has been reached, shape (E,)."""
+    return step.reached >= task.waypoints
+
+
 class FishEnv(gymnasium.Env[Array, Array]):
     """One robot at its task, in the fluid or in the twin.
 
     A step is one decision of ``view``: 80 ms unless it is the paper's. Observations are the view's
     columns; actions are desired joint angles, -1 and 1 at the ends of each joint's range.
+    ``info`` has ``is_success``, ``reached`` (waypoints so far) and the terms of the reward, see
+    ``reward_terms``.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium's way
+    metadata = {  # noqa: RUF012 - Gymnasium's way
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 1 / View().decision_s,
+    }
 
     def __init__(
         self,
@@ -58,19 +84,28 @@ class FishEnv(gymnasium.Env[Array, Array]):
         Args:
             world: Of one environment.
             view: How a policy looks at it.
-            render_mode: ``rgb_array`` for pictures of the pool from above; None for none.
+            render_mode: ``rgb_array`` for pictures of the pool from above, ``human`` for a window
+                that shows them in real time; None for none.
 
         Raises:
             ValueError: If it has several environments, or there is no such mode.
+            InputError: If there is no screen for a window, or pygame is not installed.
         """
         if world.n_envs != 1:
             raise ValueError(f"a world of {world.n_envs} environments, not of one")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode: {render_mode!r}, not 'rgb_array' or None")
+        modes = type(self).metadata["render_modes"]
+        if render_mode not in (None, *modes):
+            raise ValueError(f"render_mode: {render_mode!r}, not one of {modes} or None")
         self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": 1 / view.decision_s}
         self.world, self.decisions = world, Decisions(world, view)
         self.observation_space: Any = observation_space(world, view)
         self.action_space: Any = action_space(world)
+        self.window: Any = None
+        if render_mode == "human":
+            from rl.window import Window
+
+            self.window = Window(1 / view.decision_s)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -79,49 +114,94 @@ class FishEnv(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
-        return self.decisions.reset()[0].cpu().numpy(), {}
+        seen = self.decisions.reset()[0].cpu().numpy()
+        self._show()
+        return seen, {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Take a decision and go on to the next; the next episode is for ``reset`` to begin."""
         given = torch.as_tensor(action, device=self.world.device)[None]
         step = self.decisions.step(given, begin=False)
+        terms = reward_terms(self.world.task, step)
+        info = {
+            "reached": int(step.reached[0]),
+            "is_success": bool(succeeded(self.world.task, step)[0]),
+            **{name: float(term[0]) for name, term in terms.items()},
+        }
+        self._show()
         return (
             step.final[0].cpu().numpy(),
             float(step.reward[0]),
             bool(step.terminated[0]),
             bool(step.truncated[0]),
-            {
-                "reached": int(step.reached[0]),
-                "is_success": bool(step.reached[0] >= self.world.task.waypoints),
-            },
+            info,
         )
 
     def render(self) -> Any:  # noqa: ANN401 - Gymnasium's
-        """The pool from above, shape (height, width, 3), 8 bits a channel; None without a mode."""
-        if self.render_mode is None:
-            return None
+        """The pool from above, shape (height, width, 3), 8 bits a channel.
+
+        None without a mode, and with ``human``, where ``reset`` and ``step`` show it already.
+        """
+        return self._picture() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self.window is not None:
+            self.window.close()
+            self.window = None
+
+    def _picture(self) -> Any:  # noqa: ANN401 - an image
         from rl.experiments.film import still
 
         return still(self.world)
+
+    def _show(self) -> None:
+        if self.window is not None:
+            self.window.show(self._picture())
 
 
 class FishVectorEnv(VectorEnv[Array, Array, Array]):
     """All robots of a world, one batched simulator underneath.
 
-    An episode that ends begins anew in the same step; its last observation stands in
-    ``infos["final_obs"]``, where ``infos["_final_obs"]`` is true.
+    With ``autoreset_mode`` ``NEXT_STEP``, Gymnasium's default, the step after an episode's last
+    begins the next episode: its action counts for nothing, its reward is zero and its observation
+    the first of the new episode. With ``SAME_STEP`` an episode that ends begins anew in the same
+    step; its last observation stands in ``infos["final_obs"]``, where ``infos["_final_obs"]`` is
+    true. ``infos`` has ``reached``, ``is_success`` and the terms of the reward, shape (E,) each.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - Gymnasium's way
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
-    def __init__(self, world: World, view: View = View()) -> None:  # noqa: B008 - frozen
-        """Wrap a world, seen as ``view`` says."""
+    def __init__(
+        self,
+        world: World,
+        view: View = View(),  # noqa: B008 - frozen
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        """Wrap a world.
+
+        Args:
+            world: The robots at their task.
+            view: How a policy looks at it.
+            autoreset_mode: When an episode begins anew, of Gymnasium's or its value:
+                ``NextStep`` or ``SameStep``.
+
+        Raises:
+            ValueError: If there is no such mode, or it is ``Disabled``.
+        """
+        mode = AutoresetMode(autoreset_mode)
+        if mode is AutoresetMode.DISABLED:
+            raise ValueError("autoreset_mode: 'Disabled', not 'NextStep' or 'SameStep'")
+        self.autoreset_mode = mode
+        self.metadata = {**type(self).metadata, "autoreset_mode": mode}
         self.world, self.num_envs = world, world.n_envs
         self.decisions = Decisions(world, view)
         self.single_observation_space: Any = observation_space(world, view)
         self.single_action_space: Any = action_space(world)
         self.observation_space: Any = batch_space(self.single_observation_space, world.n_envs)
         self.action_space: Any = batch_space(self.single_action_space, world.n_envs)
+        self._over = torch.zeros(world.n_envs, dtype=torch.bool, device=world.device)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -131,25 +211,41 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         super().reset(seed=first)
         if first is not None:
             self.world.seed(first)
+        self._over[:] = False
         return self.decisions.reset().cpu().numpy(), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Any, Any, dict[str, Any]]:
         """Take a decision everywhere and go on to the next."""
         given = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
-        step = self.decisions.step(given)
-        terminated, truncated = step.terminated.cpu().numpy(), step.truncated.cpu().numpy()
+        same = self.autoreset_mode is AutoresetMode.SAME_STEP
+        step = self.decisions.step(given, begin=same)
+        task, goes, seen = self.world.task, ~self._over, step.observation
+        terminated, truncated = step.terminated & goes, step.truncated & goes
+        told = {"reached": step.reached, "is_success": succeeded(task, step)}
+        told |= reward_terms(task, step)
+        infos = {name: (values * goes).cpu().numpy() for name, values in told.items()}
+        infos |= {f"_{name}": goes.cpu().numpy() for name in told}
         ended = terminated | truncated
-        reached = step.reached.cpu().numpy()
-        infos: dict[str, Any] = {"reached": reached, "_reached": np.ones(self.num_envs, dtype=bool)}
-        if ended.any():
-            final = np.full(self.num_envs, None, dtype=object)
-            for e in np.flatnonzero(ended):
-                final[e] = step.final[e].cpu().numpy()
-            infos |= {"final_obs": final, "_final_obs": ended}
+        if same:
+            infos |= _finals(step.final.cpu().numpy(), ended.cpu().numpy())
+        else:
+            if self._over.any():
+                seen = self.decisions.begin(self._over)
+            self._over = ended
         return (
-            step.observation.cpu().numpy(),
-            step.reward.cpu().numpy(),
-            terminated,
-            truncated,
+            seen.cpu().numpy(),
+            (step.reward * goes).cpu().numpy(),
+            terminated.cpu().numpy(),
+            truncated.cpu().numpy(),
             infos,
         )
+
+
+def _finals(final: Array, ended: NDArray[np.bool_]) -> dict[str, Any]:
+    """The last observations of the episodes that ended, as Gymnasium keeps them in ``infos``."""
+    if not ended.any():
+        return {}
+    kept = np.full(len(ended), None, dtype=object)
+    for e in np.flatnonzero(ended):
+        kept[e] = final[e]
+    return {"final_obs": kept, "_final_obs": ended}

@@ -13,6 +13,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from gymnasium.vector import AutoresetMode
+
 from rl.env import FishEnv, FishVectorEnv
 from rl.make import Fidelity, draws_of, make_world
 from rl.observer import View
@@ -42,10 +44,14 @@ def make_fish_vec(
     num_envs: int = 1,
     *,
     view: View = View(),  # noqa: B008 - frozen
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     **options: Any,  # noqa: ANN401
 ) -> FishVectorEnv:
-    """Robots in one batch, seen as ``view`` says; other options as for ``world_of``."""
-    return FishVectorEnv(world_of(num_envs, **options), view)
+    """Robots in one batch, seen as ``view`` says; other options as for ``world_of``.
+
+    ``autoreset_mode`` says when an episode that ended begins anew, see ``FishVectorEnv``.
+    """
+    return FishVectorEnv(world_of(num_envs, **options), view, autoreset_mode=autoreset_mode)
 
 
 def world_of(

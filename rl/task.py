@@ -65,13 +65,18 @@ def reward(
     task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
 ) -> Tensor:
     """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 where it arrives, -10 where it leaves)."""
-    return gain(task, before, distance, reached, outside) - task.energy * effort(rate)
+    gain = progress(task, before, distance) + bonus(task, reached, outside)
+    return gain - task.energy * effort(rate)
 
 
-def gain(task: Task, before: Tensor, distance: Tensor, reached: Tensor, outside: Tensor) -> Tensor:
-    """What the reward gives for progress, before energy is paid, shape (E,)."""
-    approach = task.approach * (before - distance)
-    return approach + task.bonus * (reached.float() - outside.float())
+def progress(task: Task, before: Tensor, distance: Tensor) -> Tensor:
+    """The reward's term for coming nearer to the target, shape (E,)."""
+    return task.approach * (before - distance)
+
+
+def bonus(task: Task, reached: Tensor, outside: Tensor) -> Tensor:
+    """The reward's term for arriving (positive) or leaving the pool (negative), shape (E,)."""
+    return task.bonus * (reached.float() - outside.float())
 
 
 def effort(rate: Tensor) -> Tensor:

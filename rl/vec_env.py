@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from rl.decisions import Decisions
-from rl.env import action_space, observation_space
+from rl.env import action_space, observation_space, reward_terms, succeeded
 from rl.observer import View
 from rl.world import Step, World
 
@@ -21,8 +21,9 @@ Array = NDArray[np.float32]
 class FishVecEnv(VecEnv):
     """All robots of a world, one batched simulator underneath; a step is one decision of ``view``.
 
-    An episode's last observation stands in ``infos[e]["terminal_observation"]``, what Monitor would
-    say of it in ``infos[e]["episode"]``.
+    ``infos[e]`` has the terms of the reward (see ``rl.env.reward_terms``) and, where an episode
+    ends, ``is_success``, its last observation as ``terminal_observation`` and as ``episode`` what
+    Monitor would record.
     """
 
     def __init__(self, world: World, view: View = View()) -> None:  # noqa: B008 - frozen
@@ -51,18 +52,22 @@ class FishVecEnv(VecEnv):
         ended = (step.terminated | step.truncated).cpu().numpy()
         self._return += value
         self._length += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        terms = reward_terms(self.world.task, step)
+        columns = [term.cpu().tolist() for term in terms.values()]
+        infos: list[dict[str, Any]] = [
+            dict(zip(terms, row, strict=True)) for row in zip(*columns, strict=True)
+        ]
         if ended.any():
             self._tell(step, np.flatnonzero(ended), infos)
         return step.observation.cpu().numpy(), value, ended, infos
 
     def _tell(self, step: Step, ended: NDArray[np.intp], infos: list[dict[str, Any]]) -> None:
         final, late = step.final.cpu().numpy(), step.truncated.cpu().numpy()
-        reached = step.reached.cpu().numpy()
+        success = succeeded(self.world.task, step).cpu().numpy()
         for e in ended:
             infos[e]["terminal_observation"] = final[e]
             infos[e]["TimeLimit.truncated"] = bool(late[e])
-            infos[e]["is_success"] = bool(reached[e] >= self.world.task.waypoints)
+            infos[e]["is_success"] = bool(success[e])
             infos[e]["episode"] = {"r": float(self._return[e]), "l": int(self._length[e])}
             self._return[e], self._length[e] = 0.0, 0
 

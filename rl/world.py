@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.randomize import Noise
-from rl.task import Task, effort, gain, observation, observation_bounds
+from rl.task import Task, bonus, effort, observation, observation_bounds, progress
 from sim.robot.live import Simulator
 from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
@@ -46,6 +46,7 @@ class Step:
         observation: Of the state that the next action is for, shape (E, O).
         reward: Shape (E,).
         effort: The energy in it before its weight, rad^2/s^2, shape (E,).
+        bonus: The part of the reward for arriving (above zero) or leaving the pool, shape (E,).
         terminated: The robot arrived at the last waypoint or left the pool, shape (E,).
         truncated: The episode took too long, or the guard stopped the robot, shape (E,).
         reached: Waypoints reached so far in the episode that this step belongs to, shape (E,).
@@ -56,6 +57,7 @@ class Step:
     observation: Tensor
     reward: Tensor
     effort: Tensor
+    bonus: Tensor
     terminated: Tensor
     truncated: Tensor
     reached: Tensor
@@ -144,7 +146,8 @@ class World:
         stopped = self._stopped
         stays = (~stopped).float()
         spent = stays * effort(self.rate)
-        value = stays * gain(self.task, self._distance, distance, reached, outside)
+        ends = stays * bonus(self.task, reached, outside)
+        value = stays * progress(self.task, self._distance, distance) + ends
         value = value - self.task.energy * spent
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
@@ -157,7 +160,7 @@ class World:
         final = torch.where(stopped[:, None], self._last, self._observed())
         self._last = final
         seen = self.begin(terminated | truncated) if begin else final
-        return Step(seen, value, spent, terminated, truncated, count, final)
+        return Step(seen, value, spent, ends, terminated, truncated, count, final)
 
     def begin(self, which: Tensor) -> Tensor:
         """Begin an episode in some environments, shape (E,); the observations of all."""

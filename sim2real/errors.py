@@ -21,3 +21,7 @@ class InputError(Exception):
         self.file, self.where, self.found, self.expected = str(file), where, found, expected
         place = f"{file}: {where}" if where else f"{file}"
         super().__init__(" ".join(f"{place}: found {found}, expected {expected}".splitlines()))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        """Pickle its four parts, so that it crosses from one process to another."""
+        return type(self), (self.file, self.where, self.found, self.expected)

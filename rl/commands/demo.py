@@ -7,16 +7,16 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import torch
 
-from rl.commands.ablate import tried_in
+from rl.commands import demo_pool
+from rl.commands.alongside import Alongside
+from rl.commands.demo_pool import PRETRAINED, Done, Pool, compared, pool_work
 from rl.commands.demo_swim import swim_section
-from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import (
     difference_figure,
     keeps,
@@ -27,15 +27,12 @@ from rl.experiments.ablation_report import (
     way_figure,
     write_report,
 )
-from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import differences
-from rl.sac.recipes import plan_of
-from rl.sac.train import Plan, train_in_parts
+from rl.experiments.pretrained import Pretrained, read_pretrained
 from sim.commands.diagnose import write_all
-from sim.inference.calibrate import Calibrated, calibrate
+from sim.inference.calibrate import Calibrated
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
-from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
 from sim.view.calibration_plot import comparison
 from sim.view.diagnosis_page import swims_section
@@ -45,15 +42,14 @@ from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
-from sim2real.model import Model, read_model, write_model
+from sim2real.model import Model, write_model
 from sim2real.output import check_writable
 from sim2real.ranges.entry import write_ranges
-from sim2real.ranges.gather import Gathered, gather
 from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.drawing import svg
 from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import Figure, Note, Section, Table, write_page
+from sim2real.report.page import Block, Figure, Note, Section, Table, write_page
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
 from sim2real.report.table import fit_report
@@ -66,19 +62,14 @@ _SHOWN = "square"
 """Recording that the page shows beside the one held out: the paper's own test signal."""
 
 
-_SWIMS = ("p1", "p2")
-"""Swims of the pool: the first is calibrated on, ranges take both."""
-QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
-"""What each arm of the ablation learns beyond the agents that all go on from."""
-SEEDS, REPEATS = 8, 12
-
-
 def run(options: argparse.Namespace) -> int:
     """Bench, pool, ablation; write ``index.html`` and what stands behind it."""
     page = check_writable(options.out / "index.html")
     torch.set_num_threads(1)
-    bench, robot, model = _bench(options)
-    pool = _pool(options)
+    work = (options.pool, _ablation_in(options), options.seed, demo_pool.REPEATS, options.train)
+    with Alongside(pool_work, *work) as beside:
+        bench, robot, model = _bench(options)
+        pool = _pool(options, beside)
     with _stage("report", str(page)):
         write_page(
             page,
@@ -119,30 +110,40 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
     return sections, robot, model
 
 
-def _pool(options: argparse.Namespace) -> list[Section]:
-    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation."""
-    folder: Path = options.pool
-    robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
-    recordings = [read_recording(folder / f"{name}.csv") for name in _SWIMS]
-    swim, twin = swim_of(recordings[0], robot), by_twin(robot)
-    with _stage("calibrate", f"the body in the twin, on {recordings[0].name}"):
-        free = [*law_parameters(), *servo_parameters(model, robot)]
-        fitted = calibrate([swim], model, free, twin)
+def _pool(options: argparse.Namespace, beside: Iterator[Done]) -> list[Section]:
+    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation, a swim."""
+    pool, out = Pool.of(options.pool), options.out
+    agents = None if options.train else read_pretrained(options.pool / PRETRAINED)
+    robot, swim = pool.robot, swim_of(pool.recordings[0], pool.robot)
+    fitted, drift = _received(beside, "calibrate", f"the body in the twin, on {swim.name}")
     followed = by_followed_twin(robot)
     with _stage("diagnose", f"which physics the body leaves out, on {swim.name}"):
-        missing = diagnose_swims([swim], model, robot, followed)
-    write_model(missing.model, options.out / "swim.enriched.json")
-    write_diagnosis(missing, options.out / "swim.json", "swim.enriched.json")
-    with _stage("ranges", "what to randomize, and how far"):
-        found = gather(recordings, robot, fitted.model)
-    write_model(fitted.model, options.out / "calibrated.json")
-    write_ranges(found.ranges, options.out / "ranges.json")
-    told, plan = _ablated(options, robot, fitted.model, found)
+        missing = diagnose_swims([swim], pool.model, robot, followed)
+    write_model(missing.model, out / "swim.enriched.json")
+    write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
+    found = _received(beside, "ranges", "what to randomize, and how far")
+    write_model(fitted.model, out / "calibrated.json")
+    write_ranges(found.ranges, out / "ranges.json")
+    if agents is None:
+        what = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
+        with _stage("ablate", f"{what}, in the twin"):
+            told = compared(
+                pool, fitted.model, found, _ablation_in(options), options.seed, demo_pool.REPEATS,
+                plan=demo_pool.QUICK, seeds=demo_pool.SEEDS,
+            )  # fmt: skip
+    else:
+        what = f"{len(agents.seeds)} seeds of 4 arms, trained beforehand, in the twin"
+        told = _received(beside, "ablate", what)
+    plan = replace(demo_pool.QUICK, seeds=agents.seeds if agents else ())
+    write_report(told, plan, _ablation_in(options), fitted.model.provenance)
+    print(markdown(told))
+    if drift > 1:
+        print(f"note: {_drifted(drift)}")
     return [
-        _calibration(swim, model, fitted, twin, robot),
+        _calibration(swim, pool.model, fitted, by_twin(robot), robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
         ranges_section(found),
-        _ablation(told, plan),
+        _ablation(told, agents, drift),
         _swim(told, options, robot, fitted.model),
     ]
 
@@ -172,61 +173,60 @@ def _calibration(
     return Section("Calibration", lead, [Figure(figure, caption), Table(header, rows)])
 
 
-def _ablated(
-    options: argparse.Namespace, robot: Robot, model: Model, found: Gathered
-) -> tuple[dict[str, Any], Plan]:
-    """A quick ablation in the twin: what ``ablate`` tells of it, and how it trained."""
-    arms = [arm_of(name, model, robot, found.ranges) for name in PAPER]
-    reality = read_model(options.pool / "reality.json")
-    plan = replace(QUICK, seeds=tuple(range(options.seed, options.seed + SEEDS)))
-    folder = options.out / "ablation"
-    trainer = partial(train_in_parts, first=agents_in(options.pool))
-    with _stage("ablate", f"{len(arms)} arms, {SEEDS} seeds, {plan.steps} steps, in the twin"):
-        testbeds = tried_in(robot, arms, plan, found.ranges, reality)
-        told = ablate(
-            folder, robot, arms, plan, testbeds, seed=options.seed, repeats=REPEATS, trainer=trainer
-        )
-    write_report(told, plan, folder, model.provenance)
-    print(markdown(told))
-    return told, plan
+def _ablation_in(options: argparse.Namespace) -> Path:
+    """The ablation's folder: of agents that this run trains another than of the shipped ones."""
+    return Path(options.out / ("trained" if options.train else "ablation"))
 
 
-def agents_in(pool: Path) -> list[Path]:
-    """The agents that arms go on from: they swim half way between no technique and all."""
-    found = sorted((pool / "agents").glob("*.zip"))
-    if not found:
-        raise InputError(
-            pool / "agents", "", "no agents", "NAME.zip files, such as of the arm midway"
-        )
-    return found
+def _drifted(drift: float) -> str:
+    """That the shipped agents were trained for another robot than that of this calibration."""
+    return (
+        "the shipped agents were trained for another calibration: its swim differs from this one's "
+        f"by {drift:.1f} times what this one gets wrong; --train trains agents for this one"
+    )
 
 
-def _ablation(told: dict[str, Any], plan: Plan) -> Section:
+def _ablation(told: dict[str, Any], agents: Pretrained | None, drift: float) -> Section:
     """The chain's last stage, not its result."""
+    steps = demo_pool.QUICK.steps if agents is None else agents.plan["steps"]
+    when = "in this run"
+    if agents is not None:
+        when = (
+            "beforehand, by “sim2real demo --train”, and ship with the data; this run evaluates "
+            "them in simulation, with its own calibration, and in reality"
+        )
     note = (
-        f"Agents of a seed go on from one shipped with the data, whose servos and densities lay "
-        f"half way between the calibrated ones and the old simulator's, for {plan.steps} steps in "
-        "their own arm's: pairs differ by their arms. A difference whose interval leaves out zero "
-        "stands out. Reality is the twin with other numbers, friction, play and a skin here, as a "
-        "pool of its own is too slow for two cores. Of a hundred such ablations 97 or more tell "
-        "the servo's calibration, twenty another technique by chance. Learned from nothing and "
-        "swum in the fluid, the servo's is worth most by far (reports/ablation)."
+        f"The agents were trained {when}. "
+        "Agents of a seed start from one shipped with the data, whose servos and densities lay "
+        f"half way between the calibrated ones and the old simulator's, and learn for {steps} "
+        "steps in their own arm's: pairs differ by their arms. A difference whose interval leaves "
+        "out zero is significant. Reality is the twin with other parameters, friction, play and a "
+        "skin here, as a pool of its own is too slow for two cores. Of a hundred such ablations 97 "
+        "or more find the servo's calibration significant, twenty another technique by chance. "
+        "Trained from scratch and evaluated in the fluid, the servo's is worth most by far "
+        "(reports/ablation)."
     )
     apart = differences(told)
+    blocks: list[Block] = [Note("info", note)]
+    if drift > 1:
+        blocks.append(Note("warn", _drifted(drift)[0].upper() + _drifted(drift)[1:] + "."))
     figures = [
         Figure(svg(return_figure(rows(told)))),
         Figure(svg(difference_figure(apart)), power(apart)),
         Figure(svg(way_figure(told))),
     ]
     lead = keeps({row["arm"]: row for row in rows(told)})
-    return Section("A quick ablation", lead, [Note("info", note), *figures])
+    return Section("A quick ablation", lead, [*blocks, *figures])
 
 
 def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model) -> Section:
     """What an agent with all techniques has learned, to watch: the best of them in simulation."""
     mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
     best = max(mine, key=lambda agent: fmean(agent["simulation"]["return"]))
-    (policy,) = (options.out / "ablation" / "train").glob(f"*/{best['folder']}/policy.zip")
+    if options.train:
+        (policy,) = (_ablation_in(options) / "train").glob(f"*/{best['folder']}/policy.zip")
+    else:
+        policy = options.pool / PRETRAINED / best["folder"] / "policy.npz"
     film = check_writable(options.out / "swim.gif")
     with _stage("swim", "the policy with all techniques, in the fluid"):
         return swim_section(policy, robot, model, film, options.seed)
@@ -251,3 +251,11 @@ def _stage(name: str, what: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     print(f"({time.perf_counter() - start:.1f} s)", flush=True)
+
+
+def _received(beside: Iterator[Done], name: str, what: str) -> Any:  # noqa: ANN401 - a result
+    """A stage of the second process: its line, its own seconds, its result."""
+    print(f"{name:10}{what}", end=" ", flush=True)
+    done = next(beside)
+    print(f"({done.seconds:.1f} s)", flush=True)
+    return done.value

@@ -212,6 +212,12 @@ def _demo(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--pool", type=Path, default=Path("datasets/pool"), metavar="FOLDER")
     command.add_argument("--out", type=Path, default=Path("reports/demo"), metavar="FOLDER")
+    command.add_argument(
+        "--train",
+        action="store_true",
+        help="train the ablation's agents in this run, minutes on two cores (default: evaluate "
+        "those shipped with the data)",
+    )
 
 
 COMMANDS = (

@@ -21,10 +21,10 @@ _PHASE = 2
 class DiscreteCPGEnv(VecEnvWrapper):
     """A vector environment whose actions are rows of a table, each held for ``table.hold`` periods.
 
-    Rewards of the periods add up. The observation gets the sine and cosine of the first joint's
-    phase, without which it would not tell what a choice does next. An episode that ends within a
-    choice gives its reward until then; what the next one earns before its own first choice, with
-    the same gait, is not counted.
+    Rewards of the periods and their terms add up. The observation gets the sine and cosine of the
+    first joint's phase, without which it would not tell what a choice does next. An episode that
+    ends within a choice gives its reward until then; what the next one earns before its own first
+    choice, with the same gait, is not counted.
     """
 
     def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
@@ -57,10 +57,13 @@ class DiscreteCPGEnv(VecEnvWrapper):
         reward = np.zeros(self.num_envs, dtype=np.float32)
         over = np.zeros(self.num_envs, dtype=bool)
         ends: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        terms: list[dict[str, float]] = [{} for _ in range(self.num_envs)]
         for _ in range(self.table.hold):
             self.venv.step_async(self._scaled(self._generator.step(gait)))
             observation, gained, done, infos = self.venv.step_wait()
             reward += np.where(over, 0.0, gained).astype(np.float32)
+            for e in np.flatnonzero(~over):
+                _add_terms(terms[e], infos[e])
             for e in np.flatnonzero(done & ~over):
                 ends[e] = dict(infos[e])
                 last = np.atleast_2d(ends[e]["terminal_observation"])
@@ -68,7 +71,8 @@ class DiscreteCPGEnv(VecEnvWrapper):
             over |= done
             if done.any():
                 self._begin(done, observation)
-        return with_phase(observation, self._generator), reward, over, ends
+        told = [{**end, **sums} for end, sums in zip(ends, terms, strict=True)]
+        return with_phase(observation, self._generator), reward, over, told
 
     def _scaled(self, angle: Array) -> NDArray[np.float32]:
         low, high = self._generator.limits_rad.T
@@ -77,3 +81,10 @@ class DiscreteCPGEnv(VecEnvWrapper):
     def _begin(self, mask: NDArray[np.bool_], observation: Any) -> None:  # noqa: ANN401
         joints = self._generator.phase.shape[1]
         self._generator.reset(mask, angle=observation[:, 3 : 3 + joints])
+
+
+def _add_terms(sums: dict[str, float], info: dict[str, Any]) -> None:
+    """Add the terms of a period's reward, the numbers of ``info`` named ``reward_...``."""
+    for name, value in info.items():
+        if name.startswith("reward_"):
+            sums[name] = sums.get(name, 0.0) + value

@@ -30,16 +30,16 @@ Found = Mapping[str, Any]
 
 
 def write_report(found: Found, plan: Plan, folder: Path, made: Mapping[str, Any]) -> None:
-    """Write ``index.html``, ``ablation.md``, ``ablation.json`` and ``curve.png``."""
+    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` after a training."""
     write_json(folder / "ablation.json", {**found, "table": rows(found)})
     write_whole(folder / "ablation.md", markdown(found) + "\n")
     trained: dict[str, list[Path]] = {}
     for agent in found["agents"]:
-        own = next(
-            p for p in (folder / "train").rglob(agent["folder"]) if (p / "progress.csv").exists()
-        )
-        trained.setdefault(TITLES[agent["arm"]], []).append(own)
-    draw_curves(trained, folder / "curve.png")
+        for own in (folder / "train").rglob(agent["folder"]):
+            if (own / "progress.csv").exists():
+                trained.setdefault(TITLES[agent["arm"]], []).append(own)
+    if trained:  # agents that were trained beforehand have no curves
+        draw_curves(trained, folder / "curve.png")
     lead = f"{len(found['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
     write_page(folder / "index.html", "Ablation", lead, sections(found, plan), made)
 

@@ -235,33 +235,61 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_demo_ends_in_a_page(whole, short, tmp_path, capsys, monkeypatch):
-    """With ten seconds of each recording and a training too short to learn, and as it is."""
-    demo = pytest.importorskip("rl.commands.demo", reason="the extra 'rl' is not installed")
+@pytest.mark.parametrize("train", [False, True])
+def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
+    """With ten seconds of each recording, the shipped agents or a training too short to learn."""
+    demo_pool = pytest.importorskip("rl.commands.demo_pool", reason="no extra 'rl'")
     from rl.task import shortened
 
-    data = (ROOT if whole else short) / "datasets"
-    if not whole:
-        task = shortened(demo.QUICK.task, 200)
-        quick = replace(demo.QUICK, task=task, steps=1_280, envs=4, segment=640)
-        monkeypatch.setattr(demo, "QUICK", quick)  # for the ablation alone
-        monkeypatch.setattr(demo, "SEEDS", 2)
-        monkeypatch.setattr(demo, "REPEATS", 2)
-        monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
+    task = shortened(demo_pool.QUICK.task, 200)
+    quick = replace(demo_pool.QUICK, task=task, steps=1_280, envs=4, segment=640)
+    monkeypatch.setattr(demo_pool, "QUICK", quick)  # for the ablation alone
+    monkeypatch.setattr(demo_pool, "SEEDS", 2)
+    monkeypatch.setattr(demo_pool, "REPEATS", 2)
+    monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
+    out, data = tmp_path / "demo", short / "datasets"
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
-    assert main(["demo", *folders, "--out", str(tmp_path / "demo")]) == 0
-    page = (tmp_path / "demo" / "index.html").read_text()
+    assert main(["demo", *folders, "--out", str(out), *(["--train"] if train else [])]) == 0
+    page = (out / "index.html").read_text()
     assert "Identification" in page
     assert "Diagnosis of the swim" in page
     assert "<script" not in page
+    assert ("The agents were trained in this run" in page) == train
+    assert ("The agents were trained beforehand" in page) != train
     assert "data:image/gif;base64," in page, "it ends in a swim to watch"
-    assert (tmp_path / "demo" / "swim.gif").read_bytes()[:6] == b"GIF89a"
+    assert (out / "swim.gif").read_bytes()[:6] == b"GIF89a"
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == f"report: {tmp_path / 'demo' / 'index.html'}"
-    assert [line.split()[0] for line in lines[:5]] == [
-        "read", "check", "identify", "diagnose", "replay",
+    assert lines[-1] == f"report: {out / 'index.html'}"
+    stages = [line.split()[0] for line in lines if line.endswith(" s)")]
+    assert stages == [
+        "read", "check", "identify", "diagnose", "replay", "calibrate", "diagnose", "ranges",
+        "ablate", "swim", "report",
     ]  # fmt: skip
+    agents = json.loads(next(out.glob("*/ablation.json")).read_text())["agents"]
+    assert len(agents) == 4 * (2 if train else 8)
+    assert len(agents[0]["reality"]["return"]) == 2
+
+
+def test_demo_says_where_its_agents_are_for_another_robot(tmp_path, capsys, monkeypatch):
+    """As where a calibration comes out otherwise than that which the agents were trained for."""
+    demo = pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
+    said = demo._drifted(2.5)
+    assert "another calibration" in said and "2.5 times" in said and "--train" in said
+    assert "\n" not in said
+
+
+@pytest.mark.slow
+def test_demo_as_it_ships_finds_the_servos_calibration_significant(tmp_path, capsys):
+    pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
+    from rl.experiments.differences import differences
+
+    data, out = ROOT / "datasets", tmp_path / "demo"
+    folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
+    assert main(["demo", *folders, "--out", str(out)]) == 0
+    assert "note:" not in capsys.readouterr().out, "the agents are for this very calibration"
+    apart = differences(json.loads((out / "ablation" / "ablation.json").read_text()))
+    assert apart["no-servo"].low > 0
+    assert apart["no-servo"].mean == max(one.mean for one in apart.values())
 
 
 def test_every_real_log_runs(realdata, tmp_path, capsys):

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import re
+import sys
 import warnings
+from pathlib import Path
 
 import gymnasium
 import gymnasium.utils.env_checker
+import gymnasium.wrappers.vector
 import numpy as np
 import pytest
 import stable_baselines3
 import stable_baselines3.common.env_checker
+import stable_baselines3.common.monitor
 import torch
+from gymnasium.vector import AutoresetMode
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
-from rl.env import FishEnv
+from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.env import FishEnv, FishVectorEnv
 from rl.observer import PAPER, View
 from rl.randomize import Noise
 from rl.registered import FISH
@@ -43,6 +50,121 @@ def test_the_registered_environment_passes_too():
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10, "there is something to see"
 
 
+@pytest.mark.parametrize("view", [View(), PAPER])
+def test_a_film_runs_at_the_speed_of_the_robot(world_of, view):
+    """A picture a step: what it is shown for is what the step takes."""
+    env = FishEnv(world_of(1), view, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = float(env.world.simulator.live().clock.numpy()[0])
+    env.step(np.zeros(3, dtype=np.float32))
+    took = float(env.world.simulator.live().clock.numpy()[0]) - before
+    assert 1 / env.metadata["render_fps"] == pytest.approx(took, rel=1e-4)
+
+
+def test_the_class_says_the_default_views_speed():
+    assert FishEnv.metadata["render_fps"] == pytest.approx(12.5)
+
+
+def test_record_video_writes_every_step(tmp_path):
+    pytest.importorskip("moviepy", reason="the extra 'render' is not installed")
+    av = pytest.importorskip("av", reason="the extra 'sim' is not installed")
+    env = gymnasium.make("sim2real/Fish-v0", task="near", render_mode="rgb_array")
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"))
+    env.reset(seed=3)
+    for _ in range(5):
+        env.step(env.action_space.sample())
+    env.close()
+    (film,) = (tmp_path / "films").glob("*.mp4")
+    with av.open(str(film)) as opened:
+        stream = opened.streams.video[0]
+        assert float(stream.average_rate) == pytest.approx(12.5)
+        assert sum(1 for _ in opened.decode(stream)) == 6, "the start and five steps"
+
+
+def test_a_window_shows_what_rgb_array_gives(monkeypatch):
+    """SDL's driver without a screen, so that it needs none."""
+    pytest.importorskip("pygame", reason="the extra 'render' is not installed")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        seen = gymnasium.make("sim2real/Fish-v0", render_mode="human")
+        drawn = gymnasium.make("sim2real/Fish-v0", render_mode="rgb_array")
+        for env in (seen, drawn):
+            env.reset(seed=3)
+            env.step(np.full(3, 0.5, dtype=np.float32))
+        assert seen.render() is None, "reset and step have shown it"
+        assert np.array_equal(seen.unwrapped.window.shown(), drawn.render())
+        seen.close()
+    assert seen.unwrapped.window is None
+
+
+def test_a_window_without_a_screen_is_refused_in_a_line(world_of, monkeypatch):
+    pytest.importorskip("pygame", reason="the extra 'render' is not installed")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
+    with pytest.raises(InputError, match="no screen") as told:
+        FishEnv(world_of(1), render_mode="human")
+    assert "rgb_array" in str(told.value) and "\n" not in str(told.value)
+
+
+def test_a_window_without_pygame_names_the_extra(world_of, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(InputError, match=r"sim2real\[render\]"):
+        FishEnv(world_of(1), render_mode="human")
+
+
+def test_the_terms_of_the_reward_add_up_to_it(world_of):
+    """In all three environments; arriving and leaving stand in the bonus alone."""
+    names = {"reward_progress", "reward_bonus", "reward_energy"}
+
+    def placed(rng: np.random.Generator, n: int, J: int):
+        pose = np.zeros((n, 3))
+        pose[1, 0] = 1.81
+        return pose, np.zeros((n, J)), np.tile([[0.02, 0.0]], (n, 1, 1))
+
+    one = FishEnv(world_of(1, "near"))
+    one.reset(seed=2)
+    for _ in range(5):
+        _, reward, _, _, info = one.step(np.array([0.9, -0.9, 0.9], dtype=np.float32))
+        assert sum(info[name] for name in names) == pytest.approx(reward, abs=1e-5)
+    assert info["reward_energy"] < 0
+    effort = -info["reward_energy"] / one.world.task.energy
+    assert effort > 0 and info["reward_bonus"] == 0
+
+    several = FishVectorEnv(world_of(2, Task("placed", placed)))
+    several.reset()
+    _, rewards, terminated, _, infos = several.step(np.zeros((2, 3), dtype=np.float32))
+    assert terminated.all()
+    assert np.allclose(sum(infos[name] for name in names), rewards, atol=1e-5)
+    assert infos["reward_bonus"].tolist() == [10.0, -10.0]
+    assert infos["is_success"].tolist() == [True, False]
+
+    theirs = FishVecEnv(world_of(2, Task("placed", placed)))
+    theirs.reset()
+    _, rewards, _, told = theirs.step(np.zeros((2, 3), dtype=np.float32))
+    sums = [sum(info[name] for name in names) for info in told]
+    assert np.allclose(sums, rewards, atol=1e-5)
+    assert [info["is_success"] for info in told] == [True, False]
+
+
+def test_the_terms_of_a_held_gait_add_up_too(world_of):
+    env = DiscreteCPGEnv(FishVecEnv(world_of(3, shortened(TASKS["near"], 15)), PAPER))
+    env.reset()
+    for _ in range(2):
+        _, rewards, _, infos = env.step(np.array([0, 7, 14]))
+        sums = [sum(info[k] for k in info if k.startswith("reward_")) for info in infos]
+        assert np.allclose(sums, rewards, atol=1e-5)
+
+
+def test_stable_baselines_logs_the_success_rate(world_of):
+    """Its own logger reads ``is_success`` where an episode ends, from one environment or many."""
+    task = shortened(TASKS["near"], 8)
+    one = stable_baselines3.common.monitor.Monitor(FishEnv(world_of(1, task)))
+    for env in (one, FishVecEnv(world_of(3, task))):
+        agent = stable_baselines3.SAC("MlpPolicy", env, learning_starts=1000)
+        agent.learn(12)
+        assert len(agent.ep_success_buffer) > 0
+
+
 def test_an_episode_begins_once(world_of):
     """The step that ends one draws no other: that is for ``reset`` to do."""
     env = FishEnv(world_of(1, shortened(TASKS["near"], 12)))
@@ -62,6 +184,11 @@ def test_a_batch_by_make_vec_is_gymnasiums_vector_environment():
     again, _ = envs.reset(seed=1)
     assert envs.observation_space.contains(first)
     assert np.array_equal(first, again)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP, "Gymnasium's default"
+    envs = gymnasium.make_vec(
+        "sim2real/Fish-v0", num_envs=3, task="near", autoreset_mode=AutoresetMode.SAME_STEP
+    )
+    envs.reset(seed=1)
     envs.unwrapped.world.elapsed[1] = TASKS["near"].steps - 1
     seen, reward, _, truncated, infos = envs.step(envs.action_space.sample())
     assert truncated.tolist() == [False, True, False]
@@ -70,6 +197,81 @@ def test_a_batch_by_make_vec_is_gymnasiums_vector_environment():
     assert not np.array_equal(infos["final_obs"][1], seen[1])
     with pytest.raises(InputError, match="pentagram"):
         gymnasium.make_vec("sim2real/Fish-v0", num_envs=2, task="somersault")
+
+
+def test_the_next_step_begins_the_next_episode(world_of):
+    """As Gymnasium's own vector environments: no action, no reward, the first observation."""
+    task = shortened(TASKS["near"], 12)
+    envs, same = (
+        FishVectorEnv(world_of(3, task, seed=7), autoreset_mode=mode)
+        for mode in ("NextStep", "SameStep")
+    )
+    envs.reset(), same.reset()
+    envs.world.elapsed[1] = same.world.elapsed[1] = 8
+    action = np.full((3, 3), 0.3, dtype=np.float32)
+    last, _, _, late, _ = envs.step(action)
+    begun, _, _, also, told = same.step(action)
+    assert late.tolist() == also.tolist() == [False, True, False]
+    assert np.array_equal(last[1], told["final_obs"][1])
+    assert np.array_equal(last[[0, 2]], begun[[0, 2]])
+    target = envs.world.targets.clone()
+    first, rewards, _, late, infos = envs.step(action)
+    moved = (envs.world.targets != target).any(dim=(1, 2)).tolist()
+    assert moved == [False, True, False], "one robot begins anew"
+    assert rewards[1] == 0 and rewards[0] != 0
+    assert not late.any()
+    assert infos["_reached"].tolist() == [True, False, True]
+    assert envs.world.elapsed.tolist() == [8, 0, 8]
+    assert np.allclose(first[1, 3:6], envs.decisions.observer.see(envs.world._last)[1, 3:6])
+    with pytest.raises(ValueError, match="Disabled"):
+        FishVectorEnv(world_of(1), autoreset_mode="Disabled")
+
+
+def test_gymnasiums_vector_wrappers_take_it():
+    envs = gymnasium.make_vec("sim2real/Fish-v0", num_envs=4, task="near")
+    envs.unwrapped.world.task = shortened(TASKS["near"], 12)
+    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    envs = gymnasium.wrappers.vector.NormalizeObservation(envs)
+    envs = gymnasium.wrappers.vector.NormalizeReward(envs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs.reset(seed=1)
+        seen, lengths = [], []
+        for _ in range(40):
+            observation, _, _, _, infos = envs.step(envs.action_space.sample())
+            seen.append(observation)
+            if "episode" in infos:
+                lengths += infos["episode"]["l"][infos["_episode"]].tolist()
+    assert set(lengths) == {3}, "decisions of an episode, the step that begins it not among them"
+    assert len(lengths) == 4 * (40 // 4)
+    assert np.abs(np.mean(seen)) < 0.5
+
+
+def test_the_statistics_are_the_same_in_both_modes():
+    def run(mode: AutoresetMode) -> list[float]:
+        envs = gymnasium.make_vec(
+            "sim2real/Fish-v0", num_envs=2, task="near", autoreset_mode=mode, seed=3
+        )
+        envs.unwrapped.world.task = shortened(TASKS["near"], 12)
+        envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+        envs.reset(seed=3)
+        found: list[float] = []
+        while len(found) < 4:
+            infos = envs.step(np.full((2, 3), 0.2, dtype=np.float32))[-1]
+            if "episode" in infos:
+                found += infos["episode"]["r"].tolist()
+        return found
+
+    assert np.allclose(run(AutoresetMode.NEXT_STEP), run(AutoresetMode.SAME_STEP), atol=1e-5)
+
+
+def test_the_docs_count_the_columns(world_of):
+    """What the how-to says of the observation's size is what the environment has."""
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "gymnasium.md").read_text()
+    told = [int(count) for count in re.findall(r"(\d+) columns", page)]
+    sizes = [FishEnv(world_of(1), view).observation_space.shape[0] for view in (View(), PAPER)]
+    assert told == sizes
+    assert f"{1000 * View().decision_s:.0f} ms" in page
 
 
 def test_sac_learns_on_it_as_on_any_other():

@@ -1,0 +1,69 @@
+"""Ship the agents that a ``sim2real demo --train`` has trained with the data.
+
+    sim2real demo --train --out build/demo          # some minutes of two cores
+    python benchmarks/demo_agents.py build/demo     # [--out datasets/pool/agents/ablation]
+
+Keeps the policy of each of the ablation's agents, the calibrated model and the ranges that they
+were trained for, the plan, and the SHA-256 of all these files and of the inputs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIMS, agents_in
+from rl.experiments.arms import PAPER
+from rl.experiments.pretrained import write_pretrained
+from rl.sac.train import Plan
+from sim2real.errors import InputError
+from sim2real.model import read_model
+from sim2real.output import provenance
+from sim2real.ranges.entry import read_ranges
+
+POOL = Path("datasets/pool")
+
+
+def main() -> None:
+    """Collect, check, keep."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, help="folder of a 'sim2real demo --train'")
+    parser.add_argument("--out", type=Path, default=POOL / PRETRAINED)
+    options = parser.parse_args()
+    plan = replace(QUICK, seeds=tuple(range(SEEDS)))
+    agents = trained(options.run / "trained" / "train", plan)
+    inputs = [POOL / "robot.toml", POOL / "model.json", *(POOL / f"{name}.csv" for name in SWIMS)]
+    made = provenance([*inputs, *agents_in(POOL)], None)
+    model, ranges = (options.run / name for name in ("calibrated.json", "ranges.json"))
+    listing = write_pretrained(
+        options.out, agents, plan, read_model(model), read_ranges(ranges), made
+    )
+    print(f"{listing}: {len(agents)} agents")
+
+
+def trained(folder: Path, plan: Plan) -> list[Path]:
+    """The agents of a training in two parts: all seeds of the first arm, then those of the next.
+
+    Raises:
+        InputError: If the training is none, of another plan, or not finished.
+    """
+    for run in sorted(folder.glob("part-*/run.json")):
+        told = json.loads(run.read_text())["plan"]
+        if told != replace(plan, seeds=tuple(told["seeds"])).content():
+            raise InputError(run, "plan", "another plan", "that of today's sim2real demo --train")
+    return [one_of(folder, f"{arm}-{seed}") for arm in PAPER for seed in plan.seeds]
+
+
+def one_of(folder: Path, name: str) -> Path:
+    """The folder of one agent, in any part."""
+    found: Sequence[Path] = sorted(folder.glob(f"part-*/{name}/policy.zip"))
+    if len(found) != 1:
+        raise InputError(folder, name, f"{len(found)} policies", "one policy.zip in its parts")
+    return found[0].parent
+
+
+if __name__ == "__main__":
+    main()
