@@ -19,12 +19,15 @@ from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.problem import HELD_OUT_SHARE
-from sim.inference.swims import Swim, by_fluid, by_twin, swim_of
+from sim.inference.swims import SIGNALS, UNITS, Swim, by_fluid, by_twin, swim_of
 from sim2real.diagnose import diagnose as servos
 from sim2real.diagnose.result import Diagnosis
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Commands, Recording
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Section, Table
 from sim2real.robot import Robot, match_joints
 from sim2real.verbs import File, Recorded, model_of, recordings_of, robot_of
 
@@ -75,7 +78,7 @@ def diagnose(
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(NotebookDisplay):
     """A body fitted to swims.
 
     Attributes:
@@ -135,7 +138,7 @@ def calibrate(
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(NotebookDisplay):
     """Swims of a model.
 
     Attributes:
@@ -244,3 +247,30 @@ def _swum(name: str, robot: Robot, t: Array, command: Array, track: Array) -> Re
         source=f"Simulated, not measured: a model on the commands of {name}.",
         columns=dict(zip(POSE, track[:, :3].T, strict=True)),
     )
+
+
+@result_section.register
+def _(calibration: Calibration) -> Section:
+    found = calibration.found
+    ends = found.interval()
+    fitted = [
+        (p.name, f"{best:.4g}", f"{low:.4g} to {high:.4g}")
+        for p, best, (low, high) in zip(found.free, found.best, ends, strict=True)
+    ]
+    names = [*SIGNALS, *(joint.name for joint in calibration.robot.joints)]
+    units = [*UNITS, *("rad" for _ in calibration.robot.joints)]
+    errors = [
+        (name, f"{before:.4f}", f"{after:.4f}", unit)
+        for name, unit, (before, after) in zip(names, units, found.rmse.T, strict=True)
+    ]
+    blocks = (
+        Table(("parameter", "value", "90 % interval"), fitted),
+        Table(("signal", "held-out RMSE before", "after", "unit"), errors),
+    )
+    return Section("Calibration", "", blocks)
+
+
+@result_section.register
+def _(simulated: Simulated) -> Section:
+    rows = [line.split(": ", 1) for line in str(simulated).splitlines()]
+    return Section("Simulated swims", "", [Table(("recording", "swim"), rows)])

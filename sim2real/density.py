@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -20,7 +21,7 @@ Z90 = 1.645
 
 
 @dataclass(frozen=True)
-class Density:
+class Density(NotebookDisplay):
     """Normalised density of L links, 1 where mass per length is the robot's own.
 
     Attributes:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from sim2real.display import NotebookDisplay
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
 from sim2real.structured import Fields, finite_number, read_json
@@ -65,7 +66,7 @@ class JointModel:
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(NotebookDisplay):
     """The fitted robot.
 
     Attributes:

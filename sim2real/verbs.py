@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.density import Density, normalised_density
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.identification import identify as servos
 from sim2real.model import Law, Model, read_model
@@ -74,7 +75,7 @@ def density(robot: Robot | File) -> Density:
 
 
 @dataclass(frozen=True)
-class Posterior:
+class Posterior(NotebookDisplay):
     """Posteriors of a robot's servos.
 
     Attributes:
@@ -179,7 +180,7 @@ def ranges(
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(NotebookDisplay):
     """What a model makes of the commands of recordings.
 
     Attributes:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay
 from sim2real.model import Model
 from sim2real.output import write_json
 
@@ -198,7 +199,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(NotebookDisplay):
     """All that ``diagnose`` found.
 
     Attributes:

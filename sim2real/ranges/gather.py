@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.density import Density, normalised_density
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
@@ -40,7 +41,7 @@ _CLEAR = 3.0
 
 
 @dataclass(frozen=True)
-class Gathered:
+class Gathered(NotebookDisplay):
     """Ranges and what they come from.
 
     Attributes:
