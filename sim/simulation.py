@@ -14,9 +14,12 @@ from tqdm import tqdm
 
 from sim.inference.swims import by_twin
 from sim.robot.swimmer import CONTROL_S, State, Swimmer
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Recording
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Section, Table
 from sim2real.robot import Robot, match_joints
 
 if TYPE_CHECKING:
@@ -54,7 +57,7 @@ class SupersonicFlow(FloatingPointError):
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(NotebookDisplay):
     """Swims of a model.
 
     Attributes:
@@ -90,6 +93,12 @@ class Simulated:
             axes.set_title("y, m")
             axes.legend()
         return figure
+
+
+@result_section.register
+def _simulated(simulated: Simulated) -> Section:
+    rows = [line.split(": ", 1) for line in str(simulated).splitlines()]
+    return Section("Simulated swims", "", [Table(("recording", "swim"), rows)])
 
 
 def simulate_recording(

@@ -30,12 +30,14 @@ if TYPE_CHECKING:
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
     from sim2real.verbs import ranges as ranges
+    from sim2real.version import __version__ as __version__
 
 _HOMES = {
     "InputError": "sim2real.errors",
     "Model": "sim2real.model",
     "Recording": "sim2real.recording",
     "Robot": "sim2real.robot",
+    "__version__": "sim2real.version",
     "calibrate": "sim.verbs",
     "check": "sim2real.check",
     "density": "sim2real.verbs",
@@ -54,7 +56,7 @@ _HOMES = {
 """Where each name lives. Three verbs need the water, a floor up, and are loaded from there only
 when a program asks for them: beside the command line the one place that reaches up."""
 
-__all__ = sorted(_HOMES)
+__all__ = sorted(name for name in _HOMES if not name.startswith("_"))
 
 
 def __getattr__(name: str) -> object:
@@ -64,7 +66,7 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_HOMES})
 
 
 class _Package(ModuleType):

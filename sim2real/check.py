@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.clock import Timing, clock_findings, timing
+from sim2real.display import NotebookDisplay
 from sim2real.findings import Seen, joint_findings, moves
 from sim2real.identification.expect import expected_precision
 from sim2real.noise import noise_floor, quantization_step
@@ -48,7 +49,7 @@ class JointCheck:
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(NotebookDisplay):
     """What a recording is like: ``findings`` concern all of it, each joint has its own."""
 
     recording: str
@@ -57,6 +58,10 @@ class Check:
     timing: Timing
     joints: tuple[JointCheck, ...]
     findings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """The check as the command line prints it."""
+        return format_check(self).rstrip("\n")
 
 
 def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:

@@ -98,6 +98,7 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
         epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
+    whole.add_argument("--version", action=_Version, help="print the version and exit")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, said) in COMMANDS.items():
         wanted = only is None or name in only
@@ -114,6 +115,19 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
             command.set_defaults(module=one.module, resumes=one.resumes, result=None)
             one.add(command)
     return whole
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is read only then: argparse's own action takes it at once."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from sim2real.version import __version__
+
+        print(f"{parser.prog} {__version__}")
+        parser.exit()
 
 
 def find(name: str, home: str) -> Command:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -20,7 +21,7 @@ Z90 = 1.645
 
 
 @dataclass(frozen=True)
-class Density:
+class Density(NotebookDisplay):
     """Normalised density of L links, 1 where mass per length is the robot's own.
 
     Attributes:
@@ -58,9 +59,8 @@ class Density:
 
     def plot(self) -> Figure:
         """Each link as a block, as high as its normalised density."""
-        from sim2real.report.range_plots import density_figure
-
-        return density_figure(self)
+        figure: Figure = from_report("range_plots.density_figure")(self)
+        return figure
 
 
 def normalised_density(robot: Robot) -> Density:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
 from sim2real.structured import Fields, finite_number, read_json
@@ -65,7 +66,7 @@ class JointModel:
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(NotebookDisplay):
     """The fitted robot.
 
     Attributes:
@@ -87,15 +88,13 @@ class Model:
 
     def __str__(self) -> str:
         """The fitted parameters of every joint, how well they are known and how well they fit."""
-        from sim2real.report.table import fit_report
-
-        return fit_report(self)
+        text: str = from_report("table.fit_report")(self)
+        return text
 
     def plot(self) -> Figure:
         """Gains and latency of every joint, with 90 % intervals."""
-        from sim2real.report.parameter_plot import parameter_figure
-
-        return parameter_figure(self)
+        figure: Figure = from_report("parameter_plot.parameter_figure")(self)
+        return figure
 
 
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:

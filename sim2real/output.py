@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sim2real.errors import InputError
+from sim2real.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
 
@@ -72,7 +73,7 @@ def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
 
 def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> dict[str, Any]:
     """Where a result came from: command line, versions, seed and SHA-256 of every input file."""
-    versions = {"python": platform.python_version(), "sim2real": _version("sim2real")}
+    versions = {"python": platform.python_version(), "sim2real": __version__}
     versions |= {name: _version(name) for name in _LIBRARIES}
     return {
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_json, write_whole
 from sim2real.structured import Fields, check_size, read_json, shown
@@ -51,7 +52,7 @@ PER_INERTIA = Load(inertia_kgm2=1.0)
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(NotebookDisplay):
     """One recording, as read.
 
     Attributes:
@@ -92,6 +93,34 @@ class Recording:
     def duration_s(self) -> float:
         """Time between the first and the last sample, in s."""
         return float(self.t[-1] - self.t[0])
+
+    @property
+    def rate_hz(self) -> float:
+        """One over the median time between samples; NaN where there are fewer than two."""
+        return 1 / float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    def missing(self, joint: int) -> int:
+        """Number of samples in which the position of joint ``joint`` is missing."""
+        return int(np.isnan(self.position[:, joint]).sum())
+
+    @property
+    def summary(self) -> str:
+        """Kind, medium, duration, samples, rate and number of missing positions, on one line."""
+        duration = self.duration_s if self.t.size else 0.0
+        missing = sum(self.missing(j) for j in range(len(self.joints)))
+        return (
+            f"{self.kind} in {self.medium}, {duration:.2f} s, {self.t.size} samples at "
+            f"{self.rate_hz:.4g} Hz, {missing} positions missing"
+        )
+
+    def __repr__(self) -> str:
+        """One line without the arrays."""
+        return f"<Recording {self.name}: {self.summary}; joints {', '.join(self.joints)}>"
+
+    def __str__(self) -> str:
+        """The summary, and the ranges of command and position of each joint."""
+        text: str = from_report("table.recording_report")(self)
+        return text
 
     def powered(self, joint: int) -> int:
         """Number of samples for which joint ``joint`` is under command (T unless torque-off)."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.recording import Recording
 from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
@@ -66,7 +67,7 @@ class Joint(Sheet):
 
 
 @dataclass(frozen=True)
-class Robot:
+class Robot(NotebookDisplay):
     """A chain of links, one more than the joints, from head to tail.
 
     Links of a file that has none are named after their number and state nothing.

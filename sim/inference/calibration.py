@@ -12,9 +12,12 @@ from sim.inference.calibrate import Calibrated, calibrate
 from sim.inference.fluid_calibration import InFluid, calibrate_in_fluid
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, with_values
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.progress import progress_bar
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Section, Table
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:
@@ -34,7 +37,7 @@ class Fluid:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(NotebookDisplay):
     """A body fitted to swims.
 
     Attributes:
@@ -166,6 +169,26 @@ def _table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
             line += f"; beyond the noise of {noise[k]:.4f} {_change(*beyond[:, k])}"
         lines.append(line)
     return "\n".join(lines)
+
+
+@result_section.register
+def _calibration(calibration: Calibration) -> Section:
+    fit = calibration.fitted
+    values = [
+        (p.name, f"{best:.4g}", f"{low:.4g} to {high:.4g}")
+        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    names = [*SIGNALS, *(joint.name for joint in calibration.robot.joints)]
+    units = [*UNITS, *("rad" for _ in calibration.robot.joints)]
+    errors = [
+        (name, f"{before:.4f}", f"{after:.4f}", unit)
+        for name, unit, (before, after) in zip(names, units, fit.rmse.T, strict=True)
+    ]
+    blocks = (
+        Table(("parameter", "value", "90 % interval"), values),
+        Table(("signal", "held-out RMSE before", "after", "unit"), errors),
+    )
+    return Section("Calibration", "", blocks)
 
 
 def _change(before: float, after: float) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.output import write_json
 
@@ -198,7 +199,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(NotebookDisplay):
     """All that ``diagnose`` found.
 
     Attributes:
@@ -260,9 +261,8 @@ class Diagnosis:
 
     def plot(self) -> Figure:
         """How probable what was named is, and what was considered beside it."""
-        from sim2real.report.diagnosis_what import candidate_figure
-
-        return candidate_figure(self)
+        figure: Figure = from_report("diagnosis_what.candidate_figure")(self)
+        return figure
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: str) -> None:

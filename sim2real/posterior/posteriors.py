@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.posterior.check import Check
 from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Posteriors:
+class Posteriors(NotebookDisplay):
     """Posteriors of a robot's servos.
 
     Attributes:
@@ -61,9 +62,8 @@ class Posteriors:
         Raises:
             InputError: If that joint was not sampled.
         """
-        from sim2real.report.corner_plot import corner_figure
-
         name = next(iter(self.joints), "") if joint is None else joint
         if name not in self.joints:
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
-        return corner_figure(self.joints[name], name)
+        figure: Figure = from_report("corner_plot.corner_figure")(self.joints[name], name)
+        return figure

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from sim2real.display import NotebookDisplay
 from sim2real.output import write_json
 from sim2real.structured import Fields, read_json
 
@@ -70,7 +71,7 @@ def normal(
 
 
 @dataclass(frozen=True)
-class Ranges:
+class Ranges(NotebookDisplay):
     """All ranges of one robot.
 
     Attributes:

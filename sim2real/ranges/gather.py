@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.density import Density, normalised_density
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
@@ -40,7 +41,7 @@ _CLEAR = 3.0
 
 
 @dataclass(frozen=True)
-class Gathered:
+class Gathered(NotebookDisplay):
     """Ranges and what they come from.
 
     Attributes:
@@ -69,10 +70,9 @@ class Gathered:
         Raises:
             InputError: If there is neither.
         """
-        from sim2real.report.range_plots import latency_figure
-
         if self.latencies is not None and self.spread is not None:
-            return latency_figure(self.latencies, self.spread)
+            figure: Figure = from_report("range_plots.latency_figure")(self.latencies, self.spread)
+            return figure
         if self.density is None:
             raise InputError("ranges", "plot", "no latencies and no masses", "one of them")
         return self.density.plot()

@@ -7,10 +7,13 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.output import write_whole
 from sim2real.report.extra import report_libraries
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 _FOLDER = Path(__file__).parent
 _HASH_LETTERS = 12
@@ -137,6 +140,29 @@ def render_page(
     stages: Sequence[tuple[str, bool]] = (),
 ) -> str:
     """The report as text; arguments as for ``write_page``."""
+    return _template().render(
+        title=title,
+        subtitle=subtitle,
+        sections=sections,
+        stages=stages,
+        origin=_origin(provenance),
+        css=(_FOLDER / "page.css").read_text(encoding="utf-8"),
+    )
+
+
+def render_fragment(sections: Sequence[Section]) -> str:
+    """Sections as HTML to put inside another page, such as a notebook, with a style of their own.
+
+    Raises:
+        ModuleNotFoundError: If Jinja is not installed.
+    """
+    template = _template()
+    blocks = template.blocks["sections"](template.new_context({"sections": sections}))
+    style = (_FOLDER / "notebook.css").read_text(encoding="utf-8")
+    return f'<div class="sim2real">\n<style>\n{style}</style>\n{"".join(blocks)}</div>\n'
+
+
+def _template() -> Template:
     with report_libraries():
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
@@ -146,15 +172,8 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html").render(
-        title=title,
-        subtitle=subtitle,
-        sections=sections,
-        stages=stages,
-        origin=_origin(provenance),
-        css=(_FOLDER / "page.css").read_text(encoding="utf-8"),
-        kind=lambda block: type(block).__name__,
-    )
+    environment.globals["kind"] = lambda block: type(block).__name__
+    return environment.get_template("page.html")
 
 
 def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from sim2real.model import JointModel, Model
+from sim2real.recording import Array, Recording
 from sim2real.report.quantity import (
     Quantity,
     correlations,
@@ -44,6 +47,25 @@ def fit_report(model: Model) -> str:
     if model.notes:
         lines += ["", *_notes(model.notes)]
     return "\n".join(lines)
+
+
+def recording_report(recording: Recording) -> str:
+    """The summary of a recording, and a line on each joint."""
+    width = max((len(joint) for joint in recording.joints), default=0)
+    lines = [f"{recording.name}: {recording.summary}"]
+    for j, joint in enumerate(recording.joints):
+        command, position = span(recording.command[:, j]), span(recording.position[:, j])
+        line = f"  {joint:<{width}}  command {command}, position {position}"
+        lines.append(f"{line}, {recording.missing(j)} missing")
+    if recording.columns:
+        lines.append(f"  further columns: {', '.join(recording.columns)}")
+    return "\n".join(printable(line) for line in lines)
+
+
+def span(angles: Array) -> str:
+    """Smallest to largest of the angles that are not missing, in rad."""
+    known = angles[np.isfinite(angles)]
+    return f"{known.min():.3f} to {known.max():.3f} rad" if known.size else "none"
 
 
 def _cells(quantity: Quantity) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.servo.predict import predict
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(NotebookDisplay):
     """Joint angles that a model predicts from the commands of recordings.
 
     Attributes:
@@ -61,11 +62,11 @@ class Prediction:
 
     def plot(self, recording: int = 0, joint: str | None = None) -> Figure:
         """Measured and predicted angles of one joint of one recording."""
-        from sim2real.report.fit_plot import fit_figure
-
         shown = self.recordings[recording]
         name = shown.joints[0] if joint is None else joint
-        return fit_figure(shown, name, self.angles[recording][:, shown.joints.index(name)])
+        return from_report("fit_plot.fit_figure")(
+            shown, name, self.angles[recording][:, shown.joints.index(name)]
+        )
 
 
 def predict_recordings(recordings: Sequence[Recording], model: Model) -> Prediction:
