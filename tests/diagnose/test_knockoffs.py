@@ -1,33 +1,14 @@
-"""Knockoffs: as large and smooth as the effects that they imitate, and worthless for prediction."""
+"""Knockoffs: as large and smooth as the effects that they imitate, and unlike them."""
 
 import numpy as np
 
 from sim2real.inference.holdout import rms
-from sim2real.residuals.holdout import held_out, splits
-from sim2real.residuals.knockoffs import best_knockoff, changes, meaningless
+from sim2real.residuals.knockoffs import changes, meaningless
 
 T = 0.02 * np.arange(1500)
 
 
-def floors(searched):
-    """Held-out errors of the plain servo and of it with the best knockoff, rad."""
-    servo = searched.tried.plain.fit.servos
-    given = [c for c in searched.seen[1] if not c.effect.everywhere]
-    (unseen,) = held_out([searched.traces], [servo])
-    folds = splits(searched.traces, unseen)
-    _, effects = changes(searched.traces, servo, given)
-    rng = np.random.default_rng(0)
-    return unseen.rmse, best_knockoff(searched.traces, servo, effects, folds, rng, copies=8)
-
-
-def test_a_knockoff_predicts_no_better_than_the_plain_servo(nothing, rubbing):
-    for one in (nothing, rubbing):
-        plain, knockoff = floors(one)
-        assert 0.97 * plain < knockoff < 1.3 * plain
-
-
-def test_changes_are_those_of_the_screen(rubbing):
-    """Of the same servo by the same effects: their sizes keep in step."""
+def test_stronger_effects_change_the_angle_more(rubbing):
     servo = rubbing.tried.plain.fit.servos
     given = [c for c in rubbing.seen[1] if c.effect.name in ("coulomb_friction", "backlash")]
     own, by_effects = changes(rubbing.traces, servo, given)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_effects import SQUARE, STEP, T, each, simulate
 
-from sim2real.effects import CATALOGUE, named
+from sim2real.effects import BODY, CAMERA, CATALOGUE, named
 from sim2real.effects.effect import readable, three_digits
 from sim2real.residuals.screen import candidate
 
@@ -156,3 +156,12 @@ def test_torque_per_inertia_has_its_unit():
 )
 def test_three_digits_without_an_exponent(value, text):
     assert three_digits(value) == text
+
+
+@pytest.mark.parametrize("effect", [*BODY, *CAMERA], ids=lambda effect: effect.name)
+def test_titles_leave_the_direction_to_the_sign(effect):
+    """The size follows the title: ``change of the form drag, ...: coefficient -0.1``."""
+    assert effect.title and not re.search(r"[.{}_]", effect.title)
+    if any(p.low < 0 for p in effect.parameters):
+        directed = r"\b(more|less|larger|smaller|faster|slower|rougher|late|early|too|gain|loss)\b"
+        assert not re.search(directed, effect.title), effect.title
