@@ -132,12 +132,12 @@ def test_diagnose_chooses_between_servos_and_swims(steps, model) -> None:
 def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:
     joint = Mismatch("j1.position_rad", "j1", 0.005, 0.001, 0.9, {}, "always")
     speed = Mismatch("body.surge", "body", 0.012, 0.003, 0.9, {}, "")
-    assert str(joint) == "j1: 5.00 mrad against 1.00 mrad of noise; always"
-    assert str(speed) == "surge: 0.0120 m/s against 0.0030 m/s of noise"
+    assert str(joint) == "j1: RMSE 5.00 mrad, noise 1.00 mrad; always"
+    assert str(speed) == "surge: RMSE 0.0120 m/s, noise 0.0030 m/s"
     none = {key: {} for key in ("unknown", "hypothesis", "baseline_fit", "enriched_fit", "ladders")}
     found = Diagnosis(
         verdict="unexplained", mismatch=(joint, speed), effects=(), rivals=(), **none,
-        false_discovery_rate=0.0, detection_limits=(), next_experiment=None, gate=(),
+        detection_limits=(), next_experiment=None, gate=(),
         model=s2r.Model(joints={}),
     )  # fmt: skip
     prints_and_draws(found, "verdict: unexplained", str(joint), str(speed))

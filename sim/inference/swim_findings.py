@@ -80,7 +80,6 @@ def findings(
         rivals=tuple(rivals),
         unknown={},
         hypothesis={},
-        false_discovery_rate=0.0,
         baseline_fit=figures(0),
         enriched_fit=figures(1),
         ladders={},

@@ -10,23 +10,18 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.case import Case, gate
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import Finding
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.next_experiment import next_experiment
-from sim2real.diagnose.posterior import Group
 from sim2real.diagnose.references import repeat
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Evidence, Experiment, Ladder
-from sim2real.inference.knockoffs import contest, false_discovery_rate
 from sim2real.recording import PER_INERTIA
 from sim2real.residuals.black_box import black_box
 from sim2real.residuals.formula import formula, what_is_left
 from sim2real.residuals.holdout import splits
-from sim2real.residuals.knockoffs import best_knockoff, directions
+from sim2real.residuals.knockoffs import best_knockoff, changes
 from sim2real.residuals.linear import residual_torque, smooth_speed
-from sim2real.residuals.problem import Set
 from sim2real.residuals.screen import Candidate, Screen
 from sim2real.robot import Robot
-from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -52,7 +47,6 @@ def with_checks(
         detection_limits=tuple(limit for one in joints for limit in _limits(one)),
         ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
         hypothesis=_guesses(joints),
-        false_discovery_rate=_false_discovery(joints, rng),
         next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
     )
 
@@ -110,7 +104,7 @@ def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
     finding, traces = one.finding, one.joint.traces
     servo = finding.tried.plain.fit.servos
     options = finding.search.seen(finding.tried, finding.tried.base)[1]
-    moved = directions(traces, servo, [c for c in options if not c.effect.everywhere]).effects
+    _, moved = changes(traces, servo, [c for c in options if not c.effect.everywhere])
     folds = splits(traces, unseen)
     return Ladder(
         baseline=before,
@@ -119,47 +113,6 @@ def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
         black_box=black_box(folds, rng),
         noise=one.joint.noise,
     )
-
-
-def _false_discovery(joints: Sequence[JointResult], rng: np.random.Generator) -> float:
-    """Expected share of wrong ones among the effects that are named on a robot's joints.
-
-    Each named effect is judged against knockoffs of all effects, from the fit that lacks it and has
-    the others. What is found on the link or read off the sensor's numbers is no part of this. It
-    says how often chance would pass for an effect, not how often one effect passes for another.
-    """
-    chances, considered = [], 0
-    for one in joints:
-        finding = one.finding
-        considered += len(_judged(finding, finding.tried.base))
-        for group in finding.groups:
-            if group.probability >= DECISION.named and set(group.members) & finding.best.members:
-                chances.append(_chance(one.joint.traces, finding, group, rng))
-    return false_discovery_rate(chances, considered)
-
-
-def _chance(
-    traces: Sequence[Trace], finding: Finding, group: Group, rng: np.random.Generator
-) -> float:
-    tried = finding.tried
-    without = finding.best.members - set(group.members)
-    if without not in tried.tried:
-        without = tried.base
-    options = _judged(finding, without)
-    fit = tried.tried[without].fit
-    moved = directions(traces, fit.servos, options)
-    members = [k for k, c in enumerate(options) if c.effect.name in group.members]
-    return contest(moved, fit.autoregression[0], rng).chance(members)
-
-
-def _judged(finding: Finding, effects: Set) -> list[Candidate]:
-    """The candidates that may be named: what every servo has a little of only where it is."""
-    members = {name for group in finding.groups for name in group.members}
-    return [
-        option
-        for option in finding.search.seen(finding.tried, effects)[1]
-        if not option.effect.everywhere or option.effect.name in members
-    ]
 
 
 def _evidence(one: JointResult) -> list[Evidence]:

@@ -13,6 +13,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.effects import named
+from sim2real.effects.effect import is_limit
 from sim2real.identification.motor_line import with_stated_line
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import RESIDUAL_WANDER
@@ -88,8 +89,7 @@ class JointResult:
         plain, rich = self.unseen_plain, self.unseen.get(self.rich.members)
         if plain is None or rich is None:
             return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
-        # A sensor may wander slowly; no model removes that.
-        noise = min(self.joint.noise * np.sqrt(1 + RESIDUAL_WANDER.share**2), plain.rmse)
+        noise = min(self.floor, plain.rmse)
         removable = plain.rmse - noise
         removed = (plain.rmse - rich.rmse) / removable if removable > 0 else 0.0
         return {
@@ -97,6 +97,25 @@ class JointResult:
             "rmse_after": rich.rmse,
             "recoverable_removed": float(np.clip(removed, -1.0, 1.0)),
         }
+
+    @property
+    def floor(self) -> float:
+        """Error that no model removes, rad: noise and the slow wander that a sensor may have."""
+        return float(self.joint.noise * np.sqrt(1 + RESIDUAL_WANDER.share**2))
+
+    @property
+    def leaves_structure(self) -> bool:
+        """Whether the offered servo leaves more than noise and slow wander, fitted or held out.
+
+        ``DECISION.structured`` is the largest squared error, relative to that of noise and wander,
+        which 99 % of joints that miss nothing leave. Set-points that arrive unevenly are exempt:
+        they are drawn anew in each recording, and no model removes their error.
+        """
+        if self.finding.link is not None:
+            return False
+        heldout = self.fit(enriched=True)["heldout"]
+        unseen = 0.0 if heldout is None else (heldout / self.floor) ** 2
+        return max(self.finding.excess, unseen) > DECISION.structured
 
     def changes(self, effect: str) -> float:
         """Share by which an effect changes the held-out error, see ``Finding.changes``."""
@@ -155,6 +174,24 @@ def _spread2(found: Hypothesis) -> Array:
     by_block = gram[:, 1:, 0] @ inverse
     freedom = len(gram) / max(len(gram) - len(inverse), 1)
     return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
+
+
+def includes_zero(found: Hypothesis, effect: str) -> bool:
+    """Whether the 90 % interval of an effect's size includes 0, where the effect is absent.
+
+    The size is the effect's first parameter, or the larger one of two that ascend. Limits are
+    absent where they are large, and never of size 0.
+    """
+    known = named(effect)
+    name = known.ascending[1] if known.ascending else known.parameters[0].name
+    size = next(p for p in known.parameters if p.name == name)
+    column = COLUMNS.index(f"{effect}.{name}")
+    servos = found.fit.servos
+    free = np.flatnonzero(servos.columns[0] == column)
+    if is_limit(size) or not free.size:
+        return False
+    sd = float(np.sqrt(_spread2(found)[free[0]]) * servos.unit[0, free[0]])
+    return abs(float(servos.theta[0, column])) <= _Q95 * sd
 
 
 def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:

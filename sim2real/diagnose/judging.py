@@ -14,6 +14,7 @@ import numpy as np
 
 from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.joint_result import includes_zero
 from sim2real.diagnose.posterior import Group
 from sim2real.effects import named
 from sim2real.residuals.holdout import Unseen
@@ -131,7 +132,10 @@ def _has_no_name(group: Group) -> bool:
 
 
 def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
-    """The finding with probabilities that were read off cases of known answer."""
+    """The finding with probabilities that were read off cases of known answer.
+
+    An effect whose size may as well be 0 is not named, whatever else speaks for it.
+    """
     found = evidence(finding, unseen)
     unknown = ODDS["nameless"].probability(found.whole)
     if any(_has_no_name(g) for g, _ in found.groups):
@@ -146,7 +150,7 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     groups = [
         replace(g, probability=stated("effect", told))
         for g, told in found.groups
-        if not _has_no_name(g)
+        if not _has_no_name(g) and not includes_zero(finding.best, g.members[0])
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and found.link is not None:

@@ -50,13 +50,27 @@ class Mismatch:
     dependence: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """The error beside the noise, in mrad of a joint, in m/s or rad/s of a body."""
+        """The error and the noise, in mrad of a joint, in m/s or rad/s of a body."""
+        return self.described()
+
+    def described(self, remaining: float | None = None) -> str:
+        """The error and the noise in words.
+
+        Args:
+            remaining: Error of the enriched model, in the unit of ``rmse``; not stated where None.
+        """
+        unit, scale, digits = "mrad", 1e3, 2
+        name = self.component
         if self.signal.startswith("body."):
             name = self.signal.removeprefix("body.").replace("_", " ")
-            unit = "rad/s" if name == "yaw rate" else "m/s"
-            return f"{name}: {self.rmse:.4f} {unit} against {self.noise:.4f} {unit} of noise"
-        error, noise = 1e3 * self.rmse, 1e3 * self.noise
-        return f"{self.component}: {error:.2f} mrad against {noise:.2f} mrad of noise; {self.where}"
+            unit, scale, digits = ("rad/s" if name == "yaw rate" else "m/s"), 1.0, 4
+        error, after, noise = (
+            "" if x is None else f"{scale * x:.{digits}f} {unit}"
+            for x in (self.rmse, remaining, self.noise)
+        )
+        removed = f", {after} with the enriched model" if after else ""
+        where = f"; {self.where}" if self.where else ""
+        return f"{name}: RMSE {error}{removed}, noise {noise}{where}"
 
 
 @dataclass(frozen=True)
@@ -210,8 +224,6 @@ class Diagnosis(NotebookDisplay):
         rivals: What was considered beside them, likeliest first.
         unknown: By joint, the probability that what is missing is not in the catalogue.
         hypothesis: By joint, a formula for what no effect explains: a guess, not a finding.
-        false_discovery_rate: Expected share of those that chance would name among the effects named
-            on joints, from knockoffs; 0 where none is.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
         enriched_fit: The same of the offered simulator.
         ladders: By signal.
@@ -234,7 +246,6 @@ class Diagnosis(NotebookDisplay):
     enriched_fit: Mapping[str, Mapping[str, float | None]]
     model: Model
     hypothesis: Mapping[str, str] = field(default_factory=dict)
-    false_discovery_rate: float = 0.0
     ladders: Mapping[str, Ladder] = field(default_factory=dict)
     detection_limits: tuple[DetectionLimit, ...] = ()
     next_experiment: Experiment | None = None
@@ -244,17 +255,29 @@ class Diagnosis(NotebookDisplay):
     negligible: tuple[NamedEffect, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def remaining(self, signal: str) -> float | None:
+        """Error of the enriched model, on held-out data where there are any; None if unchanged.
+
+        Args:
+            signal: The measured signal, ``"j2.position_rad"``.
+        """
+        plain, rich = (
+            errors.get("train") if errors.get("heldout") is None else errors["heldout"]
+            for errors in (fit.get(signal, {}) for fit in (self.baseline_fit, self.enriched_fit))
+        )
+        return None if rich == plain else rich
+
     def __str__(self) -> str:
         """The diagnosis in a few lines."""
         lines = [f"verdict: {self.verdict.replace('_', ' ')}"]
         for effect in self.effects:
-            lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement}")
+            lines.append(f"  {percent(effect.probability):>5}  {effect.statement}")
         for effect in self.negligible:
-            lines.append(f"  {100 * effect.probability:3.0f} %  {effect.statement} (negligible)")
+            lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
         for entry in self.mismatch:
-            lines.append(f"  {entry}")
+            lines.append(f"  {entry.described(self.remaining(entry.signal))}")
         for joint, formula in self.hypothesis.items():
-            lines.append(f"  {joint}, a guess: {formula}")
+            lines.append(f"  {joint}: hypothesis, not a finding: {formula}")
         if self.next_experiment is not None:
             lines.append(f"next: {self.next_experiment.statement}")
         return "\n".join(lines)
@@ -263,6 +286,11 @@ class Diagnosis(NotebookDisplay):
         """How probable what was named is, and what was considered beside it."""
         figure: Figure = from_report("diagnosis_what.candidate_figure")(self)
         return figure
+
+
+def percent(share: float) -> str:
+    """A probability as terminal and pages state it; never 0 or 100 %, as nothing is certain."""
+    return ">99 %" if share > 0.99 else "<1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: str) -> None:
@@ -291,7 +319,6 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "rivals": [asdict(rival) for rival in diagnosis.rivals],
         "unknown": dict(diagnosis.unknown),
         "hypothesis": dict(diagnosis.hypothesis),
-        "false_discovery_rate": diagnosis.false_discovery_rate,
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],

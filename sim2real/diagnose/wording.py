@@ -24,6 +24,7 @@ from sim2real.effects import named, plain
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
+from sim2real.recording import PER_INERTIA
 from sim2real.residuals.smooth import Smooth
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
@@ -33,14 +34,14 @@ _Q95 = 1.645
 _THROUGHOUT = 0.9
 """Share of the time from which a mismatch is there all the time."""
 _WORDS = {
-    "position": "it depends on the position: torque is missing at some angles",
-    "speed": "it depends on the speed and its sign: just after reversals above all",
-    "error": "it depends on how much torque is asked for: at high load or close to the target",
-    "time": "it grows with the time since the start",
-    "sensor": "it depends on the position: what is seen is off at some angles",
-    "other_joint": "it follows the acceleration of another joint",
-    "shaking": "it comes at one frequency, whatever the joint does",
-    "jump": "it begins at one instant and stays",
+    "position": "the residual torque depends on the joint angle",
+    "speed": "the residual torque depends on the joint speed, above all after reversals",
+    "error": "the residual torque depends on the position error",
+    "time": "the residual grows with time",
+    "sensor": "the measurement error depends on the joint angle",
+    "other_joint": "the residual follows the acceleration of another joint",
+    "shaking": "the residual is a vibration at one frequency",
+    "jump": "the residual changes at one instant and stays",
 }
 _TELLING = 12.0
 """Gain in log-likelihood from which a state is said to drive a mismatch."""
@@ -108,7 +109,7 @@ def _verdict(
         return "consistent"
     if not effects:
         return "unexplained"
-    if unsolved:
+    if unsolved or any(one.leaves_structure for one in joints if one.finding.mismatch):
         return "partly_explained"
     return "ambiguous" if any(len(e.group) > 1 for e in effects) else "explained"
 
@@ -169,18 +170,30 @@ def named_effect(results: Mapping[str, JointResult], one: Said) -> NamedEffect:
         heldout=result.heldout(),
         baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
         stability=one.group.stability,
-        statement=statement(one, parameters),
+        statement=statement(
+            one, parameters, per_inertia=result.joint.traces[0].load is PER_INERTIA
+        ),
     )
 
 
-def statement(one: Said, parameters: Mapping[str, Estimate]) -> str:
-    """One sentence that a roboticist would say."""
+def statement(one: Said, parameters: Mapping[str, Estimate], *, per_inertia: bool = False) -> str:
+    """One sentence: the joints, the effect with the size of its parameters, and its rivals.
+
+    Args:
+        one: The group of effects and its joints.
+        parameters: Estimates of the likeliest effect's parameters; without them it has no size.
+        per_inertia: Whether torques are per unit of inertia.
+    """
     effect = named(one.group.members[0])
     values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
     complete = len(values) == len(effect.parameters)
-    clause = effect.statement(values) if complete else f"there is {effect.plain}"
+    clause = (
+        effect.statement(values, per_inertia=per_inertia)
+        if complete
+        else f"there is {effect.plain}"
+    )
     others = [plain(name) for name in one.group.members[1:]]
-    doubt = f" (or {', or '.join(others)}: these recordings cannot tell)" if others else ""
+    doubt = f" (or {', or '.join(others)}; these recordings cannot tell)" if others else ""
     return f"{', '.join(one.joints)}: {clause}{doubt}."
 
 
@@ -262,7 +275,7 @@ def _where(
 ) -> str:
     best = max(smooth.shares, key=lambda state: smooth.shares[state])
     telling = smooth.shares[best] > _TELLING
-    words = _WORDS[best] if telling else "in no state in particular"
+    words = _WORDS[best] if telling else "the residual depends on no single state"
     shaded = sum(b - a for w in when for a, b in w)
     if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
         return f"throughout: {words}" if telling else "throughout"

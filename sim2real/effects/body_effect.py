@@ -67,7 +67,8 @@ class BodyEffect:
     Attributes:
         name: Its identifier.
         plain: What it is, in plain words, to stand in a sentence.
-        title: What it is, as a roboticist would say.
+        title: What it is, before a colon and its size. It has no word of direction where the size
+            may have either sign.
         parameters: All 0 where it is off.
         act: Adds what parameters do to what acts on a robot; the last argument is the material, or
             nothing.
@@ -94,7 +95,8 @@ class CameraEffect:
     Attributes:
         name: Its identifier.
         plain: What it is, in plain words, to stand in a sentence.
-        title: What it is, as a roboticist would say.
+        title: What it is, before a colon and its size. It has no word of direction where the size
+            may have either sign.
         parameters: All 0 where it is off.
         see: From even times in s (T,), poses (T, 3) and parameters to the poses that are given.
         order: In which order effects act on the poses.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -88,7 +88,9 @@ class Effect:
     Attributes:
         name: Its fixed identifier.
         plain: What it is, in plain words, to stand in a sentence.
-        says: The finding as a clause, with the parameters' names in braces.
+        says: The finding as a clause, with the parameters' names in braces; each stands for the
+            magnitude with its unit. Where the words depend on the values (the sign of a parameter,
+            which of two is larger), a function from the values to that clause.
         site: Where its term acts.
         term: The term, a Warp function (see ``Site``).
         parameters: Its parameters, in the order of their columns.
@@ -104,13 +106,14 @@ class Effect:
         never_named: Whether it is part of the plain servo alone, and never a finding.
         either_sign: Whether a recording may have less of it than another.
         load: What of a stated load it makes up for: a column of the plain servo.
+        ascending: Names of two of its parameters of which the second is never below the first.
         mimics: Effects of one joint that one of the supply or the link looks like there: beside it
             they are no finding.
     """
 
     name: str
     plain: str
-    says: str
+    says: str | Callable[[Mapping[str, float]], str]
     site: Site
     term: Any
     parameters: tuple[Parameter, ...]
@@ -125,16 +128,27 @@ class Effect:
     never_named: bool = False
     either_sign: bool = False
     load: Literal["", "gravity_Nm", "inertia_kgm2"] = ""
+    ascending: tuple[()] | tuple[str, str] = ()
     mimics: tuple[str, ...] = ()
 
-    def statement(self, values: Mapping[str, float]) -> str:
-        """The finding as a clause, for these values of the parameters (SI)."""
-        return self.says.format(**{name: readable(name, x) for name, x in values.items()})
+    def statement(self, values: Mapping[str, float], *, per_inertia: bool = False) -> str:
+        """The finding as a clause.
+
+        Args:
+            values: Values of its parameters by name, SI.
+            per_inertia: Whether torques are per unit of inertia, as where the load is not known.
+        """
+        template = self.says if isinstance(self.says, str) else self.says(values)
+        sizes = {
+            name: readable(name, abs(x), per_inertia=per_inertia) for name, x in values.items()
+        }
+        return template.format(**sizes)
 
 
 _READABLE = (
     ("_rad_per_Nm", "° per N m", 180 / math.pi),
     ("_Nm_per_rad_s", " N m/(rad s)", 1.0),
+    ("_Nms_per_rad", " N m s/rad", 1.0),
     ("_Nm_per_rad", " N m/rad", 1.0),
     ("_rad_s2", " rad/s²", 1.0),
     ("_rad_s", " rad/s", 1.0),
@@ -147,11 +161,31 @@ _READABLE = (
     ("_s", " ms", 1e3),
 )
 """Endings of parameters' names, the unit that a person reads, and its size."""
+_SMALL_NM = 0.01
+"""Torque in N m below which it is stated in mN m."""
+_WRITTEN_OUT = 1e6
+"""Value below which no exponent is written."""
 
 
-def readable(name: str, value: float) -> str:
-    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``."""
+def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
+    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
+
+    Args:
+        name: The parameter's name, its unit at the end.
+        value: Its value, SI.
+        per_inertia: Whether torques are per unit of inertia.
+    """
     unit, size = next(
         ((unit, size) for ending, unit, size in _READABLE if name.endswith(ending)), (" %", 100.0)
     )
-    return f"{value * size:.3g}{unit}"
+    if unit == " N m" and abs(value) < _SMALL_NM:
+        unit, size = " mN m", 1e3
+    if per_inertia:
+        unit = unit.replace("N m", "N m/(kg m²)", 1)
+    return f"{three_digits(value * size)}{unit}"
+
+
+def three_digits(value: float) -> str:
+    """A number to three significant digits, without an exponent below a million."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if 1000 <= abs(float(text)) < _WRITTEN_OUT else text

@@ -20,30 +20,24 @@ from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import milliradians
 
 _LEAD = (
-    "Does the simulated servo lack something that the real one has? Where the two differ by more "
-    "than noise, each known effect is tried. “90 % sure” means: of ten such findings, nine "
-    "should be right."
+    "Does the simulated servo lack physics that the real one has? Where simulation and recording "
+    "differ by more than noise, each effect of the catalogue is fitted. Probabilities are meant to "
+    "be calibrated: of ten effects named at 90\u00a0%, nine should be present."
 )
 _VERDICTS = {
-    "consistent": (
-        "good",
-        "The plain servo explains these recordings: nothing is missing that would matter.",
-    ),
+    "consistent": ("good", "The plain servo explains these recordings: no mismatch that matters."),
     "unchanged": ("good", "Nothing has changed since the references were recorded."),
-    "explained": ("good", "Something was missing from the simulation, and it has a name now."),
+    "explained": ("good", "The named effects account for the mismatch."),
     "ambiguous": (
         "info",
-        "Something is missing from the simulation; these recordings narrow it down but do not "
-        "tell which of a few effects it is.",
+        "Several effects, which these recordings cannot tell apart, account equally well for the "
+        "mismatch.",
     ),
     "partly_explained": (
         "warn",
-        "Something is missing from the simulation; a part of it has a name, the rest has none yet.",
+        "The named effects account for a part of the mismatch; the rest is unexplained.",
     ),
-    "unexplained": (
-        "warn",
-        "Something is missing from the simulation, and no effect in the catalogue explains it.",
-    ),
+    "unexplained": ("warn", "There is a mismatch that no effect in the catalogue explains."),
 }
 _STATES = {
     "position": "position",
@@ -80,23 +74,13 @@ _LIMITS = (
     "this. A limit on torque, speed or acceleration is the stronger the lower it is: one below the "
     "number would have been noticed. A dash: these recordings can't show it at any strength tried."
 )
-_DOUBTFUL, _WORTH_A_BAR = 0.1, 0.05
-_DOUBT = (
-    "Made-up effects that mean nothing do nearly as well here as those that are named: knockoffs "
-    "put the share of wrong names at {rate}. Something is missing, but don't trust what it is "
-    "called; the names are no surer than that, and the bars below are what the evidence says by "
-    "itself."
-)
+_WORTH_A_BAR = 0.05
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """What is missing, in words, numbers and figures."""
     blocks: list[Block] = [_verdict(diagnosis)]
-    most = 1.0
-    if diagnosis.effects and diagnosis.false_discovery_rate > _DOUBTFUL:
-        blocks.append(Note("warn", _DOUBT.format(rate=sure(diagnosis.false_discovery_rate))))
-        most -= diagnosis.false_discovery_rate
-    blocks += [_effect(effect, most) for effect in diagnosis.effects]
+    blocks += [_effect(effect) for effect in diagnosis.effects]
     for mismatch in diagnosis.mismatch:
         blocks += _where(diagnosis, mismatch)
     blocks += _sound(diagnosis)
@@ -115,27 +99,40 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
 
 def _verdict(diagnosis: Diagnosis) -> Note:
     kind, sentence = _VERDICTS[diagnosis.verdict]
-    return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", sentence)
+    remains = [text for mismatch in diagnosis.mismatch if (text := _remains(diagnosis, mismatch))]
+    text = " ".join([sentence, *remains])
+    return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", text)
 
 
-def _effect(effect: NamedEffect, most: float) -> Note:
-    """The finding, no surer than the knockoffs let it be."""
-    probability = min(effect.probability, most)
+def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
+    """What the enriched model leaves of an error, and the noise; nothing where it adds nothing."""
+    after = diagnosis.remaining(mismatch.signal)
+    if after is None:
+        return ""
+    joint = mismatch.signal.rpartition(".")[0] or mismatch.component
+    before, left, noise = map(milliradians, (mismatch.rmse, after, mismatch.noise))
+    times = f"{after / mismatch.noise:.1f} times the noise" if mismatch.noise > 0 else "no noise"
+    return (
+        f"The enriched model takes the error of {joint} from {before} to {left}, {times} ({noise})."
+    )
+
+
+def _effect(effect: NamedEffect) -> Note:
     if len(effect.group) < 2:
-        return Note("info", f"{effect.statement} {how_sure(probability)}")
+        return Note("info", f"{effect.statement} {how_sure(effect.probability)}")
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
         first, *others = map(plain, effect.group)
         sentences.append(f"These recordings cannot tell {first} from {listed(others, 'or')}.")
-    sentences.append(how_sure(probability, of="that it is one of them"))
+    sentences.append(how_sure(effect.probability, of="that it is one of them"))
     return Note("info", " ".join(sentences))
 
 
 def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     joint = mismatch.signal.rpartition(".")[0] or mismatch.component
     sentence = (
-        f"On what was left out of the fit, the plain servo is off by {milliradians(mismatch.rmse)} "
-        f"(root mean square); the sensor's noise is {milliradians(mismatch.noise)}. "
+        f"The error of the plain servo on held-out data is {milliradians(mismatch.rmse)} "
+        f"(root mean square), the sensor's noise {milliradians(mismatch.noise)}: "
         f"{100 * mismatch.share:.0f} % of the squared error is not noise. "
         f"Where it shows: {mismatch.where or 'not known'}."
     )
@@ -213,9 +210,9 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     unknown = diagnosis.unknown.get(joint, 0.0)
     if not formula and unknown <= 0.5 and diagnosis.verdict != "unexplained":
         return []
-    text = f"No effect in the catalogue explains what {joint} does."
-    text += f" We are {sure(unknown)} sure of that." if unknown > 0.5 else ""
-    blocks: list[Block] = [Text(text, heading=f"What {joint} does without a name")]
+    text = f"No effect in the catalogue explains the residual of {joint}."
+    text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
+    blocks: list[Block] = [Text(text, heading=f"What of {joint} is unexplained")]
     evidence = _evidence(diagnosis, joint)
     if evidence:
         states = {
@@ -225,7 +222,7 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
         blocks.append(figure(drawing, _MEAN.format(joint=joint)))
     if formula:
-        blocks.append(Note("warn", f"A hypothesis, that is a guess and not a finding: {formula}"))
+        blocks.append(Note("warn", f"A hypothesis, not a finding: {formula}"))
     return blocks
 
 
@@ -257,7 +254,7 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     ]
     if not rows:
         return []
-    text = "What is smaller than this could be there, and nobody would know."
+    text = "Effects smaller than these would go unnoticed in these recordings."
     return [
         Text(text, heading="How small an effect could show"),
         Table(("effect", *places), rows, _LIMITS),

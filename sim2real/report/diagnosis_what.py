@@ -122,9 +122,6 @@ def _removed(diagnosis: Diagnosis) -> str:
             f"({component}) {verb} the error from {milliradians(before)} to "
             f"{milliradians(after)}{of_it}."
         )
-    rate = diagnosis.false_discovery_rate
-    if rate > 0:
-        sentences.append(f"Tests with knockoffs put the share of wrong names at {sure(rate)}.")
     every = "Every effect in the catalogue was tried in turn, alone and with others."
     return " ".join([every, *sentences, *_written(diagnosis)])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.result import Diagnosis, percent
 from sim2real.report.quantity import printable
 
 _SURE = (
@@ -23,7 +23,6 @@ _UNIT = re.compile(
 )
 _METRIC = (
     ("_N_per_m", " N/m", 1.0),
-    ("_Nms_per_rad", " N m s/rad", 1.0),
     ("_m_s", " m/s", 1.0),
     ("_m", " mm", 1e3),
 )
@@ -39,8 +38,9 @@ def plain(effect: str) -> str:
 
 def sure(share: float) -> str:
     """A probability in percent; never 0 or 100, as nothing is that sure."""
-    low, high = "less than 1\u00a0%", "more than 99\u00a0%"
-    return high if share > 0.99 else low if share < 0.01 else f"{100 * share:.0f}\u00a0%"
+    words = {"<": "less than ", ">": "more than "}
+    text = percent(share).replace(" ", "\u00a0")
+    return words.get(text[0], "") + text.lstrip("<>")
 
 
 def how_sure(share: float, *, of: str = "") -> str:
@@ -61,8 +61,7 @@ def size(parameter: str, value: float, *, per_inertia: bool) -> str:
             return f"{value * scale:.3g}{unit}"
     from sim2real.effects.effect import readable
 
-    text = readable(parameter, value)
-    return text.replace("N m", "N m/(kg m²)") if per_inertia else text
+    return readable(parameter, value, per_inertia=per_inertia)
 
 
 def spoken(parameter: str) -> str:

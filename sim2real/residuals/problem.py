@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.effects import CATALOGUE
 from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.inference.least_squares import Expansion
@@ -21,6 +22,12 @@ Set = frozenset[str]
 
 _LINE = np.array([COLUMNS.index(name) for name in LINE])
 """Columns of a motor's line: stall torque, no-load speed."""
+_ASCENDING = [
+    [COLUMNS.index(f"{effect.name}.{name}") for name in effect.ascending]
+    for effect in CATALOGUE
+    if effect.ascending
+]
+"""Pairs of columns of which the second is never below the first."""
 LINE_ROOM = 1.5
 """How far it may go from where it starts, either way."""
 DIFFERENCE = 2e-4
@@ -75,6 +82,8 @@ class Servos:
         row, place = np.nonzero(self.free)
         value = np.clip(x * self.unit, self.low, self.high)[row, place]
         theta[row, self.columns[row, place]] = value
+        for lower, upper in _ASCENDING:
+            theta[:, upper] = np.maximum(theta[:, lower], theta[:, upper])
         return replace(self, theta=theta)
 
 

@@ -21,6 +21,8 @@ FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.ne
 """Effects whose parameters a fit finds, and that may be named."""
 NUISANCES: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and e.everywhere)
 """What every servo has a little of."""
+_APART = 1.5
+"""Least ratio of two ascending parameters (``Effect.ascending``) where a fit starts."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,10 @@ def candidate(effect: Effect, kp: float, inertia: float) -> Candidate:
         usual = SHAPES if k else SIGNED if p.low < 0 else STRENGTHS
         choices.append([start * p.typical for start in p.starts or usual])
     starts = np.array(list(itertools.product(*choices)))
+    if effect.ascending:
+        names = [p.name for p in given]
+        lower, upper = (names.index(name) for name in effect.ascending)
+        starts[:, upper] = np.maximum(starts[:, upper], _APART * starts[:, lower])
     columns = [COLUMNS.index(f"{effect.name}.{p.name}") for p in given]
     return Candidate(
         effect=effect,

@@ -64,9 +64,9 @@ class Prediction(NotebookDisplay):
         """Measured and predicted angles of one joint of one recording."""
         shown = self.recordings[recording]
         name = shown.joints[0] if joint is None else joint
-        return from_report("fit_plot.fit_figure")(
-            shown, name, self.angles[recording][:, shown.joints.index(name)]
-        )
+        angles = self.angles[recording][:, shown.joints.index(name)]
+        figure: Figure = from_report("fit_plot.fit_figure")(shown, name, angles)
+        return figure
 
 
 def predict_recordings(recordings: Sequence[Recording], model: Model) -> Prediction:

@@ -8,7 +8,8 @@ import pytest
 from simulated import FRICTION, robot, traced, two
 from strange import position_damping, strange
 
-from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, examined
+from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.search import ServoSearch, search
 from sim2real.recording import Recording
@@ -59,6 +60,12 @@ def filtered() -> Searched:
 def explained() -> Diagnosis:
     """Of a servo with dry friction."""
     return diagnose(two(**FRICTION), robot("j1"))
+
+
+@pytest.fixture(scope="session")
+def explained_joint() -> tuple[Case, list[JointResult]]:
+    """What is known of its joint, before it is put into words."""
+    return examined([Case(two(**FRICTION), robot("j1"))])[0]
 
 
 @pytest.fixture(scope="session")

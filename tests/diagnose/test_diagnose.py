@@ -1,18 +1,25 @@
 """From recordings to a diagnosis: dry friction by its name, nothing where nothing is missing."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
-from sim2real.diagnose.result import write_diagnosis
+from sim2real.diagnose.joint_result import includes_zero
+from sim2real.diagnose.judging import judged
+from sim2real.diagnose.result import percent, write_diagnosis
+from sim2real.diagnose.wording import diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
+from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report.page import Note
 from sim2real.servo.predict import predict
 
 
@@ -110,18 +117,65 @@ def test_the_file_has_every_field_of_the_format(written):
 
 
 def test_nothing_named_is_nothing_named_falsely(clean):
-    assert clean.false_discovery_rate == 0.0
     assert clean.hypothesis == {}
 
 
 def test_knockoffs_and_a_black_box_stand_beside_what_is_named(explained, written):
-    assert 0 < explained.false_discovery_rate < 0.03
-    assert written[1]["false_discovery_rate"] == explained.false_discovery_rate
     ladder = explained.ladders["j1.position_rad"]
     assert written[1]["heldout_ladder"]["j1.position_rad"] == vars(ladder)
     assert ladder.baseline == explained.effects[0].heldout["rmse_before"]
     assert ladder.baseline <= ladder.best_knockoff < 1.3 * ladder.baseline
     assert ladder.enriched < ladder.black_box < 0.5 * ladder.baseline
+
+
+def test_page_file_and_terminal_state_one_probability(explained, written):
+    (effect,) = explained.effects
+    (on_file,) = written[1]["effects"]
+    assert on_file["probability"] == effect.probability
+    stated = percent(effect.probability)
+    (line,) = [x for x in str(explained).splitlines() if effect.statement in x]
+    assert line.split("  ")[1].strip() == stated
+    blocks = diagnosis_section(explained).blocks
+    (note,) = [b for b in blocks if isinstance(b, Note) and effect.statement in b.text]
+    assert re.findall(r"(\d+)\s%", note.text) == [stated.removesuffix(" %")]
+
+
+def test_the_verdict_says_what_is_left(explained):
+    (mismatch,) = explained.mismatch
+    after = explained.effects[0].heldout["rmse_after"]
+    assert explained.remaining(mismatch.signal) == after
+    line = str(explained).splitlines()[-1]
+    assert f"{1e3 * mismatch.rmse:.2f} mrad, {1e3 * after:.2f} mrad with the enriched model" in line
+    verdict = diagnosis_section(explained).blocks[0]
+    assert f"{after / mismatch.noise:.1f} times the noise" in verdict.text
+
+
+def test_effects_that_leave_structure_explain_a_part(explained_joint):
+    """Up to what 99 % of joints that miss nothing leave, an effect explains; beyond it a part."""
+    case, (joint,) = explained_joint
+
+    def verdict(**changed):
+        return diagnosis(case, [replace(joint, **changed)], DECISION.negligible, 0).verdict
+
+    for excess, expected in ((1.0, "explained"), (1.3, "explained"), (1.5, "partly_explained")):
+        assert verdict(finding=replace(joint.finding, excess=excess)) == expected
+    finer = replace(joint.joint, noise=joint.joint.noise / 4)
+    assert verdict(joint=finer) == "partly_explained", "four noises stay on held-out data"
+
+
+def test_an_effect_that_may_be_zero_is_not_named(explained_joint):
+    """The same finding with errors a thousand times as large, which makes the interval as wide."""
+    _, (joint,) = explained_joint
+    best = joint.finding.best
+    assert not includes_zero(best, "coulomb_friction")
+    assert [g.members for g in judged(joint.finding, joint.unseen).groups] == [
+        ("coulomb_friction",)
+    ]
+    gram = np.array(best.fit.gram)
+    gram[:, :, 0, 0] *= 1e6
+    vague = replace(best, fit=replace(best.fit, gram=gram))
+    assert includes_zero(vague, "coulomb_friction")
+    assert judged(replace(joint.finding, best=vague), joint.unseen).groups == ()
 
 
 def test_what_is_in_no_catalogue_gets_a_formula(puzzling, tmp_path):

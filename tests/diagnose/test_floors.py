@@ -10,7 +10,7 @@ from sim2real.inference.holdout import rms
 from sim2real.residuals import knockoffs
 from sim2real.residuals.black_box import black_box
 from sim2real.residuals.holdout import held_out, splits
-from sim2real.residuals.knockoffs import best_knockoff, directions
+from sim2real.residuals.knockoffs import best_knockoff, changes
 from sim2real.residuals.screen import FITTED, candidate
 
 
@@ -18,7 +18,7 @@ class Floors:
     def __init__(self, traces, servo):
         (unseen,) = held_out([traces], [servo])
         given = [candidate(e, 2.2, 0.002) for e in FITTED if not e.everywhere]
-        moved = directions(traces, servo, given).effects
+        _, moved = changes(traces, servo, given)
         self.folds = splits(traces, unseen)
         self.plain = unseen.rmse
         self.knockoff = best_knockoff(traces, servo, moved, self.folds, np.random.default_rng(0))

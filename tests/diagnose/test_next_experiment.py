@@ -68,7 +68,7 @@ def diagnosed(experiment):
     model = Model({"j1": JointModel(2.2, 0.06, 0.05, INERTIA, load=Load(INERTIA))})
     return Diagnosis(
         verdict="ambiguous", mismatch=(), effects=(), rivals=(), unknown={}, hypothesis={},
-        false_discovery_rate=0.0, baseline_fit={}, enriched_fit={}, ladders={},
+        baseline_fit={}, enriched_fit={}, ladders={},
         detection_limits=(), next_experiment=experiment, gate=(), model=model,
     )  # fmt: skip
 

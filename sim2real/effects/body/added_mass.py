@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="added_mass",
     plain="water that is carried along",
-    title="more water goes along with the body sideways; a share of what it displaces",
+    title="change of the transverse added mass, as a share of the displaced water",
     parameters=(Parameter("ratio", low=-0.5, high=2.0, typical=0.2),),
     act=act,
     order=7,

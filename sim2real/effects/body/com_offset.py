@@ -22,7 +22,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="com_offset",
     plain="a centre of mass that is off",
-    title="the centre of mass is not where the file says, forwards and to the left",
+    title="offset of the centre of mass from the robot file's, forwards and to the left",
     parameters=(
         Parameter("x_m", low=-0.1, high=0.1, typical=0.01),
         Parameter("y_m", low=-0.05, high=0.05, typical=0.005),

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="form_drag",
     plain="drag of the body's shape",
-    title="the body's shape resists more than thought, with the square of the speed",
+    title="change of the form drag, which is proportional to the squared speed",
     parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),
     act=act,
     order=6,

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="linear_drag",
     plain="drag that grows with speed",
-    title="resistance that grows with the speed of the body",
+    title="change of the drag that is proportional to the speed of the body",
     parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),
     act=act,
     order=4,

@@ -23,7 +23,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="pool_current",
     plain="a current in the pool",
-    title="the pool's water moves evenly",
+    title="uniform current in the pool",
     parameters=(
         Parameter("u_m_s", low=-0.5, high=0.5, typical=0.02),
         Parameter("v_m_s", low=-0.5, high=0.5, typical=0.02),

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="skin_coupling",
     plain="a skin that ties neighbouring joints together",
-    title="the skin pulls neighbouring joints to the same angle",
+    title="the skin acts as a spring between neighbouring joints",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=5.0, typical=0.2),),
     act=act,
     order=3,

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="skin_damping",
     plain="a skin that damps",
-    title="the skin over the joints resists their motion",
+    title="the skin over the joints acts as a damper",
     parameters=(Parameter("damping_Nms_per_rad", low=0.0, high=2.0, typical=0.03),),
     act=act,
     order=1,

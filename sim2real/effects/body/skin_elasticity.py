@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="skin_elasticity",
     plain="a skin that springs back",
-    title="the skin over the joints is a spring that pulls them straight",
+    title="the skin over the joints acts as a spring towards the straight pose",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),),
     act=act,
     order=0,

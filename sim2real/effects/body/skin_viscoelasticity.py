@@ -23,7 +23,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="skin_viscoelasticity",
     plain="a skin that springs back slowly",
-    title="the skin over the joints is a spring that gives way with time",
+    title="the skin over the joints acts as a spring that relaxes with time",
     parameters=(
         Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),
         Parameter("relaxation_s", low=0.02, high=5.0, typical=0.3),

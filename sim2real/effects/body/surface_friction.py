@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], material: str) -> None:
 EFFECT = BodyEffect(
     name="surface_friction",
     plain="friction with the ground",
-    title="the surface is rougher than thought: friction along it with the square of the speed",
+    title="change of the skin friction coefficient of the surface",
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
     act=act,
     by_material=True,

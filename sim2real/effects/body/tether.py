@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="tether",
     plain="a tether that pulls",
-    title="a cable pulls the head to a place in the pool",
+    title="a cable pulls the head towards an anchor in the pool",
     parameters=(
         Parameter("stiffness_N_per_m", low=0.0, high=10.0, typical=0.1),
         Parameter("x_m", low=-10.0, high=10.0, typical=0.5),

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="trim_asymmetry",
     plain="a straight posture that is off to one side",
-    title="the joints' zero is off by an angle, to the same side",
+    title="offset of all joint zeros by the same angle",
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),
     act=act,
     order=12,

@@ -21,7 +21,7 @@ def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
 EFFECT = BodyEffect(
     name="wall_effect",
     plain="a wall nearby",
-    title="near a wall the robot swims faster, by this share one body length away from it",
+    title="gain of thrust near a wall, as a share at a distance of one body length",
     parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
     act=act,
     order=10,

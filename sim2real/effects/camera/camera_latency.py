@@ -21,7 +21,7 @@ def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="camera_latency",
     plain="a camera that sees late",
-    title="the camera's poses are late",
+    title="delay of the camera's poses",
     parameters=(Parameter("latency_s", low=-0.05, high=0.5, typical=0.05),),
     see=see,
     order=1,

@@ -25,7 +25,7 @@ def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="camera_rotation",
     plain="a camera that is turned",
-    title="the camera's axes are turned against the pool's, but not its headings",
+    title="rotation of the camera's axes relative to the pool's, headings excepted",
     parameters=(Parameter("angle_rad", low=-0.8, high=0.8, typical=0.03),),
     see=see,
     order=4,

@@ -23,7 +23,7 @@ def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="camera_scale",
     plain="a camera whose scale is off",
-    title="the camera's metres are too long or too short by this share",
+    title="scale error of the camera's positions",
     parameters=(Parameter("ratio", low=-0.3, high=0.3, typical=0.02),),
     see=see,
     order=5,

@@ -25,7 +25,7 @@ def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="dropped_frames",
     plain="lost camera frames",
-    title="some frames are lost and the last pose is repeated",
+    title="frames are lost and the last pose is repeated",
     parameters=(Parameter("probability", low=0.0, high=0.4, typical=0.05),),
     see=see,
     order=2,

@@ -26,7 +26,7 @@ def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="marker_offset",
     plain="a marker that sits elsewhere",
-    title="the marker sits off the head's centre of mass, forwards and to the left",
+    title="offset of the marker from the head's centre of mass, forwards and to the left",
     parameters=(
         Parameter("x_m", low=-0.3, high=0.3, typical=0.02),
         Parameter("y_m", low=-0.1, high=0.1, typical=0.02),

@@ -28,7 +28,7 @@ def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 EFFECT = CameraEffect(
     name="pose_filter",
     plain="a filter on the camera's poses",
-    title="the poses are smoothed by a first-order low-pass",
+    title="the camera's poses pass a first-order low-pass filter",
     parameters=(Parameter("time_constant_s", low=0.0, high=1.0, typical=0.05),),
     see=see,
     order=3,

@@ -49,7 +49,7 @@ def brake(
 EFFECT = Effect(
     name="acceleration_limit",
     plain="limited acceleration of the set-point",
-    says="the servo's own profile speeds its set-point up by no more than {limit_rad_s2}",
+    says="the servo limits the acceleration of its set-point to {limit_rad_s2}",
     site="command",
     term=brake,
     parameters=(Parameter("limit_rad_s2", low=0.6, high=10000.0, typical=60.0, starts=LIMITS),),

@@ -32,7 +32,10 @@ def bound(
 EFFECT = Effect(
     name="asymmetric_friction",
     plain="friction that differs by direction",
-    says="dry friction of {torque_Nm} holds the shaft, {asymmetry} more one way than on average",
+    says=lambda p: (
+        "Coulomb friction averages {torque_Nm} and is {asymmetry} larger than that in the "
+        + ("positive direction" if p["asymmetry"] > 0 else "negative direction")
+    ),
     site="friction",
     term=bound,
     parameters=(

@@ -98,7 +98,7 @@ def play(
 EFFECT = Effect(
     name="backlash",
     plain="play in the gears",
-    says="the gears have {gap_rad} of play",
+    says="the gear train has {gap_rad} of backlash",
     site="motor",
     term=cross,
     parameters=(

@@ -32,7 +32,11 @@ def drift(
 EFFECT = Effect(
     name="clock_drift",
     plain="clocks that drift apart",
-    says="the clock that sends and the clock that measures drift apart by {s_per_s}",
+    says=lambda p: (
+        "the delay between set-point and response "
+        + ("grows" if p["s_per_s"] > 0 else "shrinks")
+        + " by {s_per_s} of the elapsed time, as with clocks that drift apart"
+    ),
     site="arrival",
     term=drift,
     parameters=(Parameter("s_per_s", low=-0.01, high=0.01, typical=0.001),),

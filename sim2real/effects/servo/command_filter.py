@@ -37,7 +37,7 @@ def smooth(
 EFFECT = Effect(
     name="command_filter",
     plain="a filter on the set-point",
-    says="the servo smooths its set-point over {time_constant_s}",
+    says="the servo low-pass filters its set-point with a time constant of {time_constant_s}",
     site="command",
     term=smooth,
     parameters=(Parameter("time_constant_s", low=0.0003, high=0.5, typical=0.03),),

@@ -88,7 +88,7 @@ def twist(
 EFFECT = Effect(
     name="compliance",
     plain="a springy load",
-    says="shaft and load are joined by a spring that gives {compliance_rad_per_Nm}",
+    says="motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}",
     site="motor",
     term=soften,
     parameters=(

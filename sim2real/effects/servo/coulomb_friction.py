@@ -32,7 +32,7 @@ def bound(
 EFFECT = Effect(
     name="coulomb_friction",
     plain="dry friction",
-    says="dry friction of {torque_Nm} holds the shaft",
+    says="Coulomb friction of {torque_Nm} acts on the shaft",
     site="friction",
     term=bound,
     parameters=(Parameter("torque_Nm", low=0.0, high=1.0, typical=0.05),),

@@ -31,7 +31,7 @@ def ignore(
 EFFECT = Effect(
     name="deadband",
     plain="a dead band of the controller",
-    says="the controller ignores errors below {halfwidth_rad}",
+    says="the controller ignores position errors below {halfwidth_rad}",
     site="error",
     term=ignore,
     parameters=(Parameter("halfwidth_rad", low=0.0, high=0.1, typical=0.01),),

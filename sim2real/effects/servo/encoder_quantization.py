@@ -30,7 +30,7 @@ def count(
 EFFECT = Effect(
     name="encoder_quantization",
     plain="a coarser angle sensor",
-    says="the angle sensor counts in steps of {step_rad}, coarser than the data sheet says",
+    says="the angle sensor has a resolution of {step_rad}, coarser than the data sheet states",
     site="sensor",
     term=count,
     parameters=(Parameter("step_rad", low=0.0, high=0.1, typical=0.00419),),

@@ -32,7 +32,10 @@ def pendulum(
 EFFECT = Effect(
     name="gravity_load",
     plain="a weight that the loads leave out",
-    says="a weight that the loads leave out pulls with {torque_Nm} when level",
+    says=lambda p: (
+        "a gravity torque of up to {torque_Nm}, missing from the stated load, pulls the shaft "
+        + ("towards 0°" if p["torque_Nm"] > 0 else "away from 0°")
+    ),
     site="load",
     term=pendulum,
     parameters=(Parameter("torque_Nm", low=-2.0, high=2.0, typical=0.1),),

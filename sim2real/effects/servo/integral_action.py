@@ -33,7 +33,7 @@ def integral(
 EFFECT = Effect(
     name="integral_action",
     plain="integral action of the controller",
-    says="the controller also integrates the error, with {ki_Nm_per_rad_s}",
+    says="the controller has integral action with a gain of {ki_Nm_per_rad_s}",
     site="motor",
     term=integral,
     parameters=(Parameter("ki_Nm_per_rad_s", low=0.0, high=50.0, typical=2.0),),

@@ -35,7 +35,7 @@ def scatter(
 EFFECT = Effect(
     name="latency_jitter",
     plain="set-points that arrive unevenly",
-    says="set-points arrive unevenly, up to {halfwidth_s} early or late",
+    says="set-points arrive up to {halfwidth_s} before or after the mean latency",
     site="arrival",
     term=scatter,
     parameters=(Parameter("halfwidth_s", low=0.0, high=0.1, typical=0.01),),

@@ -32,7 +32,7 @@ def bound(
 EFFECT = Effect(
     name="load_friction",
     plain="friction that grows with load",
-    says="dry friction takes {ratio} of the torque that the gears carry",
+    says="gear friction opposes the motion with {ratio} of the transmitted torque",
     site="friction",
     term=bound,
     parameters=(Parameter("ratio", low=0.0, high=0.9, typical=0.2),),

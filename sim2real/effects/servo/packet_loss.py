@@ -36,7 +36,7 @@ def lose(
 EFFECT = Effect(
     name="packet_loss",
     plain="lost set-points",
-    says="{probability} of the set-points never arrive",
+    says="{probability} of the set-points are lost",
     site="arrival",
     term=lose,
     parameters=(Parameter("probability", low=0.0, high=1.0, typical=0.05),),

@@ -41,7 +41,8 @@ def bristle(
 EFFECT = Effect(
     name="presliding_friction",
     plain="dry friction that is springy before it slips",
-    says="dry friction of {torque_Nm} is a spring of {stiffness_Nm_per_rad} until it slips",
+    says="Coulomb friction of {torque_Nm} acts as a spring of {stiffness_Nm_per_rad} "
+    "before it slips",
     site="load",
     term=bristle,
     parameters=(

@@ -37,7 +37,7 @@ def punched(
 EFFECT = Effect(
     name="punch",
     plain="a least drive that the firmware adds to any error",
-    says="the firmware adds {torque_Nm} to the drive at any error beyond {width_rad}",
+    says="the firmware adds {torque_Nm} to the drive at position errors beyond {width_rad}",
     site="error",
     term=punched,
     parameters=(

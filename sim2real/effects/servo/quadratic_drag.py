@@ -31,7 +31,7 @@ def drag(
 EFFECT = Effect(
     name="quadratic_drag",
     plain="drag that grows with the square of speed",
-    says="drag of {coefficient_Nms2} times the square of the speed slows the shaft",
+    says="a drag torque of {coefficient_Nms2} times the squared speed opposes the motion",
     site="load",
     term=drag,
     parameters=(Parameter("coefficient_Nms2", low=0.0, high=0.5, typical=0.01),),

@@ -38,7 +38,7 @@ def ramp(
 EFFECT = Effect(
     name="rate_limit",
     plain="limited speed of the set-point",
-    says="the servo's own profile moves its set-point no faster than {limit_rad_s}",
+    says="the servo limits the speed of its set-point to {limit_rad_s}",
     site="command",
     term=ramp,
     parameters=(Parameter("limit_rad_s", low=0.03, high=500.0, typical=3.0, starts=LIMITS),),

@@ -51,7 +51,8 @@ _PHASES = (0.0, 2.0944, -2.0944)
 EFFECT = Effect(
     name="sensor_eccentricity",
     plain="an angle sensor whose error is a wave of the angle",
-    says="the angle sensor errs by {amplitude_rad} every {period_rad}",
+    says="the error of the angle sensor has an amplitude of {amplitude_rad} and "
+    "repeats every {period_rad}",
     site="sensor",
     term=wave,
     parameters=(

@@ -38,7 +38,7 @@ def smooth(
 EFFECT = Effect(
     name="sensor_filter",
     plain="a filter on the measured angle",
-    says="the measured angle is smoothed over {time_constant_s}",
+    says="the measured angle is low-pass filtered with a time constant of {time_constant_s}",
     site="sensor",
     term=smooth,
     parameters=(Parameter("time_constant_s", low=0.0002, high=0.5, typical=0.02),),

@@ -31,7 +31,7 @@ def scale(
 EFFECT = Effect(
     name="sensor_gain",
     plain="an angle sensor whose scale is off",
-    says="measured angles are off in scale by {gain}",
+    says=lambda p: "the angle sensor reads {gain} too " + ("large" if p["gain"] > 0 else "small"),
     site="sensor",
     term=scale,
     parameters=(Parameter("gain", low=-0.5, high=0.5, typical=0.02),),

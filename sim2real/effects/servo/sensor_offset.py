@@ -28,7 +28,9 @@ def shift(
 EFFECT = Effect(
     name="sensor_offset",
     plain="an angle sensor whose zero is off",
-    says="the zero of the angle sensor is off by {offset_rad}",
+    says=lambda p: (
+        "the angle sensor reads {offset_rad} too " + ("high" if p["offset_rad"] > 0 else "low")
+    ),
     site="sensor",
     term=shift,
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.02),),

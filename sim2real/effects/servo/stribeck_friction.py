@@ -1,6 +1,7 @@
 """Stribeck friction: dry friction that is larger at breakaway and falls with speed.
 
-``bound = torque + (breakaway - torque) exp(-(v / velocity)^2)``.
+``bound = torque + (breakaway - torque) exp(-(v / velocity)^2)``. Fits keep ``breakaway`` at or
+above ``torque``: friction that rises with speed is damping, not Stribeck's effect.
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138.
 
 Leaves extra error just after reversals and stick-slip at low speed. Taken for: Coulomb friction,
@@ -36,7 +37,11 @@ def bound(
 EFFECT = Effect(
     name="stribeck_friction",
     plain="friction that is larger near standstill",
-    says="friction of {breakaway_Nm} falls to {torque_Nm} above about {velocity_rad_s}",
+    says=lambda p: (
+        "friction of {breakaway_Nm} at standstill falls to {torque_Nm} above about {velocity_rad_s}"
+        if p["breakaway_Nm"] > p["torque_Nm"]
+        else "Coulomb friction of {torque_Nm} acts on the shaft"
+    ),
     site="friction",
     term=bound,
     parameters=(
@@ -45,4 +50,5 @@ EFFECT = Effect(
         Parameter("velocity_rad_s", low=0.003, high=5.0, typical=0.3),
     ),
     family="dry friction",
+    ascending=("torque_Nm", "breakaway_Nm"),
 )

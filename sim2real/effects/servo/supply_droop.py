@@ -36,7 +36,11 @@ def droop(
 EFFECT = Effect(
     name="supply_droop",
     plain="a supply that runs down",
-    says="the supply runs down, and with it the torque, by {loss_per_min} a minute",
+    says=lambda p: (
+        "the supply voltage, and the motor torque with it, "
+        + ("falls" if p["loss_per_min"] > 0 else "rises")
+        + " by {loss_per_min} per minute"
+    ),
     site="motor",
     term=droop,
     parameters=(Parameter("loss_per_min", low=-0.5, high=0.5, typical=0.1),),

@@ -38,7 +38,7 @@ def weaken(
 EFFECT = Effect(
     name="thermal_derating",
     plain="a motor that weakens as it warms",
-    says="the motor loses up to {loss} of its torque as it warms",
+    says="the motor loses up to {loss} of its torque as it heats up",
     site="motor",
     term=weaken,
     parameters=(

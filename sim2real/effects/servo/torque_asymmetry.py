@@ -31,7 +31,14 @@ def favour(
 EFFECT = Effect(
     name="torque_asymmetry",
     plain="a motor that pulls harder one way",
-    says="the motor pulls {asymmetry} harder one way than the other",
+    says=lambda p: (
+        "the motor torque is {asymmetry} larger in the "
+        + (
+            "positive direction than in the negative"
+            if p["asymmetry"] > 0
+            else "negative direction than in the positive"
+        )
+    ),
     site="motor",
     term=favour,
     parameters=(Parameter("asymmetry", low=-1.0, high=1.0, typical=0.2),),

@@ -36,7 +36,7 @@ def clip(
 EFFECT = Effect(
     name="torque_saturation",
     plain="a torque limit below the data sheet's",
-    says="the motor gives no more than {limit_Nm}",
+    says="the motor torque is limited to {limit_Nm}",
     site="motor",
     term=clip,
     parameters=(

@@ -32,7 +32,10 @@ def rotor(
 EFFECT = Effect(
     name="unmodelled_inertia",
     plain="inertia that the loads leave out",
-    says="the loads leave out {inertia_kgm2} of inertia, such as the rotor's and the arm's",
+    says=lambda p: (
+        "the stated load inertia is {inertia_kgm2} too "
+        + ("small, as when it omits the rotor and the gears" if p["inertia_kgm2"] > 0 else "large")
+    ),
     site="inertia",
     term=rotor,
     parameters=(Parameter("inertia_kgm2", low=-0.0018, high=0.04, typical=0.001),),

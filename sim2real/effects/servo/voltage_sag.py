@@ -35,7 +35,7 @@ def sag(
 EFFECT = Effect(
     name="voltage_sag",
     plain="a supply that sags under load",
-    says="the supply sags under load, which costs {loss_at_full_load} of the torque at full load",
+    says="the supply voltage sags and costs {loss_at_full_load} of the motor torque at full load",
     site="motor",
     term=sag,
     parameters=(Parameter("loss_at_full_load", low=0.0, high=0.9, typical=0.2),),

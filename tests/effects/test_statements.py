@@ -1,0 +1,167 @@
+"""Statements about effects: words that follow the numbers, units, sane rounding."""
+
+import re
+
+import numpy as np
+import pytest
+from test_effects import SQUARE, STEP, T, each, simulate
+
+from sim2real.effects import BODY, CAMERA, CATALOGUE, named
+from sim2real.effects.effect import readable, three_digits
+from sim2real.residuals.screen import candidate
+
+NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)\s?([^\s,]*)")
+UNITS = ("°", "%", "ms", "ppm", "N", "mN", "kg", "rad/s", "rad/s²")
+DRAWS = 200
+
+
+def drawn(effect, rng):
+    """Values over the whole range, small ones as often as large ones, of either sign if allowed."""
+    values = {}
+    for p in effect.parameters:
+        least = p.low if p.low > 0 else 1e-4 * p.high
+        size = np.exp(rng.uniform(np.log(least), np.log(p.high)))
+        sign = rng.choice([-1.0, 1.0]) if p.low < 0 else 1.0
+        values[p.name] = float(np.clip(sign * size, p.low, p.high))
+    return values
+
+
+def numbers(text):
+    return [(float(x), unit.rstrip(".")) for x, unit in NUMBER.findall(text.replace("0°", "zero"))]
+
+
+@each()
+def test_every_number_has_a_unit_and_is_rounded(effect):
+    rng = np.random.default_rng(0)
+    for _ in range(DRAWS):
+        values = drawn(effect, rng)
+        text = effect.statement(values)
+        assert not re.search(r"nan|inf\b|[{}]", text), text
+        found = re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", text.replace(" 0°", ""))
+        assert found, "a statement says how large the effect is"
+        for number in found:
+            assert float(number) > 0, f"zero or a sign that the words should tell: {text}"
+            digits = number.partition("e")[0].replace(".", "").strip("0")
+            assert len(digits) <= 3, text
+        units = [unit for _, unit in NUMBER.findall(text.replace(" 0°", ""))]
+        assert all(unit.startswith(UNITS) for unit in units), text
+
+
+@each()
+def test_the_numbers_are_those_of_the_parameters(effect):
+    rng = np.random.default_rng(1)
+    for _ in range(DRAWS):
+        values = drawn(effect, rng)
+        text = effect.statement(values)
+        sizes = {readable(name, abs(x)) for name, x in values.items()}
+        said = [size for size in sizes if size in text]
+        assert len(said) >= len(re.findall(r"\d[\d.]*", text.replace(" 0°", ""))) * 0.5, text
+        first = effect.parameters[0].name
+        assert readable(first, abs(values[first])) in text
+
+
+DIRECTED = [e for e in CATALOGUE if any(p.low < 0 and "phase" not in p.name for p in e.parameters)]
+
+
+@pytest.mark.parametrize("effect", DIRECTED, ids=lambda effect: effect.name)
+def test_opposite_signs_have_opposite_words_and_the_same_numbers(effect):
+    rng = np.random.default_rng(2)
+    (signed,) = [p.name for p in effect.parameters if p.low < 0]
+    for _ in range(DRAWS):
+        values = drawn(effect, rng)
+        mirrored = values | {signed: -values[signed]}
+        one, other = effect.statement(values), effect.statement(mirrored)
+        assert one != other
+        assert NUMBER.findall(one) == NUMBER.findall(other)
+
+
+def settled(angle):
+    return angle[-1]
+
+
+def rise(angle):
+    """Angle soon after a step up: the lower, the slower."""
+    return angle[28]
+
+
+RAMP = np.clip(0.5 * (T - 0.2), 0, None)
+"""On which a later set-point is a smaller angle."""
+WORDS = {  # effect: values, command, measure, words where it is larger than the plain servo's
+    "sensor_gain": ({"gain": 0.1}, STEP, settled, ("large", "small")),
+    "sensor_offset": ({"offset_rad": 0.05}, STEP, settled, ("high", "low")),
+    "gravity_load": ({"torque_Nm": 0.1}, STEP, settled, ("away", "towards")),
+    "unmodelled_inertia": ({"inertia_kgm2": 0.001}, STEP, rise, ("large", "small")),
+    "clock_drift": ({"s_per_s": 0.005}, RAMP, settled, ("shrinks", "grows")),
+}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("name", list(WORDS))
+def test_words_of_direction_agree_with_the_simulation(name, sign):
+    values, command, measure, (larger, smaller) = WORDS[name]
+    (key,) = values
+    values = {key: sign * values[key]}
+    more = measure(simulate(command, **{name: values})) > measure(simulate(command))
+    text = named(name).statement(values)
+    assert re.search(rf"\b{larger if more else smaller}\b", text), text
+    assert not re.search(rf"\b{smaller if more else larger}\b", text), text
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_stronger_direction_of_the_motor_is_the_one_that_is_said(sign):
+    asymmetry = {"asymmetry": 0.4 * sign}
+    speed = np.gradient(simulate(SQUARE, torque_asymmetry=asymmetry), T)
+    faster = "positive" if speed.max() > -speed.min() else "negative"
+    text = named("torque_asymmetry").statement(asymmetry)
+    assert f"larger in the {faster} direction" in text
+    rubs = {"torque_Nm": 0.3, "asymmetry": 0.5 * sign}
+    angle = simulate(SQUARE, asymmetric_friction=rubs)
+    # It stops farther from the command where friction is larger.
+    at_top, at_bottom = 0.5 - angle.max(), 0.5 + angle.min()
+    larger = "positive" if at_top > at_bottom else "negative"
+    text = named("asymmetric_friction").statement(rubs)
+    assert f"larger than that in the {larger} direction" in text
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_supply_that_falls_weakens_the_motor(sign):
+    droop = {"loss_per_min": 0.4 * sign}
+    weight = {"gravity_load": {"torque_Nm": 0.5}}
+    more = settled(simulate(supply_droop=droop, **weight)) > settled(simulate(**weight))
+    assert ("rises" if more else "falls") in named("supply_droop").statement(droop)
+
+
+def test_friction_falls_only_where_the_numbers_do():
+    effect, rng = named("stribeck_friction"), np.random.default_rng(3)
+    for _ in range(DRAWS):
+        values = drawn(effect, rng)
+        text = effect.statement(values)
+        assert ("falls" in text) == (values["breakaway_Nm"] > values["torque_Nm"])
+    text = effect.statement({"torque_Nm": 0.00358, "breakaway_Nm": 0.000258, "velocity_rad_s": 0.3})
+    assert text == "Coulomb friction of 3.58 mN m acts on the shaft"
+
+
+def test_fits_of_stribeck_friction_start_where_it_falls():
+    starts = candidate(named("stribeck_friction"), 2.0, 0.002).starts
+    assert np.all(starts[:, 1] > starts[:, 0])
+
+
+def test_torque_per_inertia_has_its_unit():
+    said = named("coulomb_friction").statement({"torque_Nm": 12.0}, per_inertia=True)
+    assert "12 N m/(kg m²)" in said
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1234.5, "1230"), (5236.0, "5240"), (0.0123456, "0.0123"), (999.9, "1000")]
+)
+def test_three_digits_without_an_exponent(value, text):
+    assert three_digits(value) == text
+
+
+@pytest.mark.parametrize("effect", [*BODY, *CAMERA], ids=lambda effect: effect.name)
+def test_titles_leave_the_direction_to_the_sign(effect):
+    """The size follows the title: ``change of the form drag, ...: coefficient -0.1``."""
+    assert effect.title and not re.search(r"[.{}_]", effect.title)
+    if any(p.low < 0 for p in effect.parameters):
+        directed = r"\b(more|less|larger|smaller|faster|slower|rougher|late|early|too|gain|loss)\b"
+        assert not re.search(directed, effect.title), effect.title
