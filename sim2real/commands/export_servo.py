@@ -59,11 +59,16 @@ def run(options: argparse.Namespace) -> int:
         if not set(recording.joints) & set(model.joints):
             found = f"joints {', '.join(recording.joints)}"
             raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    if options.to == "mujoco":
+        from sim2real.exporters.mujoco_refit import mujoco_refit
+
+        found = mujoco_refit(model, recordings, robot)
+        return hand_over(found.export, options, found.expressible.refits, found.agreement)
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
         return hand_over(target.write(model, robot), options)
     from sim2real.exporters.expressible import expressible
 
-    found_model = expressible(model, target.expressed, recordings, robot)
-    export = target.write(found_model.model, robot, found_model.dropped)
-    return hand_over(export, options, found_model.refits)
+    nearest = expressible(model, target.expressed, recordings, robot)
+    export = target.write(nearest.model, robot, nearest.dropped)
+    return hand_over(export, options, nearest.refits)

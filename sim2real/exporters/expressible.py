@@ -113,20 +113,58 @@ def expressible(
     """
     joints, dropped, refits = dict(model.joints), [], []
     for name, joint in model.joints.items():
-        sheet = robot.joint(name) if robot else None
-        reach = 0.9 * min(abs(x) for x in sheet.limits_rad) if sheet else None
-        own = excitation(joint, name, reach)
         lost = _lost(joint, expressed(joint))
-        matter = {what for what in lost if _moves(own, joint, what) > NEGLIGIBLE_RAD}
+        if not lost:
+            continue
+        data = fitting_data(name, joint, recordings, robot)
+        matter = {what for what in lost if _moves(data.own, joint, what) > NEGLIGIBLE_RAD}
         joints[name] = _without(joint, lost - matter)
         if not (stood_for := sorted(what for what in matter if _replaceable(what))):
             continue
-        data = _on_load(traces(recordings, name), joint)
-        joints[name], cost = _refitted(name, joints[name], stood_for, own, data)
+        joints[name], cost = _refitted(name, joints[name], stood_for, data)
         refits.append(cost)
         why = "the other parameters were refitted to stand in for it; do not add it"
         dropped += [LeftOut(name, _shown(joint, what), why) for what in stood_for]
     return Expressible(replace(model, joints=joints), tuple(dropped), tuple(refits))
+
+
+@dataclass(frozen=True)
+class FittingData:
+    """What a joint is fitted to.
+
+    Attributes:
+        own: What its full model predicts on the standard excitation.
+        fitted: Recordings to fit, or ``own``.
+        scored: Those held out; none where there is no recording.
+        held_out: What is held out, in words.
+    """
+
+    own: list[Trace]
+    fitted: list[Trace]
+    scored: list[Trace]
+    held_out: str
+
+
+def fitting_data(
+    name: str, joint: JointModel, recordings: Sequence[Recording], robot: Robot | None
+) -> FittingData:
+    """What a joint is fitted to: recordings in which it moves, else its own predictions."""
+    sheet = robot.joint(name) if robot else None
+    reach = 0.9 * min(abs(x) for x in sheet.limits_rad) if sheet else None
+    own = excitation(joint, name, reach)
+    data = _on_load(traces(recordings, name), joint)
+    return FittingData(own, *(split(data, None) if data else (own, [], "")))
+
+
+def _on_load(data: Sequence[Trace], joint: JointModel) -> list[Trace]:
+    """The traces on loads that the model's gains are meant for."""
+    if joint.per_inertia:
+        return [replace(trace, load=PER_INERTIA) for trace in data]
+    known = joint.load
+    return [
+        replace(trace, load=known) if trace.load is PER_INERTIA and known else trace
+        for trace in data
+    ]
 
 
 def _lost(joint: JointModel, has: Collection[str]) -> set[str]:
@@ -172,22 +210,11 @@ def _moves(own: Sequence[Trace], joint: JointModel, what: str) -> float:
     return rms(residuals(joint_row(_without(joint, {what}), load), own))
 
 
-def _on_load(data: Sequence[Trace], joint: JointModel) -> list[Trace]:
-    """The traces on loads that the model's gains are meant for."""
-    if joint.per_inertia:
-        return [replace(trace, load=PER_INERTIA) for trace in data]
-    known = joint.load
-    return [
-        replace(trace, load=known) if trace.load is PER_INERTIA and known else trace
-        for trace in data
-    ]
-
-
 def _refitted(
-    name: str, joint: JointModel, lost: Sequence[str], own: list[Trace], data: list[Trace]
+    name: str, joint: JointModel, lost: Sequence[str], data: FittingData
 ) -> tuple[JointModel, Refit]:
-    """The joint fitted again to data, else to its own predictions, and what that costs."""
-    fitted, scored, held_out = split(data, None) if data else (own, [], "")
+    """The joint fitted again without some effects, and what that costs."""
+    own, fitted, scored = data.own, data.fitted, data.scored
     load = own[0].load
     bare = _without(joint, lost)
     start = joint_row(bare, load)
@@ -215,7 +242,7 @@ def _refitted(
         full_rad=rms(residuals(best.row, own)),
         dropped_rad=rms(residuals(start, own)),
         recorded_rad=recorded,
-        held_out=held_out,
+        held_out=data.held_out,
     )
 
 

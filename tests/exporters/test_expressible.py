@@ -16,6 +16,8 @@ from sim2real.commands.export_servo import TARGETS
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.expressible import expressible
+from sim2real.exporters.mujoco import mujoco
+from sim2real.exporters.mujoco_refit import _error, mujoco_refit
 from sim2real.exporters.urdf import urdf
 from sim2real.identification.fit import residuals
 from sim2real.inference.holdout import rms
@@ -113,6 +115,7 @@ def test_nothing_that_hardly_moves_the_joint_is_listed() -> None:
 def test_a_refit_to_recordings_scores_on_the_last(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     paths = [tmp_path / f"{name}.csv" for name in ("a", "b")]
     for seed, path in enumerate(paths):
         write_recording(simulated.recording(seed, path.stem, deadband=DEADBAND), path)
@@ -120,10 +123,13 @@ def test_a_refit_to_recordings_scores_on_the_last(
     out = tmp_path / "servo.xml"
     call = ["export-servo", str(tmp_path / "model.json"), "--to", "mujoco", "--out", str(out)]
     assert main([*call, "--recordings", *map(str, paths)]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
+    line, mujoco_itself = capsys.readouterr().out.splitlines()[-2:]
     exported, full = map(float, re.search(r"on b, held out: (\S+) .* (\S+) of", line).groups())  # type: ignore[union-attr]
     assert full == pytest.approx(1e3 * simulated.NOISE, rel=0.15)
     assert full < exported < 5 * full
+    said = re.search(r"j1: MuJoCo, running this file: (\S+) .* b, held out", mujoco_itself)
+    assert said is not None
+    assert float(said.group(1)) == pytest.approx(exported, rel=0.1)
     assert "deadband (halfwidth_rad = 0.02)" in out.read_text()
 
 
@@ -183,3 +189,23 @@ def test_the_standard_excitation_starts_at_rest_and_is_within_reach() -> None:
     for trace in excitation(servo().joints["j1"], "j1", 0.4):
         assert trace.command[0] == 0
         assert 0.2 < np.abs(trace.command).max() <= 0.4
+
+
+def test_bristles_that_mujoco_steps_badly_give_way_to_dry_friction() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    stiff = {"torque_Nm": 0.02, "stiffness_Nm_per_rad": 30.0, "damping_ratio": 2.0}
+    model = servo(presliding_friction=stiff)
+    found = mujoco_refit(model)
+    (after,) = found.agreement
+    as_it_is = _error(mujoco(model), "j1", excitation(model.joints["j1"], "j1"))
+    assert after.error_rad < 0.7 * as_it_is
+    assert "frictionloss" in found.export.text
+    assert any("presliding_friction" in line.what for line in found.export.left_out)
+
+
+def test_bristles_that_mujoco_steps_well_stay() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    model = servo(presliding_friction=TYPICAL["presliding_friction"] | {"damping_ratio": 0.2})
+    found = mujoco_refit(model)
+    assert found.expressible.model.joints == model.joints
+    assert found.agreement[0].error_rad < 1e-3
