@@ -18,6 +18,15 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
     command.add_argument("--robot", type=Path, help="robot.toml, for limits and data sheets")
+    command.add_argument(
+        "--recordings",
+        nargs="+",
+        type=Path,
+        default=(),
+        metavar="CSV",
+        help="what to refit to where the simulator lacks an effect of the model; the last is held "
+        "out (default: the model's own predictions)",
+    )
 
 
 def _export_ranges(command: argparse.ArgumentParser) -> None:
@@ -48,7 +57,8 @@ COMMANDS = (
         "export-servo",
         "sim2real.commands.export_servo",
         _export_servo,
-        "sim2real export-servo model.json --to mujoco --out servos.xml",
+        "sim2real export-servo diagnosis.enriched.json --to mujoco --out servos.xml "
+        "--recordings steps.csv chirp.csv",
     ),
     Command(
         "export-ranges",

@@ -3,29 +3,72 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Collection, Sequence
+from typing import NamedTuple, Protocol
 
 from sim2real.commands.hand_over import hand_over
-from sim2real.exporters.genesis import genesis
-from sim2real.exporters.isaaclab import isaaclab
-from sim2real.exporters.mujoco import mujoco
-from sim2real.exporters.plain import plain
-from sim2real.exporters.urdf import urdf
-from sim2real.model import read_model
+from sim2real.effects import CATALOGUE
+from sim2real.errors import InputError
+from sim2real.exporters import genesis, isaaclab, mujoco, plain, urdf
+from sim2real.exporters.actuator import Export, LeftOut
+from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
-from sim2real.robot import read_robot
+from sim2real.recording import read_recording
+from sim2real.robot import Robot, read_robot
+
+
+class Write(Protocol):
+    """Writes a model's actuators as the text of a target."""
+
+    def __call__(
+        self, model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
+    ) -> Export:
+        """The text, and what it lacks."""
+
+
+class Target(NamedTuple):
+    """A simulator or format: how it is written, and which effects of a joint it expresses."""
+
+    write: Write
+    expressed: Callable[[JointModel], Collection[str]]
+
+
+def _always(*effects: str) -> Callable[[JointModel], Collection[str]]:
+    return lambda joint: {*effects, "torque_saturation"}
+
 
 TARGETS = {
-    "mujoco": mujoco,
-    "isaaclab": isaaclab,
-    "genesis": genesis,
-    "urdf": urdf,
-    "json": plain,
+    "mujoco": Target(mujoco.mujoco, mujoco.expressed),
+    "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS)),
+    "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
+    "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
+    "json": Target(plain.plain, _always(*(effect.name for effect in CATALOGUE))),
 }
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the model's actuators for another simulator; print what that simulator lacks."""
+    """Write the model's actuators for another simulator; print what that simulator lacks.
+
+    Joints with effects that it lacks are fitted again without them; what that costs is printed.
+    """
     check_writable(options.out)
+    model = read_model(options.model)
     robot = read_robot(options.robot) if options.robot else None
-    export = TARGETS[options.to](read_model(options.model), robot)
-    return hand_over(export, options)
+    recordings = [read_recording(path) for path in options.recordings]
+    for recording in recordings:
+        if not set(recording.joints) & set(model.joints):
+            found = f"joints {', '.join(recording.joints)}"
+            raise InputError(recording.file, "joints", found, f"one of {', '.join(model.joints)}")
+    if options.to == "mujoco":
+        from sim2real.exporters.mujoco_refit import mujoco_refit
+
+        found = mujoco_refit(model, recordings, robot)
+        return hand_over(found.export, options, found.expressible.refits, found.agreement)
+    target = TARGETS[options.to]
+    if options.to == "json":  # it has everything
+        return hand_over(target.write(model, robot), options)
+    from sim2real.exporters.expressible import expressible
+
+    nearest = expressible(model, target.expressed, recordings, robot)
+    export = target.write(nearest.model, robot, nearest.dropped)
+    return hand_over(export, options, nearest.refits)

@@ -4,17 +4,43 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from sim2real.exporters.actuator import Export
 from sim2real.output import write_whole
 
+if TYPE_CHECKING:
+    from sim2real.exporters.expressible import Refit
+    from sim2real.exporters.mujoco_refit import Agreement
 
-def hand_over(export: Export, options: argparse.Namespace) -> int:
-    """Write the text to ``options.out``; say for which tool, and what is not expressed there."""
+
+def hand_over(
+    export: Export,
+    options: argparse.Namespace,
+    refits: Sequence[Refit] = (),
+    agreement: Sequence[Agreement] = (),
+) -> int:
+    """Write the text to ``options.out``; say for which tool, and what is not expressed there.
+
+    Args:
+        export: The file for the other tool, and what that tool lacks.
+        options: ``out``: the file to write; ``to``: the tool. ``result`` is set.
+        refits: Joints that were fitted again for the tool, with what that costs.
+        agreement: How far the tool itself is from the model or a recording, where it was asked.
+    """
     write_whole(options.out, export.text)
-    options.result = {"file": str(options.out), "not_expressed": [*map(str, export.left_out)]}
+    options.result = {
+        "file": str(options.out),
+        "not_expressed": [*map(str, export.left_out)],
+        "refitted": [asdict(refit) for refit in refits],
+        "agreement": [asdict(one) for one in agreement],
+    }
     print(f"{options.out}: for {options.to}")
     if export.left_out:
         print("not expressed there (the file says so too):")
         sys.stdout.writelines(f"  {line}\n" for line in export.left_out)
+    for cost in (*refits, *agreement):
+        print(cost)
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from sim2real.errors import InputError
 from sim2real.importers.bam import read_bam
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
+from sim2real.importers.loads import with_loads
+from sim2real.importers.missing import angle_options, ask_for, bag_options, table_options
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
 from sim2real.importers.units import Conversion, conversion
@@ -25,7 +28,7 @@ LARGEST_START_RAD = 0.1  # further off than this, a joint was not at rest on its
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one log and say in one line what was written.
+    """Import one log and say what was written, and what follows where loads are unknown.
 
     Args:
         args: ``source``: the log. ``out``: the CSV to write; its JSON stands beside it. For bags
@@ -33,7 +36,8 @@ def run(args: argparse.Namespace) -> int:
             topic for all joints or one for each; ``joints``: list of names in the order of the
             set-points, or None. For LeRobot datasets ``units``, ``calibration``,
             ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
-            ``columns``, ``time_unit`` and the units.
+            ``columns``, ``time_unit`` and the units. ``inertia``, ``pendulum``: lists of loads by
+            joint, see ``with_loads``.
 
     Returns:
         0, the exit status.
@@ -46,9 +50,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
     if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
         raise InputError(out, "", "a name that would overwrite the log", "another name")
-    recording = _read(source, args)
+    recording = with_loads(_read(source, args), args.inertia, args.pendulum)
     write_recording(recording, out)
     print(f"{out}: {_summary(recording)}")
+    if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
+        print(_without_loads(unknown))
     return 0
 
 
@@ -57,15 +63,17 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
         return read_bam(source)
     if not source.exists():
         raise InputError(source, "", "no such file", KINDS)
+    angles = (args.units, args.counts_per_turn, args.zero_count, args.calibration)
     if is_lerobot(source):
+        ask_for(source, angle_options(*angles))
         return read_lerobot(source, _units(args), episode=args.episode, joints=args.joints)
     if source.suffix in TABLES:
+        ask_for(source, table_options(args.columns, args.time_unit, *angles))
         columns = column_map(args.columns)
         return read_table(source, columns, _units(args), time_unit=args.time_unit)
     if not source.is_dir() and source.suffix not in BAGS:
         raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
-    if not args.command_topic:
-        raise InputError(source, "--command-topic", "nothing", "the topic of the set-points")
+    ask_for(source, bag_options(args.command_topic))
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
         source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
@@ -74,6 +82,16 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
 
 def _units(args: argparse.Namespace) -> Conversion:
     return conversion(args.units, args.counts_per_turn, args.zero_count, args.calibration)
+
+
+def _without_loads(joints: Sequence[str]) -> str:
+    """What ``identify`` does without loads, and how to state them."""
+    names = ", ".join(joints)
+    return (
+        f"load unknown of {names}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), "
+        f"not in N m; to state what the shaft turns, import again with --inertia "
+        f"{joints[0]}=KGM2 (everything on the shaft) or --pendulum {joints[0]}=MASS_KG,LENGTH_M"
+    )
 
 
 def _summary(recording: Recording) -> str:

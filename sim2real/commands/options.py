@@ -83,6 +83,19 @@ def _import(command: argparse.ArgumentParser) -> None:
         help="table: t=COLUMN J.command=COLUMN J.position=COLUMN ..., of arrays 'qpos[0]'",
     )
     command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: of t")
+    command.add_argument(
+        "--inertia",
+        nargs="+",
+        metavar="J=KGM2",
+        help="load of a joint: inertia of everything on its output shaft, kg m2",
+    )
+    command.add_argument(
+        "--pendulum",
+        nargs="+",
+        metavar="J=KG,M",
+        help="load of a joint: mass that hangs straight down at angle 0, and its distance from "
+        "the shaft",
+    )
 
 
 def _completion(command: argparse.ArgumentParser) -> None:

@@ -76,7 +76,7 @@ def _guesses(joints: Sequence[JointResult]) -> Mapping[str, str]:
         moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
         # The same terms for every recording.
         always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
-        theta = one.rich.fit.servos.theta[0]
+        theta = one.offered.fit.servos.theta[0]
         left = [
             what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
             for trace, row in zip(given, one.after, strict=False)
@@ -97,8 +97,8 @@ def _limits(one: JointResult) -> list[DetectionLimit]:
 
 def _ladder(one: JointResult, rng: np.random.Generator) -> Ladder | None:
     """Held-out errors of ever better informed predictors; None where nothing is held out."""
-    unseen, figures = one.unseen_plain, one.heldout()
-    before, after = figures["rmse_before"], figures["rmse_after"]
+    unseen = one.unseen_plain
+    before, after = (one.fit(enriched=enriched)["heldout"] for enriched in (False, True))
     if unseen is None or before is None or after is None:
         return None
     finding, traces = one.finding, one.joint.traces

@@ -17,6 +17,7 @@ from sim2real.diagnose.investigate import Finding, investigate, placed
 from sim2real.diagnose.joint_result import JointResult
 from sim2real.diagnose.judging import judged
 from sim2real.diagnose.nuisances import first_look
+from sim2real.diagnose.offer import offer, simpler
 from sim2real.diagnose.predicting import BEFORE, predicting
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
@@ -186,7 +187,17 @@ def _joint_results(
         h if joint.before else _enriched(finding, h, known)
         for joint, finding, h, known in zip(joints, findings, rich, unseen, strict=True)
     ]
-    before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, rich))
+    fewer = [simpler(*one) for one in zip(findings, rich, unseen, strict=True)]
+    more = [[m for m in (s,) if m not in known] for s, known in zip(fewer, unseen, strict=True)]
+    for known, added in zip(unseen, _unseen(joints, more, findings, device), strict=True):
+        known.update(added)
+    offered = [
+        h if joint.before else offer(finding, h, members, known)
+        for joint, finding, h, members, known in zip(
+            joints, findings, rich, fewer, unseen, strict=True
+        )
+    ]
+    before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, offered))
     ordinary = [
         refitted(
             joint.traces,
@@ -196,7 +207,16 @@ def _joint_results(
         for joint, h in zip(given, plain, strict=True)
     ]
     results = [
-        JointResult(joint, findings[j], rich[j], before[j], after[j], ordinary[j].row, unseen[j])
+        JointResult(
+            joint,
+            findings[j],
+            rich[j],
+            offered[j],
+            before[j],
+            after[j],
+            ordinary[j].row,
+            unseen[j],
+        )
         for j, joint in enumerate(joints)
     ]
     return [[results[j] for j in robot] for robot in robots]

@@ -36,9 +36,10 @@ class JointResult:
     Attributes:
         joint: Its recordings.
         finding: What it is missing.
-        rich: The servo that is offered.
+        rich: The servo with what was found, negligible effects included.
+        offered: The servo of the enriched model, see ``offer``.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
-        after: Those of the enriched one.
+        after: Those of the offered one.
         least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
         unseen: Errors on held-out data, by the effects that a servo has; empty where nothing can be
             held out.
@@ -47,6 +48,7 @@ class JointResult:
     joint: Joint
     finding: Finding
     rich: Hypothesis
+    offered: Hypothesis
     before: Array
     after: Array
     least_squares: Array
@@ -64,8 +66,8 @@ class JointResult:
 
     @property
     def richer(self) -> bool:
-        """Whether anything was added to the plain servo."""
-        return self.rich.members != self.finding.tried.base
+        """Whether the offered servo has anything beyond the plain one."""
+        return self.offered.members != self.finding.tried.base
 
     @property
     def unseen_plain(self) -> Unseen | None:
@@ -79,7 +81,7 @@ class JointResult:
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
         """Errors on fitted and on held-out data, rad."""
-        members = self.rich.members if enriched else self.finding.tried.base
+        members = self.offered.members if enriched else self.finding.tried.base
         unseen = self.unseen.get(members)
         train = self._train(self.after if enriched else self.before)
         return {"train": train, "heldout": None if unseen is None else unseen.rmse}
@@ -124,10 +126,10 @@ class JointResult:
     def model(self, *, enriched: bool) -> JointModel:
         """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
         rich = enriched and self.richer
-        theta = self.rich.fit.servos.theta[0] if rich else self.least_squares
+        theta = self.offered.fit.servos.theta[0] if rich else self.least_squares
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
-        return servo(self.joint, theta, self.rich if rich else self.finding.tried.plain)
+        return servo(self.joint, theta, self.offered if rich else self.finding.tried.plain)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.

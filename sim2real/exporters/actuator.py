@@ -184,7 +184,7 @@ def left_out(
     lines = [LeftOut(given.joint, "unit of the gains", PER_INERTIA)] if given.per_inertia else []
     for effect, values in given.effects.items():
         if effect not in known:
-            shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+            shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
             why = lacks.get(effect, f"{target} has nothing like it")
             lines.append(LeftOut(given.joint, f"{effect} ({shown})", why))
     for name, value in given.motor.items():
@@ -194,10 +194,16 @@ def left_out(
     return lines
 
 
+def quantity(joint: str, name: str, value: float, unit: str, why: str) -> list[LeftOut]:
+    """The line of a number that a target lacks; none where it is 0 and there is nothing to lack."""
+    return [LeftOut(joint, f"{name} ({value:.6g} {unit})", why)] if value else []
+
+
 def shared_left_out(model: Model) -> list[LeftOut]:
     """The effects on supply, link and body, which no actuator of one joint can express."""
     why = "it belongs to no single joint, and predict leaves it out too"
-    shared = [LeftOut("robot", fitted.effect, why) for fitted in model.effects]
+    there = [fitted for fitted in model.effects if any(fitted.parameters.values())]
+    shared = [LeftOut("robot", fitted.effect, why) for fitted in there]
     if any(model.body.values()):
         shared.append(LeftOut("robot", "body", "only the actuators are exported"))
     return shared

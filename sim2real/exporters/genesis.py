@@ -5,6 +5,8 @@ Calls: https://genesis-world.readthedocs.io, ``RigidEntity``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from sim2real.exporters.actuator import (
     Actuator,
     Export,
@@ -13,6 +15,7 @@ from sim2real.exporters.actuator import (
     comment,
     left_out,
     listed,
+    quantity,
     shared_left_out,
 )
 from sim2real.model import Model
@@ -31,18 +34,20 @@ LACKS = {
 }
 
 
-def genesis(model: Model, robot: Robot | None = None) -> Export:
+def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """Python text that defines ``set_actuators(entity)``, to be called once the scene is built.
 
     Args:
         model: The fitted model.
         robot: Its data sheets give limits where none was identified, if there is one.
+        dropped: What the model had more, for the file to list, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
     given = actuators(model, robot)
-    lines = [line for actuator in given for line in _left_out(actuator)] + shared_left_out(model)
+    lines = [line for actuator in given for line in _left_out(actuator)]
+    lines += [*dropped, *shared_left_out(model)]
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     names = ", ".join(repr(actuator.joint) for actuator in given)
     text = comment(head) + f"\nJOINTS = [{names}]\n\n\n"
@@ -78,7 +83,7 @@ def _calls(given: tuple[Actuator, ...]) -> dict[str, str]:
 def _left_out(given: Actuator) -> list[LeftOut]:
     lines = left_out(given, HAS, LACKS, "Genesis")
     why = "position control has no delay; hold set-points back for so long"
-    lines.append(LeftOut(given.joint, f"latency ({given.latency:.6g} s)", why))
+    lines += quantity(given.joint, "latency", given.latency, "s", why)
     if given.value("unmodelled_inertia", "inertia_kgm2") < 0:
         why = "an armature is not negative; take it off the link's inertia"
         lines.append(LeftOut(given.joint, "unmodelled_inertia", why))

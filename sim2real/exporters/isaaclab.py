@@ -7,6 +7,7 @@ calls ``effort_limit`` and ``velocity_limit`` also ``actuator_...`` and takes bo
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from sim2real.exporters.actuator import (
     Actuator,
@@ -16,6 +17,7 @@ from sim2real.exporters.actuator import (
     comment,
     left_out,
     listed,
+    quantity,
     shared_left_out,
 )
 from sim2real.model import Model
@@ -38,7 +40,7 @@ LACKS = {
 }
 
 
-def isaaclab(model: Model, robot: Robot | None = None) -> Export:
+def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """Python text that defines ``actuators(physics_dt)``, a dictionary of configurations.
 
     A joint whose drive clips before the back-EMF (a torque-speed line) becomes a ``DCMotorCfg``,
@@ -47,12 +49,14 @@ def isaaclab(model: Model, robot: Robot | None = None) -> Export:
     Args:
         model: The fitted model.
         robot: Its data sheets give limits where none was identified, if there is one.
+        dropped: What the model had more, for the file to list, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
     given = actuators(model, robot)
-    lines = [line for actuator in given for line in _left_out(actuator)] + shared_left_out(model)
+    lines = [line for actuator in given for line in _left_out(actuator)]
+    lines += [*dropped, *shared_left_out(model)]
     kinds = sorted({_kind(actuator) for actuator in given})
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     text = comment(head) + f"from isaaclab.actuators import {', '.join(kinds)}\n\n\n"
@@ -102,11 +106,13 @@ def _left_out(given: Actuator) -> list[LeftOut]:
         lines.append(LeftOut(given.joint, what, why))
 
     if _kind(given) == "DCMotorCfg":
-        add(f"latency ({given.latency:.6g} s)", "DCMotorCfg has no delay; hold actions back")
+        why = "DCMotorCfg has no delay; hold actions back"
+        lines += quantity(given.joint, "latency", given.latency, "s", why)
         if "latency_jitter" in given.effects:
             add("latency_jitter", "DCMotorCfg has no delay")
     else:
-        add("fractions of a step of the latency", "a delay is a whole number of physics steps")
+        if given.latency:
+            add("fractions of a step of the latency", "a delay is a whole number of physics steps")
         if "latency_jitter" in given.effects:
             add("part of latency_jitter", "the delay is drawn at a reset, not for each set-point")
     if "stribeck_friction" in given.effects:

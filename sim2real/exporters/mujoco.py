@@ -7,6 +7,7 @@ the load that the recordings were made with. Terms: https://mujoco.readthedocs.i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from xml.etree import ElementTree
@@ -21,7 +22,7 @@ from sim2real.exporters.actuator import (
     listed,
     shared_left_out,
 )
-from sim2real.model import Model
+from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
 
@@ -66,7 +67,14 @@ LACKS = {
 }
 
 
-def mujoco(model: Model, robot: Robot | None = None) -> Export:
+def expressed(joint: JointModel) -> set[str]:
+    """Effects of a joint that an MJCF file expresses; a ``pid`` has no filter of its commands."""
+    has = {*HAS, "torque_saturation"}
+    names = {fitted.effect for fitted in joint.effects}
+    return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
+
+
+def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """An MJCF model of a fitted model's actuators.
 
     ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. Where
@@ -76,6 +84,7 @@ def mujoco(model: Model, robot: Robot | None = None) -> Export:
     Args:
         model: The fitted model.
         robot: Gives the joints' limits, as their ``range``, if there is one.
+        dropped: What the model had more, for the file to list, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
@@ -105,7 +114,7 @@ def mujoco(model: Model, robot: Robot | None = None) -> Export:
         _sensor(actuator, parts["sensor"])
         lines += left_out(actuator, HAS, LACKS, "MuJoCo")
     root.extend(part for part in parts.values() if len(part))
-    lines += shared_left_out(model)
+    lines += [*dropped, *shared_left_out(model)]
     ElementTree.indent(root)
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     text = "\n".join(["<!--", *(f"  {line.replace('--', '- -')}" for line in head), "-->"])

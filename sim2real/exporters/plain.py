@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
-from sim2real.exporters.actuator import Actuator, Export, actuators, shared_left_out
+from sim2real.exporters.actuator import Actuator, Export, LeftOut, actuators, shared_left_out
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -17,17 +18,18 @@ LAW = (
 )
 
 
-def plain(model: Model, robot: Robot | None = None) -> Export:
+def plain(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """JSON with every number that was identified of the joints, and the law in words.
 
     Args:
         model: The fitted model.
         robot: Gives limits and data sheets, if there is one.
+        dropped: What the model had more, for the file to list; nothing is, as a rule.
 
     Raises:
         InputError: See `actuators`.
     """
-    lines = tuple(shared_left_out(model))
+    lines = (*dropped, *shared_left_out(model))
     content = {
         "schema": SCHEMA,
         "law": LAW,

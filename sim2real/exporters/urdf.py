@@ -1,10 +1,16 @@
 """What a URDF can say of the identified actuators: friction, damping, limits and the load.
 
-Elements: http://wiki.ros.org/urdf/XML/joint and http://wiki.ros.org/urdf/XML/link.
+Elements: http://wiki.ros.org/urdf/XML/joint and http://wiki.ros.org/urdf/XML/link. ``damping`` (N m
+s/rad) and ``friction`` (N m) of ``<dynamics>`` are positive and oppose the motion: the joint turns
+under ``controller torque - damping velocity - friction sign(velocity)``. The identified damping is
+shared between the joint and its position controller, whose gains a URDF does not have: the joint
+takes the motor's back-EMF, but no more than the whole, so that the controller's share is never
+negative.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -15,22 +21,26 @@ from sim2real.exporters.actuator import (
     actuators,
     left_out,
     listed,
+    quantity,
     shared_left_out,
 )
 from sim2real.model import Model
 from sim2real.robot import Robot
 
-HAS = ("coulomb_friction",)
+HAS = ("coulomb_friction", "unmodelled_inertia")
 """Effects of the catalogue that a URDF expresses."""
 
+LACKS = {"gravity_load": "the link here has inertia only; add the weight to your link"}
 
-def urdf(model: Model, robot: Robot | None = None) -> Export:
+
+def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """A URDF with one link on each joint; its ``<joint>`` elements are what carries over.
 
     Args:
         model: The fitted model.
         robot: Gives the limits, which a URDF has only all together; without it joints are
             ``continuous``.
+        dropped: What the model had more, for the file to list, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
@@ -42,7 +52,7 @@ def urdf(model: Model, robot: Robot | None = None) -> Export:
     for actuator in given:
         _joint(actuator, root)
         lines += _left_out(actuator)
-    lines += shared_left_out(model)
+    lines += [*dropped, *shared_left_out(model)]
     ElementTree.indent(root)
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     text = "\n".join(["<!--", *(f"  {line.replace('--', '- -')}" for line in head), "-->"])
@@ -57,7 +67,7 @@ def _joint(given: Actuator, root: Element) -> None:
     SubElement(joint, "child", link=f"{given.joint}_link")
     SubElement(joint, "axis", xyz="0 1 0")
     friction = given.value("coulomb_friction", "torque_Nm")
-    damping = f"{given.back_emf:.9g}"
+    damping = f"{_damping(given):.9g}"
     SubElement(joint, "dynamics", damping=damping, friction=f"{friction:.9g}")
     if given.sheet is not None:
         low, high = given.sheet.limits_rad
@@ -66,24 +76,39 @@ def _joint(given: Actuator, root: Element) -> None:
         SubElement(joint, "limit", limit)
     inertial = SubElement(SubElement(root, "link", name=f"{given.joint}_link"), "inertial")
     SubElement(inertial, "mass", value="0.1")
-    moment = f"{given.inertia:.9g}"
+    moment = f"{given.inertia + given.value('unmodelled_inertia', 'inertia_kgm2'):.9g}"
     terms = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
     SubElement(inertial, "inertia", terms)
 
 
+def _damping(given: Actuator) -> float:
+    """The joint's own share of the identified damping, N m s/rad: that of the back-EMF."""
+    return max(min(given.back_emf, given.kd + given.back_emf), 0.0)
+
+
 def _left_out(given: Actuator) -> list[LeftOut]:
     lines = []
+    damping = _damping(given)
+    own = given.kd + given.back_emf - damping
     for what, value, unit in (
         ("kp", given.kp, "N m/rad"),
-        ("kd", given.kd, "N m s/rad"),
+        ("kd", own if abs(own) > 1e-9 * damping else 0.0, "N m s/rad"),
         ("latency", given.latency, "s"),
     ):
         why = "a URDF has no controller; set it there"
-        lines.append(LeftOut(given.joint, f"{what} ({value:.6g} {unit})", why))
+        if what == "kd" and damping:
+            why += f", beside the damping of {damping:.6g} N m s/rad in the joint"
+        lines += quantity(given.joint, what, value, unit, why)
     if given.limit is not None and given.sheet is None:
         why = "a URDF has it only with limits of angle and speed, which a robot file gives"
         lines.append(LeftOut(given.joint, f"torque limit ({given.limit:.6g} N m)", why))
-    if given.gravity:
-        why = "the link here has inertia only"
-        lines.append(LeftOut(given.joint, f"pendulum ({given.gravity:.6g} N m)", why))
-    return lines + left_out(given, HAS, {}, "URDF")
+    if given.back_emf > damping:
+        why = "only while the drive is not at its limit: there the motor damps with "
+        why += f"{given.back_emf:.6g} N m s/rad"
+        lines.append(LeftOut(given.joint, f"damping ({damping:.6g} N m s/rad)", why))
+    why = "the link here has inertia only"
+    lines += quantity(given.joint, "pendulum", given.gravity, "N m", why)
+    inertia = given.value("unmodelled_inertia", "inertia_kgm2")
+    why = "a URDF has no armature: it is in the inertia of the link here; add it to your link's"
+    lines += quantity(given.joint, "unmodelled_inertia", inertia, "kg m2", why)
+    return lines + left_out(given, HAS, LACKS, "URDF")

@@ -105,7 +105,7 @@ def read_table(
         t=t[first:] - t[first],
         command=sent[first:],
         position=seen[first:],
-        source="A log; licence not stated in it. Loads are unknown.",
+        source="A log; licence not stated in it.",
         columns=rest,
         metadata={
             "original_file": file.name,

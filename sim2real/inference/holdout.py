@@ -27,6 +27,7 @@ def each_in_turn(data: Sequence[Data]) -> list[tuple[list[Data], Data]]:
 
 
 def rms(errors: Sequence[Array]) -> float:
-    """Root mean square over all arrays; 0 where there is no sample."""
+    """Root mean square over all arrays; 0 where there is no sample, infinite where it overflows."""
     count = sum(error.size for error in errors)
-    return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))
+    with np.errstate(over="ignore"):  # of a simulation that has run away
+        return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))

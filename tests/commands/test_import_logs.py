@@ -5,13 +5,16 @@ import json
 
 import pytest
 
+from sim2real.cli import main
 from sim2real.commands import import_logs as command
 from sim2real.errors import InputError
-from sim2real.recording import read_recording
+from sim2real.recording import Load, read_recording
 
 
 def arguments(source, out, **changes):
-    defaults = {"state_topic": None, "command_topic": None, "joints": None}
+    names = ("state_topic", "command_topic", "joints", "units", "counts_per_turn", "zero_count")
+    names += ("calibration", "columns", "time_unit", "inertia", "pendulum")
+    defaults = dict.fromkeys(names)
     return argparse.Namespace(source=str(source), out=str(out), **(defaults | changes))
 
 
@@ -73,7 +76,7 @@ def test_bags_go_to_the_reader_of_bags(tmp_path, monkeypatch, log, capsys):
         ("nowhere.bag", "out.csv", "nowhere.bag: found no such file"),
         ("nowhere.json", "out.csv", "nowhere.json: found no such file"),
         ("log.txt", "out.csv", "log.txt: found the ending '.txt'"),
-        (".", "out.csv", "--command-topic: found nothing"),
+        (".", "out.csv", "found no --command-topic"),
     ],
 )
 def test_errors_say_where_in_one_line(log, tmp_path, source, out, message):
@@ -82,3 +85,85 @@ def test_errors_say_where_in_one_line(log, tmp_path, source, out, message):
         command.run(arguments(tmp_path / source, tmp_path / out))
     assert message in str(error.value)
     assert not (tmp_path / "out.csv").exists()
+
+
+LOG = "time_ms,goal,present\n0,2048,2048\n10,2148,2049\n20,2148,2060\n"
+COMPLETE = {
+    "--columns": ["t=time_ms", "pan.command=goal", "pan.position=present"],
+    "--time-unit": ["ms"],
+    "--units": ["counts"],
+    "--counts-per-turn": ["4096"],
+    "--zero-count": ["2048"],
+}
+
+
+def table(tmp_path, *more, without=()):
+    """The exit status of an import of a table with all options but some."""
+    (tmp_path / "log.csv").write_text(LOG)
+    options = [x for name, x in COMPLETE.items() if name not in without for x in (name, *x)]
+    return main(["import", str(tmp_path / "log.csv"), *options, *more, "--out", out(tmp_path)])
+
+
+def out(tmp_path):
+    return str(tmp_path / "pan.csv")
+
+
+@pytest.mark.parametrize(
+    "without",
+    [
+        ("--time-unit",),
+        ("--counts-per-turn", "--zero-count"),
+        ("--columns", "--time-unit", "--units"),
+        tuple(COMPLETE),
+    ],
+)
+def test_all_missing_options_are_asked_for_in_one_line(tmp_path, capsys, without):
+    assert table(tmp_path, without=without) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for option in without:
+        assert option in line
+    for option in set(COMPLETE) - set(without):
+        assert option not in line
+    assert not (tmp_path / "pan.csv").exists()
+
+
+def test_without_loads_the_last_line_says_what_identify_will_do(tmp_path, capsys):
+    assert table(tmp_path) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    for part in ("load unknown of pan", "per unit of inertia", "--inertia pan=KGM2", "--pendulum"):
+        assert part in last
+
+
+@pytest.mark.parametrize(
+    ("options", "load"),
+    [
+        (["--inertia", "pan=0.0021"], Load(0.0021)),
+        (["--pendulum", "pan=0.1,0.2"], Load(0.1 * 0.2**2, 0.1, 0.2)),
+        (["--inertia", "pan=0.005", "--pendulum", "pan=0.1,0.2"], Load(0.005, 0.1, 0.2)),
+    ],
+)
+def test_loads_are_stated(tmp_path, capsys, options, load):
+    assert table(tmp_path, *options) == 0
+    assert read_recording(out(tmp_path)).loads == {"pan": load}
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "load known on pan" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (["--inertia", "tilt=0.1"], ("'tilt=0.1'", "pan")),
+        (["--inertia", "0.1"], ("'0.1'", "J=KGM2")),
+        (["--inertia", "pan=-1"], ("'pan=-1'", "above 0")),
+        (["--inertia", "pan=nan"], ("'pan=nan'", "above 0")),
+        (["--inertia", "pan=0.1", "pan=0.2"], ("'pan=0.2'", "once")),
+        (["--pendulum", "pan=0.1"], ("'pan=0.1'", "J=MASS_KG,LENGTH_M")),
+        (["--inertia", "pan=0.001", "--pendulum", "pan=0.1,0.2"], ("pendulum's 0.004",)),
+    ],
+)
+def test_bad_loads(tmp_path, capsys, options, parts):
+    assert table(tmp_path, *options) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for part in parts:
+        assert part in line
+    assert not (tmp_path / "pan.csv").exists()

@@ -133,7 +133,7 @@ def test_bad_input(tmp_path: Path, version: str) -> None:
 def test_units_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
     assert main(["import", str(root), "--out", str(tmp_path / "x.csv")]) == 2
-    assert "--units: found nothing" in capsys.readouterr().err
+    assert "found no --units, expected --units rad|deg" in capsys.readouterr().err
     assert not (tmp_path / "x.csv").exists()
     message(lambda: conversion(["degrees"]), "--units", "'degrees'", "deg")
     message(lambda: conversion(["deg", "rad"]), "--units", "two for all joints")

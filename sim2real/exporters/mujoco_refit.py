@@ -1,0 +1,118 @@
+"""The MuJoCo model of a servo that is nearest to it when MuJoCo itself runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+
+from sim2real.exporters.actuator import Export
+from sim2real.exporters.expressible import Expressible, FittingData, expressible, fitting_data
+from sim2real.exporters.mujoco import expressed, mujoco
+from sim2real.exporters.mujoco_bench import simulate
+from sim2real.inference.holdout import rms
+from sim2real.model import JointModel, Model
+from sim2real.recording import Recording
+from sim2real.robot import Robot
+from sim2real.servo.trace import Trace
+
+BRISTLES = frozenset({"presliding_friction", "stribeck_friction"})
+"""Effects that MuJoCo steps explicitly, and not well where their bristles are stiff or damped."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far MuJoCo, running the exported file, is from what was fitted.
+
+    Attributes:
+        joint: The joint.
+        error_rad: RMS difference from ``what``.
+        what: A recording that was held out, or the full model.
+    """
+
+    joint: str
+    error_rad: float
+    what: str
+
+    def __str__(self) -> str:
+        """The difference in mrad."""
+        error = f"{1e3 * self.error_rad:.2f} mrad RMS"
+        return f"{self.joint}: MuJoCo, running this file: {error} from {self.what}"
+
+
+@dataclass(frozen=True)
+class MujocoExport:
+    """The export, the model that it expresses, and how far MuJoCo is from it by joint."""
+
+    export: Export
+    expressible: Expressible
+    agreement: tuple[Agreement, ...]
+
+
+def mujoco_refit(
+    model: Model, recordings: Sequence[Recording] = (), robot: Robot | None = None
+) -> MujocoExport:
+    """Export a model to MuJoCo, refitted without what MuJoCo lacks.
+
+    Where MuJoCo is installed it runs the file. Joints with ``BRISTLES`` are then exported with
+    plain dry friction in their place if that comes nearer to what they were fitted to.
+
+    Args:
+        model: The fitted model.
+        recordings: What to refit to, see ``expressible``.
+        robot: Gives limits, if there is one.
+    """
+    rough: list[JointModel] = []
+
+    def has(joint: JointModel) -> Collection[str]:
+        return expressed(joint) - BRISTLES if joint in rough else expressed(joint)
+
+    def written() -> tuple[Expressible, Export]:
+        found = expressible(model, has, recordings, robot)
+        return found, mujoco(found.model, robot, found.dropped)
+
+    found, export = written()
+    if find_spec("mujoco") is None:
+        return MujocoExport(export, found, ())
+    data = {
+        name: fitting_data(name, joint, recordings, robot) for name, joint in model.joints.items()
+    }
+    rough += [model.joints[name] for name, joint in found.model.joints.items() if _bristly(joint)]
+    if rough:
+        plainer = written()[1]
+        rough[:] = [
+            model.joints[name]
+            for name in model.joints
+            if model.joints[name] in rough and _nearer(plainer, export, name, data[name])
+        ]
+        found, export = written()
+    agreement = tuple(_agreement(export, name, data[name]) for name in model.joints)
+    return MujocoExport(export, found, agreement)
+
+
+def _bristly(joint: JointModel) -> bool:
+    return any(effect.effect in BRISTLES for effect in joint.effects)
+
+
+def _nearer(one: Export, other: Export, name: str, data: FittingData) -> bool:
+    """Whether MuJoCo comes nearer with one file than with the other."""
+    return _error(one, name, data.fitted) < _error(other, name, data.fitted)
+
+
+def _agreement(export: Export, name: str, data: FittingData) -> Agreement:
+    if data.scored:
+        return Agreement(name, _error(export, name, data.scored), f"{data.held_out}, held out")
+    return Agreement(name, _error(export, name, data.own), "the full model")
+
+
+def _error(export: Export, joint: str, traces: Sequence[Trace]) -> float:
+    """RMS difference of MuJoCo from the used samples of traces of a joint, rad."""
+    errors = []
+    for trace in traces:
+        seen = np.flatnonzero(np.isfinite(trace.position))
+        start = {joint: float(trace.position[seen[0]])}
+        angle = simulate(export.text, trace.t, {joint: trace.command}, start)[joint]
+        errors.append((angle - trace.position)[trace.used])
+    return rms(errors)

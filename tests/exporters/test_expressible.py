@@ -1,0 +1,211 @@
+"""What a target lacks is dropped, and what is left is fitted again to move as the whole did."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import simulated
+
+from sim2real.cli import main
+from sim2real.commands.export_servo import TARGETS
+from sim2real.effects import CATALOGUE
+from sim2real.exporters.excitation import excitation
+from sim2real.exporters.expressible import expressible
+from sim2real.exporters.mujoco import mujoco
+from sim2real.exporters.mujoco_refit import _error, mujoco_refit
+from sim2real.exporters.urdf import urdf
+from sim2real.identification.fit import residuals
+from sim2real.inference.holdout import rms
+from sim2real.model import FittedEffect, JointModel, Model, write_model
+from sim2real.recording import Load, write_recording
+from sim2real.servo.parameters import joint_row
+
+TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
+LOAD = Load(simulated.INERTIA)
+DEADBAND = {"halfwidth_rad": 0.02}
+
+
+def servo(motor: dict[str, float] | None = None, **effects: dict[str, float]) -> Model:
+    fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
+    joint = JointModel(
+        simulated.KP,
+        simulated.KD,
+        simulated.LATENCY,
+        simulated.INERTIA,
+        law="motor" if motor else "pd",
+        motor=motor or {},
+        load=LOAD,
+        effects=fitted,
+    )
+    return Model({"j1": joint})
+
+
+def apart(one: Model, other: Model) -> float:
+    """RMS difference of two models on the standard excitation, rad."""
+    own = excitation(one.joints["j1"], "j1")
+    return rms(residuals(joint_row(other.joints["j1"], LOAD), own))
+
+
+@pytest.mark.parametrize("target", ["mujoco", "isaaclab", "genesis", "urdf"])
+@pytest.mark.parametrize("effect", ["deadband", "load_friction", "sensor_filter"])
+def test_a_refit_is_nearer_than_dropping(target: str, effect: str) -> None:
+    model = servo(**{effect: TYPICAL[effect]})
+    found = expressible(model, TARGETS[target].expressed)
+    (refit,) = found.refits
+    assert effect not in {e.effect for e in found.model.joints["j1"].effects}
+    assert refit.full_rad == pytest.approx(apart(model, found.model), rel=1e-6)
+    assert refit.dropped_rad == pytest.approx(apart(model, servo()), rel=1e-6)
+    assert refit.full_rad < 0.6 * refit.dropped_rad
+    assert any(effect in line.what for line in found.dropped)
+    text = TARGETS[target].write(found.model, None, found.dropped).text.replace("- -", "--")
+    assert all(str(line) in text for line in found.dropped)
+
+
+def test_what_a_target_expresses_stays_to_the_last_digit() -> None:
+    model = servo(coulomb_friction=TYPICAL["coulomb_friction"])
+    for target in TARGETS.values():
+        found = expressible(model, target.expressed)
+        assert found.model.joints == model.joints
+        assert not found.refits
+        assert not found.dropped
+
+
+def test_expressed_effects_are_fitted_again_beside_those_dropped() -> None:
+    model = servo(coulomb_friction={"torque_Nm": 0.05}, deadband=DEADBAND)
+    found = expressible(model, TARGETS["mujoco"].expressed)
+    (left,) = found.model.joints["j1"].effects
+    assert left.effect == "coulomb_friction"
+    assert left.parameters["torque_Nm"] > 0.055  # a dead band is like more dry friction
+
+
+def test_losses_of_a_motor_become_dry_friction_and_zeros_are_not_listed() -> None:
+    line = {"stall_torque_Nm": 1.5, "no_load_speed_rad_s": 8.0, "coulomb_Nm": 0.02}
+    model = servo({**line, "load_friction": 1e-13, "motor_friction": 0.2})
+    found = expressible(model, TARGETS["mujoco"].expressed)
+    (refit,) = found.refits
+    assert refit.dropped == ("motor.motor_friction",)
+    assert refit.full_rad < 0.6 * refit.dropped_rad
+    assert set(found.model.joints["j1"].motor) == set(line)
+    assert "load_friction" not in TARGETS["mujoco"].write(found.model, None, found.dropped).text
+
+
+@pytest.mark.parametrize("target", ["isaaclab", "genesis", "urdf"])
+@pytest.mark.parametrize("effect", ["gravity_load", "sensor_offset", "encoder_quantization"])
+def test_what_nothing_can_stand_in_for_is_listed_and_not_refitted(target: str, effect: str) -> None:
+    model = servo(**{effect: TYPICAL[effect]})
+    found = expressible(model, TARGETS[target].expressed)
+    assert found.model.joints == model.joints
+    listed = TARGETS[target].write(found.model, None, found.dropped).left_out
+    assert any(effect in line.what for line in listed)
+
+
+def test_nothing_that_hardly_moves_the_joint_is_listed() -> None:
+    model = servo(deadband={"halfwidth_rad": 1e-6}, presliding_friction={"torque_Nm": 0.0})
+    found = expressible(model, TARGETS["urdf"].expressed)
+    assert not found.refits
+    assert not found.dropped
+    assert not found.model.joints["j1"].effects
+
+
+def test_a_refit_to_recordings_scores_on_the_last(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    paths = [tmp_path / f"{name}.csv" for name in ("a", "b")]
+    for seed, path in enumerate(paths):
+        write_recording(simulated.recording(seed, path.stem, deadband=DEADBAND), path)
+    write_model(servo(deadband=DEADBAND), tmp_path / "model.json")
+    out = tmp_path / "servo.xml"
+    call = ["export-servo", str(tmp_path / "model.json"), "--to", "mujoco", "--out", str(out)]
+    assert main([*call, "--recordings", *map(str, paths)]) == 0
+    line, mujoco_itself = capsys.readouterr().out.splitlines()[-2:]
+    exported, full = map(float, re.search(r"on b, held out: (\S+) .* (\S+) of", line).groups())  # type: ignore[union-attr]
+    assert full == pytest.approx(1e3 * simulated.NOISE, rel=0.15)
+    assert full < exported < 5 * full
+    said = re.search(r"j1: MuJoCo, running this file: (\S+) .* b, held out", mujoco_itself)
+    assert said is not None
+    assert float(said.group(1)) == pytest.approx(exported, rel=0.1)
+    assert "deadband (halfwidth_rad = 0.02)" in out.read_text()
+
+
+def test_recordings_without_a_joint_of_the_model_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(simulated.recording(0, "a"), tmp_path / "a.csv")
+    write_model(Model({"j9": servo().joints["j1"]}), tmp_path / "model.json")
+    out = tmp_path / "servo.xml"
+    call = ["export-servo", str(tmp_path / "model.json"), "--to", "mujoco", "--out", str(out)]
+    assert main([*call, "--recordings", str(tmp_path / "a.csv")]) == 2
+    assert "found joints j1, expected one of j9" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_gains_per_inertia_stay_per_inertia() -> None:
+    joint = JointModel(
+        1100.0, 30.0, 0.05, 1.0, per_inertia=True, effects=(FittedEffect("deadband", DEADBAND),)
+    )
+    recordings = [simulated.recording(seed, f"{seed}", deadband=DEADBAND) for seed in (0, 1)]
+    found = expressible(Model({"j1": joint}), TARGETS["mujoco"].expressed, recordings)
+    new = found.model.joints["j1"]
+    assert new.per_inertia
+    assert new.inertia_kgm2 == 1
+    assert new.kp_Nm_per_rad == pytest.approx(1100, rel=0.3)  # softened, as a dead band does
+
+
+@pytest.mark.parametrize("no_load_speed", [4.0, 40.0])
+def test_damping_of_joint_and_controller_in_a_urdf_are_positive_and_the_whole(
+    no_load_speed: float,
+) -> None:
+    export = urdf(servo({"stall_torque_Nm": 1.0, "no_load_speed_rad_s": no_load_speed}))
+    dynamics = ElementTree.fromstring(export.text).find("joint/dynamics")
+    assert dynamics is not None
+    joint = float(dynamics.get("damping", "nan"))
+    controller = sum(
+        float(re.search(r"kd \((\S+)", line.what).group(1))  # type: ignore[union-attr]
+        for line in export.left_out
+        if line.what.startswith("kd ")
+    )
+    assert joint == pytest.approx(min(simulated.KD, 1.0 / no_load_speed))
+    assert controller >= 0
+    assert joint + controller == pytest.approx(simulated.KD)
+
+
+def test_json_has_every_effect(tmp_path: Path) -> None:
+    write_model(servo(deadband=DEADBAND), tmp_path / "model.json")
+    out = tmp_path / "servo.json"
+    assert (
+        main(["export-servo", str(tmp_path / "model.json"), "--to", "json", "--out", str(out)]) == 0
+    )
+    (effect,) = json.loads(out.read_text())["joints"]["j1"]["effects"]
+    assert effect == {"effect": "deadband", "parameters": DEADBAND}
+
+
+def test_the_standard_excitation_starts_at_rest_and_is_within_reach() -> None:
+    for trace in excitation(servo().joints["j1"], "j1", 0.4):
+        assert trace.command[0] == 0
+        assert 0.2 < np.abs(trace.command).max() <= 0.4
+
+
+def test_bristles_that_mujoco_steps_badly_give_way_to_dry_friction() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    stiff = {"torque_Nm": 0.02, "stiffness_Nm_per_rad": 30.0, "damping_ratio": 2.0}
+    model = servo(presliding_friction=stiff)
+    found = mujoco_refit(model)
+    (after,) = found.agreement
+    as_it_is = _error(mujoco(model), "j1", excitation(model.joints["j1"], "j1"))
+    assert after.error_rad < 0.7 * as_it_is
+    assert "frictionloss" in found.export.text
+    assert any("presliding_friction" in line.what for line in found.export.left_out)
+
+
+def test_bristles_that_mujoco_steps_well_stay() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    model = servo(presliding_friction=TYPICAL["presliding_friction"] | {"damping_ratio": 0.2})
+    found = mujoco_refit(model)
+    assert found.expressible.model.joints == model.joints
+    assert found.agreement[0].error_rad < 1e-3
