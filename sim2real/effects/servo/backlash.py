@@ -18,6 +18,7 @@ friction; three amplitudes tell.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -40,18 +41,7 @@ def start(
 
 
 @wp.func
-def cross(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque of the motor in N m, whose side moves while it crosses the gap."""
     start(torque, p, c, z, s)
     half = wp.float64(0.5) * p[c]
@@ -77,18 +67,7 @@ def cross(
 
 
 @wp.func
-def play(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def play(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
     start(torque, p, c, z, s)
     share = rotor_share(p, c)

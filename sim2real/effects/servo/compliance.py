@@ -17,6 +17,7 @@ added inertia tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
@@ -41,18 +42,7 @@ def carried(
 
 
 @wp.func
-def soften(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque that the motor makes in N m."""
     rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     others = carried(x, q, p, c, z, s) - rest * x  # of the spring's torque: all but the motor's
@@ -68,18 +58,7 @@ def soften(
 
 
 @wp.func
-def twist(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
     rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     return x + rest * p[c] * carried(torque, q, p, c, z, s)

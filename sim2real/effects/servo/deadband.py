@@ -9,21 +9,11 @@ backlash; hold and nudge tells, as the band does not care about the direction of
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def ignore(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def ignore(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Error that the controller sees in rad."""
     return x - wp.clamp(x, -p[c], p[c])
 

@@ -9,24 +9,14 @@ Leaves noise in proportion to speed. Taken for: sensor noise; regress its square
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 _SEED = wp.constant(31)
 """Of its own, so that no other effect changes what is drawn."""
 
 
 @wp.func
-def scatter(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Time at which a set-point takes effect in s."""
     number = wp.float64(wp.randf(wp.rand_init(_SEED, int(q))))
     return x + p[c] * (wp.float64(2.0) * number - wp.float64(1.0))

@@ -9,24 +9,14 @@ which is never longer than its width.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 _SEED = wp.constant(33)
 """Of its own, so that no other effect changes what is drawn."""
 
 
 @wp.func
-def lose(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def lose(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Time at which a set-point takes effect in s; infinite if it is lost."""
     if wp.float64(wp.randf(wp.rand_init(_SEED, int(q)))) < p[c]:
         return wp.float64(wp.inf)

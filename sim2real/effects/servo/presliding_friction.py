@@ -12,21 +12,11 @@ small sines tell, by their minor loops.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def bristle(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def bristle(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque on the shaft in N m."""
     if p[c] == wp.float64(0.0):
         return x

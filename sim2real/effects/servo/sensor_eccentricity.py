@@ -12,24 +12,14 @@ Leaves a wave over the angle, the same in both directions and at all speeds. Tak
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 RANGE_RAD = 0.8
 """Angles, either way, over which the sensor is calibrated."""
 
 
 @wp.func
-def wave(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def wave(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
     if p[c + 1] == wp.float64(0.0):
         return x

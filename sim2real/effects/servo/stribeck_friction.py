@@ -11,21 +11,11 @@ which it contains; only motion below ``velocity_rad_s`` tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def bound(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Largest friction torque in N m."""
     bound = p[c]
     if p[c + 2] > wp.float64(0.0):

@@ -9,21 +9,11 @@ Leaves error that differs between rising and falling steps. Taken for: asymmetri
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def favour(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def favour(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque that the motor makes in N m."""
     return x * (wp.float64(1.0) + wp.float64(0.5) * p[c] * wp.sign(x))
 

@@ -13,21 +13,11 @@ inertia tells, as it makes this one worse and not the rate limit.
 import warp as wp
 
 from sim2real.effects.effect import LIMITS, Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def clip(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def clip(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque that the motor makes in N m."""
     beyond = p[c + 1] * p[1] * v
     return wp.clamp(x + beyond, -p[c], p[c]) - beyond

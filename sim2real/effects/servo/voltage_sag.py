@@ -11,21 +11,11 @@ tells, if they share the supply.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def sag(
-    x: wp.float64,
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque that the motor makes in N m."""
     full = wp.max(wp.float64(0.5) * p[0], wp.float64(1e-12))
     left = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
