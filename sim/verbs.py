@@ -20,12 +20,14 @@ from sim.inference.followed import by_followed_twin
 from sim.inference.parameters import law_parameters, servo_parameters
 from sim.inference.problem import HELD_OUT_SHARE
 from sim.inference.swims import Swim, by_fluid, by_twin, swim_of
+from sim2real.arguments import check_choice, check_whole
 from sim2real.diagnose import diagnose as servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.plausible import validate_commands
 from sim2real.recording import Commands, Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot
 from sim2real.verbs import File, Recorded, model_of, recordings_of, robot_of
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ def diagnose(
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
+    check_whole("diagnose", "seed", seed)
     given, known = recordings_of(recordings), robot_of(robot)
     before = recordings_of(references) if references else []
     start = None if model is None else model_of(model)
@@ -196,6 +199,7 @@ def simulate(
         InputError: If recordings, robot and model do not agree, or a set-point is missing.
         FloatingPointError: If the water became supersonic, and the robot was stopped.
     """
+    check_choice("simulate", "fidelity", fidelity, ("fluid", "twin"))
     known, fitted = robot_of(robot), model_of(model)
     check_joints(fitted, known)
     on_fluid = {"cell_m": cell_m, "device": device, "threads": 2}
@@ -203,7 +207,7 @@ def simulate(
     water = by_twin(known, device=device) if twin else by_fluid(known, **on_fluid)
     swims = []
     for one in recordings_of(recordings):
-        match_joints(one, known)
+        validate_commands(one, known)
         sent = {joint: one.command[:, j] for j, joint in enumerate(one.joints)}
         t, command = every_period(Commands(one.t, sent, one.loads), known, one.file)
         start = np.array([_first(one, name) for name in POSE])

@@ -9,24 +9,27 @@ as a table and draws itself (``plot``, a Matplotlib figure). The verbs that need
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arguments import check_whole
 from sim2real.density import Density, normalised_density
 from sim2real.errors import InputError
 from sim2real.identification import identify as servos
 from sim2real.model import Law, Model, read_model
+from sim2real.plausible import validate_commands, validate_recording
 from sim2real.posterior.check import Check
 from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior
 from sim2real.ranges.gather import Gathered, Sampling, gather, sample_joints
 from sim2real.recording import Recording, read_recording
-from sim2real.robot import Robot, match_joints, read_robot
+from sim2real.robot import Robot, read_robot
 from sim2real.servo.predict import predict as predict_angles
+from sim2real.structured import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +38,7 @@ Array = NDArray[np.float64]
 File = str | os.PathLike[str]
 Recorded = Recording | File | Sequence[Recording | File]
 """Recordings as the verbs take them: values or files, one or many."""
+_RECORDINGS = "a recording, its CSV file, or a list of these"
 
 
 def identify(
@@ -42,7 +46,7 @@ def identify(
     robot: Robot | File,
     *,
     held_out: str | None = None,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     law: Law | None = None,
     seed: int = 0,
 ) -> Model:
@@ -53,9 +57,10 @@ def identify(
         robot: The robot that was recorded.
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
-        effects: Names of effects to fit together with the gains of every joint.
+        effects: Names of effects, or one name, to fit together with the gains of every joint.
         law: ``"motor"``, a servo on its data sheet's line, or ``"pd"``, the linear one; by default
-            the motor, and the linear one where there are ``effects``.
+            the motor, and the linear one where there are ``effects`` or the data sheet states no
+            torque and no speed.
         seed: Seed of the scan for a start.
 
     Raises:
@@ -150,9 +155,10 @@ def posterior(
         InputError: If recordings, robot and model do not agree, or a chain is too short to be
             believed.
     """
+    _check_sampling("posterior", steps, walkers, seed)
     given, known = recordings_of(recordings), robot_of(robot)
     for recording in given:
-        match_joints(recording, known)
+        validate_recording(recording, known)
     bench = [recording for recording in given if recording.kind == "servo"]
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     return Posterior(*sample_joints(bench, model_of(model), sampling), seed)
@@ -174,8 +180,15 @@ def ranges(
         ``ranges`` (what ``write_ranges`` writes), and the posteriors, latencies and densities that
         they come from.
     """
+    _check_sampling("ranges", steps, walkers, seed)
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     return gather(recordings_of(recordings), robot_of(robot), model_of(model), sampling)
+
+
+def _check_sampling(call: str, steps: int, walkers: int, seed: int) -> None:
+    check_whole(call, "steps", steps, 1)
+    check_whole(call, "walkers", walkers, 2)
+    check_whole(call, "seed", seed)
 
 
 @dataclass(frozen=True)
@@ -228,7 +241,7 @@ def predict(recordings: Recorded, robot: Robot | File, model: Model | File) -> P
     given, known, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
     angles = []
     for one in given:
-        match_joints(one, known)
+        validate_commands(one, known)
         sent = {joint: one.command[:, j] for j, joint in enumerate(one.joints)}
         found = predict_angles(fitted, one.t, sent, one.loads, where=one.file)
         angles.append(np.stack([found[joint] for joint in one.joints], axis=1))
@@ -241,17 +254,34 @@ def recordings_of(given: Recorded) -> list[Recording]:
     Raises:
         InputError: If there is none, or a file is no recording.
     """
+    if not isinstance(given, Recording | str | os.PathLike | Iterable):
+        raise InputError("recordings", "", shown(given), _RECORDINGS)
     several = [given] if isinstance(given, Recording | str | os.PathLike) else list(given)
     if not several:
         raise InputError("recordings", "", "none", "at least one")
+    for one in several:
+        if not isinstance(one, Recording | str | os.PathLike):
+            raise InputError("recordings", "", shown(one), _RECORDINGS)
     return [one if isinstance(one, Recording) else read_recording(one) for one in several]
 
 
 def robot_of(given: Robot | File) -> Robot:
-    """The robot, read where a file is given."""
+    """The robot, read where a file is given.
+
+    Raises:
+        InputError: If it is neither, or the file is no robot.
+    """
+    if not isinstance(given, Robot | str | os.PathLike):
+        raise InputError("robot", "", shown(given), "a robot or its robot.toml")
     return given if isinstance(given, Robot) else read_robot(given)
 
 
 def model_of(given: Model | File) -> Model:
-    """The model, read where a file is given."""
+    """The model, read where a file is given.
+
+    Raises:
+        InputError: If it is neither, or the file is no model.
+    """
+    if not isinstance(given, Model | str | os.PathLike):
+        raise InputError("model", "", shown(given), "a model or its MODEL.json")
     return given if isinstance(given, Model) else read_model(given)
