@@ -14,7 +14,6 @@ from sim2real.errors import InputError
 from sim2real.identification.motor_line import on_its_line
 from sim2real.model import JointModel, Model
 from sim2real.noise import quantization_step
-from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.residuals.plain import with_effects
 from sim2real.residuals.problem import Hypothesis, Set, minimise, plain_servos
@@ -87,7 +86,6 @@ def prepared(case: Case) -> list[Joint]:
         InputError: If recordings and robot do not agree, or no joint moves.
     """
     for recording in case.recordings:
-        validate_recording(recording, case.robot)
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
