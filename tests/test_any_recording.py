@@ -188,7 +188,7 @@ VERBS: dict[Callable[[Recording, Path], object], int] = {
     ranges: 8,
     simulate: 20,
     calibrate: 3,
-    diagnose: 6,
+    diagnose: 4,
     diagnose_swim: 2,
     density: 1,
 }
