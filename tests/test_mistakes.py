@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
-from simulated import INERTIA, recording, robot
+from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
 from sim2real.causality import lead_s
@@ -21,6 +21,7 @@ from sim2real.output import write_json
 from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording, read_commands, read_recording
 from sim2real.robot import Robot, Servo, read_robot
+from sim2real.servo.rollout import rollout
 
 GOOD = recording(1, "bench", seconds=8.0)
 BENCH = robot("j1")
@@ -217,6 +218,22 @@ def test_no_data_sheet_means_the_linear_law() -> None:
     linear = s2r.identify(GOOD, BENCH, law="pd").joints["j1"]
     assert found.kp_Nm_per_rad == pytest.approx(linear.kp_Nm_per_rad)
     assert not any("states no" in note for note in linear.notes)
+
+
+def test_a_polled_set_point_shortens_the_latency_by_half_a_period() -> None:
+    period, load, found = 0.016, Load(INERTIA), []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        sent_at = 0.001 * np.arange(20_000)
+        sent = steps(sent_at, rng)
+        angle = rollout(row(load)[None], sent_at, sent[:, None])[0, :, 0]
+        seen = np.arange(0, sent_at.size, 16)
+        position = angle[seen, None] + rng.normal(0, NOISE, (seen.size, 1))
+        polled = Recording(
+            "polled", "servo", ("j1",), sent_at[seen], sent[seen, None], position, {"j1": load}
+        )
+        found.append(s2r.identify(polled, BENCH, law="pd").joints["j1"].latency_s)
+    assert np.mean(found) == pytest.approx(LATENCY - period / 2, abs=0.002)
 
 
 def test_infinite_numbers_in_json(tmp_path: Path) -> None:
