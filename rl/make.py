@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from rl.randomize import draw_models, noise_of
 from rl.task import Task
 from rl.world import Draws, World
 from sim.robot.live import Simulator, use_stream
+from sim2real.arguments import check_choice
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
@@ -69,8 +70,9 @@ def make_world(
         options: Further ones of the simulator.
 
     Raises:
-        InputError: If robot, models and device do not go together.
+        InputError: If robot, models and device do not go together, or there is no such fidelity.
     """
+    check_choice("make_world", "fidelity", fidelity, get_args(Fidelity))
     if device != "cpu" and not torch.cuda.is_available():
         raise InputError("train", "--device", device, "a CUDA device, and PyTorch finds none")
     if device != "cpu":

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from gymnasium.vector import AutoresetMode
 
@@ -20,7 +20,7 @@ from rl.make import Fidelity, draws_of, make_world
 from rl.observer import View
 from rl.task import TASKS
 from rl.world import World
-from sim2real.errors import InputError
+from sim2real.arguments import check_choice
 from sim2real.model import Model, read_model
 from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.robot import Robot, read_robot
@@ -81,10 +81,10 @@ def world_of(
         seed: Of what is drawn before the first ``reset(seed=...)``.
 
     Raises:
-        InputError: If a file is not as its format says, or there is no such task.
+        InputError: If a file is not as its format says, or there is no such task or fidelity.
     """
-    if task not in TASKS:
-        raise InputError("sim2real/Fish-v0", "task", repr(task), f"one of {', '.join(TASKS)}")
+    check_choice("sim2real/Fish-v0", "task", task, TASKS)
+    check_choice("sim2real/Fish-v0", "fidelity", fidelity, get_args(Fidelity))
     fish = robot if isinstance(robot, Robot) else read_robot(robot)
     fitted = model if isinstance(model, Model) else read_model(model)
     drawn = ranges if ranges is None or isinstance(ranges, Ranges) else read_ranges(ranges)

@@ -17,10 +17,11 @@ from sim.robot.swimmer import CONTROL_S, State, Swimmer
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.plausible import validate_commands
 from sim2real.recording import Recording
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Section, Table
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -120,7 +121,7 @@ def simulate_recording(
         InputError: If recording, robot and model do not agree, or a set-point is missing.
         SupersonicFlow: If the flow became supersonic.
     """
-    match_joints(recording, robot)
+    validate_commands(recording, robot)
     t, command = every_period(recording, robot)
     pose = _first_pose(recording)
     if fidelity == "twin":

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from sim2real.arguments import check_choice, check_whole
 from sim2real.errors import InputError
 from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
 
@@ -55,6 +56,7 @@ def diagnose(
     from sim2real.diagnose import diagnose as servos
     from sim2real.progress import progress_bar
 
+    check_whole("diagnose", "seed", seed)
     read, known = recordings_of(recordings), robot_of(robot)
     earlier = recordings_of(references) if references else []
     start = None if model is None else model_of(model)
@@ -173,6 +175,7 @@ def simulate(
     from sim.view.render import check_picture
     from sim.view.video import check_video
 
+    check_choice("simulate", "fidelity", fidelity, ("fluid", "twin"))
     if plot is not None:
         check_picture(Path(plot))
     if video is not None:

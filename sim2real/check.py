@@ -13,8 +13,9 @@ from sim2real.display import NotebookDisplay
 from sim2real.findings import Seen, joint_findings, moves
 from sim2real.identification.expect import expected_precision
 from sim2real.noise import noise_floor, quantization_step
+from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot
 
 WIDTH = 100
 
@@ -70,10 +71,10 @@ def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) ->
     ``seed`` is that of the search for a servo that roughly fits, which says what can be told.
 
     Raises:
-        InputError: If the robot lacks a joint of the recording.
+        InputError: If the robot lacks a joint of the recording, or the recording can only be a
+            mistake of unit or column (``validate_recording``).
     """
-    if robot is not None:
-        match_joints(recording, robot)
+    validate_recording(recording, robot)
     clock = timing(recording)
     findings = list(clock_findings(recording.t, clock))
     if np.isnan(recording.command).all():

@@ -54,8 +54,18 @@ COMMANDS = {
 }
 """Each command's options and what it does in a line, in the order in which help lists them."""
 
+
+def _natural(text: str) -> int:
+    """A whole number that is not negative, as a seed is."""
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number of at least 0")
+    return int(text)
+
+
 _COMMON = argparse.ArgumentParser(add_help=False)
-_COMMON.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+_COMMON.add_argument(
+    "--seed", type=_natural, default=0, help="seed of everything random (default 0)"
+)
 _COMMON.add_argument(
     "--json", action="store_true", help="print the result as JSON, all else to standard error"
 )

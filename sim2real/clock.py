@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.recording import Recording
+from sim2real.errors import InputError
+
+if TYPE_CHECKING:
+    from sim2real.recording import Recording
 
 Array = NDArray[np.float64]
 
 GAP = 2.5  # usual steps
 SLOWEST_RATE_HZ = 20.0
+SHORTEST_PERIOD_S = 20e-6
+"""50 kHz: the current loops of motor drives run no faster, and buses of servos a tenth of it."""
+LONGEST_PERIOD_S = 0.5
+"""A servo is through with a motion in less: nothing of one shows at a slower rate."""
+LONGEST_COMMAND_PERIOD_S = 10.0
+"""Set-points may be way points that are held for seconds."""
+UNITS = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,27 @@ def timing(recording: Recording) -> Timing:
         gaps=tuple((float(t[k]), float(steps[k])) for k in np.flatnonzero(long)),
         missing_cells=int(np.isnan(recording.position).sum()),
     )
+
+
+def check_sampling(
+    file: str | PathLike[str], t: Array, longest_s: float = LONGEST_PERIOD_S
+) -> None:
+    """Make sure that the times ``t`` (T,) are as far apart as those of a servo's samples.
+
+    Raises:
+        InputError: If their median step is below 20 us or above ``longest_s``; it names the unit
+            in which the times are plausible.
+    """
+    if t.size < 2:
+        raise InputError(file, "t_s", f"{t.size} sample", "at least two")
+    usual = float(np.median(np.diff(t)))
+    if SHORTEST_PERIOD_S <= usual <= longest_s:
+        return
+    plausible = (unit for unit, size in UNITS if 1e-4 <= usual * size <= LONGEST_PERIOD_S)
+    unit = next(plausible, None) if usual > longest_s else "minutes or hours"
+    hint = f" (are the times in {unit}?)" if unit else ""
+    expected = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s, with t_s in s{hint}"
+    raise InputError(file, "t_s", f"samples {usual:.4g} s apart", expected)
 
 
 def clock_findings(t: Array, clock: Timing) -> Iterator[str]:

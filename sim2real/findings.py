@@ -156,27 +156,32 @@ def _excitation(seen: Seen) -> Iterator[str]:
 
 
 def _data_sheet(seen: Seen, sheet: Joint) -> Iterator[str]:
-    low, high = sheet.limits_rad
+    if sheet.states("limits_rad"):
+        yield from _limits(seen, *sheet.limits_rad)
+    changed = np.flatnonzero(np.diff(seen.command)) + 1
+    slope = np.abs(np.diff(seen.command[changed]) / np.diff(seen.t[changed]))
+    # Two slopes in a row: one alone may be a step, which no servo follows.
+    fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
+    servo = sheet.servo
+    if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
+        yield (
+            f"{seen.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
+            f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: its rate limit will show."
+        )
+    stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
+    counts = seen.step_rad / stated if stated > 0 else 0.0
+    if counts and abs(counts - round(counts)) > 0.05:
+        yield (
+            f"{seen.joint} is read in steps of {seen.step_rad:.3g} rad, where the data sheet says "
+            f"{stated:.3g} rad."
+        )
+
+
+def _limits(seen: Seen, low: float, high: float) -> Iterator[str]:
     extremes = (float(seen.command.min()), float(seen.command.max()))
     if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
         beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
         yield (
             f"{seen.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
             f"{high:.3g} rad."
-        )
-    changed = np.flatnonzero(np.diff(seen.command)) + 1
-    slope = np.abs(np.diff(seen.command[changed]) / np.diff(seen.t[changed]))
-    # Two slopes in a row: one alone may be a step, which no servo follows.
-    fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
-    if fastest > sheet.servo.no_load_speed_rad_s:
-        yield (
-            f"{seen.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
-            f"speed of {sheet.servo.no_load_speed_rad_s:.3g} rad/s: its rate limit will show."
-        )
-    stated = sheet.servo.position_step_rad
-    counts = seen.step_rad / stated if stated > 0 else 0.0
-    if counts and abs(counts - round(counts)) > 0.05:
-        yield (
-            f"{seen.joint} is read in steps of {seen.step_rad:.3g} rad, where the data sheet says "
-            f"{stated:.3g} rad."
         )

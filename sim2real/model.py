@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
-from sim2real.structured import Fields, finite_number, read_json
+from sim2real.structured import Fields, number_or_infinity, read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,7 +201,7 @@ def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
     infinite = (-math.inf, math.inf)
     if isinstance(ends, list) and len(ends) == 2:
         low, high = (
-            end if given is None else finite_number(given)
+            end if given is None else number_or_infinity(given)
             for given, end in zip(ends, infinite, strict=True)
         )
         if low is not None and high is not None and low <= high:
@@ -211,7 +211,10 @@ def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
 
 def _read_figures(fields: Fields) -> dict[str, float | None]:
     figures = fields.content
-    return {name: None if figures[name] is None else fields.number(name) for name in figures}
+    return {
+        name: None if figures[name] is None else fields.number(name, infinite=True)
+        for name in figures
+    }
 
 
 def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:
@@ -222,5 +225,5 @@ def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:
 
 def _read_effect(fields: Fields) -> FittedEffect:
     parameters = fields.table("parameters")
-    values = {name: parameters.number(name) for name in parameters.content}
+    values = {name: parameters.number(name, infinite=True) for name in parameters.content}
     return FittedEffect(fields.text("effect"), values)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import platform
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -67,8 +68,22 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
-    """Write ``content`` as indented JSON; infinite numbers must have been made ``None``."""
-    return write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    """Write ``content`` as indented JSON, its numbers as ``finite_json`` has them.
+
+    An infinite end of an interval must have been made ``None``, which is written as null.
+    """
+    return write_whole(path, json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n")
+
+
+def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
+    """``value`` without numbers that JSON lacks: infinity is ``"inf"`` or ``"-inf"``, NaN null."""
+    if isinstance(value, Mapping):
+        return {key: finite_json(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_json(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(float(value))
+    return value
 
 
 def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> dict[str, Any]:

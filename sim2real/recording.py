@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from dataclasses import fields as dataclass_fields
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_json, write_whole
-from sim2real.structured import Fields, check_size, read_json, shown
+from sim2real.structured import Fields, check_size, nearest, read_json, shown
 
 SCHEMA = "sim2real.recording/1"
 LARGEST_FILE_BYTES = 256 * 2**20
 LARGEST_ANGLE_RAD = 4 * np.pi
 GRAVITY_M_S2 = 9.80665
+FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
+"""Known fields of the sidecar; further ones are kept as ``metadata``."""
+
+_MOST_NAMED = 8
+"""Columns that a message names."""
 
 Array = NDArray[np.float64]
 
@@ -149,12 +156,14 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     table = _read_table(csv)
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
+    top.refuse_misspelt(FIELDS)
     kind = top.text("kind")
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
     joints = _joint_names(top)
     t = _column(csv, table, "t_s")
     _check_times(csv, t)
+    check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
     command = _angles(csv, table, joints, "command_rad") if recorded else none
@@ -162,7 +171,6 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     if recorded:
         _check_commands(csv, joints, command)
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
-    known = {"schema", "kind", "joints", "loads", "medium", "source"}
     return Recording(
         name=csv.stem,
         kind=kind,
@@ -174,7 +182,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
         columns={str(c): _column(csv, table, str(c)) for c in table.columns if c not in used},
-        metadata={name: value for name, value in top.content.items() if name not in known},
+        metadata={name: value for name, value in top.content.items() if name not in FIELDS},
         path=csv,
     )
 
@@ -198,6 +206,7 @@ def read_commands(path: str | os.PathLike[str]) -> Commands:
     table = _read_table(csv)
     t = _column(csv, table, "t_s")
     _check_times(csv, t)
+    check_sampling(csv, t, LONGEST_COMMAND_PERIOD_S)
     names = [str(column) for column in table.columns]
     joints = tuple(n.removesuffix(".command_rad") for n in names if n.endswith(".command_rad"))
     if not joints:
@@ -298,7 +307,11 @@ def _undecodable_row(csv: Path) -> str:
 
 def _column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     if name not in table:
-        raise InputError(csv, "header", f"no column {name}", f"the column {name}")
+        columns = [str(column) for column in table.columns]
+        found = f"no column {name} among {_listed(columns)}"
+        close = nearest(name, columns) or _time_column(name, columns)
+        hint = f" (did you mean {close}?)" if close else ""
+        raise InputError(csv, "header", found, f"the column {name}{hint}")
     cells = table[name]
     if cells.dtype == object:  # integers beyond the range of a float, perhaps
         cells = cells.map(lambda cell: np.inf if type(cell) is int and abs(cell) > 1e300 else cell)
@@ -308,6 +321,20 @@ def _column(csv: Path, table: pd.DataFrame, name: str) -> Array:
         found = shown(str(table[name].iloc[wrong[0]]))
         raise InputError(csv, _cell(csv, int(wrong[0]), name), found, "a number or an empty cell")
     return values
+
+
+def _listed(columns: list[str]) -> str:
+    """The first columns of a header, as many as a message has room for."""
+    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
+    more = len(columns) - len(named)
+    return ", ".join(named) + (f" and {more} more" if more else "")
+
+
+def _time_column(name: str, columns: list[str]) -> str | None:
+    """What is probably the time where ``t_s`` is missing."""
+    if name != "t_s":
+        return None
+    return next((c for c in columns if c.lower() == "t" or "time" in c.lower()), None)
 
 
 def _cell(csv: Path, index: int, column: str) -> str:
@@ -374,6 +401,7 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
 
 def read_load(fields: Fields) -> Load:
     """A load from its table; the pendulum is optional."""
+    fields.refuse_misspelt(field.name for field in dataclass_fields(Load))
     return Load(
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
         pendulum_mass_kg=fields.number("pendulum_mass_kg", 0.0, low=0),

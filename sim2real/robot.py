@@ -9,17 +9,19 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
-from sim2real.recording import Recording
+from sim2real.recording import LARGEST_ANGLE_RAD, Recording
 from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
 
-LIMITS = "two angles, the smaller first"
+LIMITS = "two angles in rad, the smaller first"
+_APPENDAGE_KEYS = ("name", "shape", "size_m", "at_m", "submerged", "drag_coefficient")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,6 +124,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         InputError: If the file or one of its fields is not as the format says.
     """
     top = Fields(path, "", read_toml(path))
+    top.refuse_unknown(("name", "links", "joints", "servos"))
     servos = {
         name: _servo(name, Fields(path, f"servos.{name}", content))
         for name, content in top.table("servos").content.items()
@@ -140,7 +143,14 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     return Robot(top.text("name", "robot"), links, joints, Path(path))
 
 
+def _keys(sheet: type) -> list[str]:
+    """The keys of a table of the file: the fields of the dataclass that it is read into."""
+    return [field.name for field in dataclass_fields(sheet) if field.name != "where"]
+
+
 def _servo(name: str, fields: Fields) -> Servo:
+    fields.refuse_unknown(key for key in _keys(Servo) if key != "name")
+
     def optional(name: str, low: float = -math.inf, above: float = -math.inf) -> float | None:
         return fields.number(name, low=low, above=above) if name in fields else None
 
@@ -161,6 +171,11 @@ def _type(fields: Fields) -> str:
 
 
 def _link(fields: Fields) -> Link:
+    fields.refuse_unknown(dict.fromkeys((*_keys(Link), "appendages")))
+    if "appendages" in fields:
+        for appendage in fields.tables("appendages"):
+            appendage.refuse_unknown(_APPENDAGE_KEYS)
+
     def optional(name: str, above: float = -math.inf) -> float | None:
         return fields.number(name, low=0, above=above) if name in fields else None
 
@@ -180,6 +195,7 @@ def _link(fields: Fields) -> Link:
 
 
 def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
+    fields.refuse_unknown(_keys(Joint))
     servo = fields.text("servo")
     if servo not in servos:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
@@ -190,4 +206,7 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     ends = [finite_number(end) for end in limits] if isinstance(limits, list) else []
     if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
         raise fields.error("limits_rad", LIMITS)
+    if max(abs(ends[0]), abs(ends[1])) > LARGEST_ANGLE_RAD:
+        expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
+        raise fields.error("limits_rad", expected)
     return Joint(fields.text("name"), servos[servo], (ends[0], ends[1]), place)

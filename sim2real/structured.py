@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, overload
 
@@ -14,6 +15,8 @@ from sim2real.errors import InputError
 
 LARGEST_FILE_BYTES = 16 * 2**20
 LONGEST_SHOWN = 80  # characters of a value in a message
+_MISSPELT = 0.8
+"""Similarity from which on a further key counts as a misspelt known one."""
 
 
 def shown(value: object) -> str:
@@ -108,6 +111,26 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def number_or_infinity(value: object) -> float | None:
+    """``value`` as a float, ``"inf"`` and ``"-inf"`` included; None unless it is a number."""
+    if value in ("inf", "-inf"):
+        return float(str(value))
+    return finite_number(value)
+
+
+def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
+    """The known name that is most like ``name``, upper and lower case alike; None if none is.
+
+    Args:
+        name: What was found.
+        known: The names that would be right.
+        similarity: Smallest similarity, 0 to 1, as ``difflib.SequenceMatcher.ratio`` measures it.
+    """
+    by_lower = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
+    return by_lower[close[0]] if close else None
+
+
 class Fields:
     """The fields of one table of a structured file, read by name and type, errors located.
 
@@ -134,6 +157,34 @@ class Fields:
         found = shown(self.content[name]) if name in self.content else "nothing"
         return InputError(self.file, self.path(name), found, expected)
 
+    def refuse_unknown(self, known: Iterable[str]) -> None:
+        """Make sure that the table has no other fields than the known ones.
+
+        Raises:
+            InputError: If it has one; the message names the known field that is most like it.
+        """
+        names = list(known)
+        for name in self.content:
+            if name not in names:
+                close = nearest(name, names)
+                hint = f" (did you mean {close}?)" if close else ""
+                expected = f"one of {', '.join(names)}{hint}"
+                raise InputError(self.file, self.path(name), "an unknown key", expected)
+
+    def refuse_misspelt(self, known: Iterable[str]) -> None:
+        """Make sure that no further field looks like a known one that is missing.
+
+        Raises:
+            InputError: If one does.
+        """
+        names = list(known)
+        missing = [name for name in names if name not in self.content]
+        for name in self.content:
+            close = None if name in names else nearest(name, missing, _MISSPELT)
+            if close:
+                expected = f"{close} (did you mean that?)"
+                raise InputError(self.file, self.path(name), "an unknown key", expected)
+
     def number(
         self,
         name: str,
@@ -141,8 +192,12 @@ class Fields:
         *,
         low: float = -math.inf,
         above: float = -math.inf,
+        infinite: bool = False,
     ) -> float:
-        """A finite number, ``>= low`` and ``> above``; ``default`` where it is absent."""
+        """A number, ``>= low`` and ``> above``; ``default`` where it is absent.
+
+        It is finite unless ``infinite``, with which ``"inf"`` and ``"-inf"`` are numbers too.
+        """
         if name not in self.content and default is not None:
             return default
         expected = "a number"
@@ -150,7 +205,8 @@ class Fields:
             expected += f" above {above:g}"
         elif math.isfinite(low):
             expected += f" of at least {low:g}"
-        value = finite_number(self.content.get(name))
+        read = number_or_infinity if infinite else finite_number
+        value = read(self.content.get(name))
         if value is None or value < low or value <= above:
             raise self.error(name, expected)
         return value
@@ -213,6 +269,10 @@ class Sheet:
     """A dataclass with a name that is what it states, wherever it was read."""
 
     name: str
+
+    def states(self, *names: str) -> bool:
+        """Whether it states all of these values."""
+        return all(vars(self)[name] is not None for name in names)
 
     def _stated(self) -> dict[str, Any]:
         return {n: v for n, v in vars(self).items() if n != "where" and v is not None}

@@ -12,10 +12,11 @@ This module imports nothing heavy, so that the command line can read it at once.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from sim2real.arguments import check_whole
 from sim2real.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def identify(
         effects: Names of effects to fit together with the gains of every joint, such as
             load_friction or unmodelled_inertia.
         law: A motor limited by the torque-speed line of its data sheet (motor) or a linear servo
-            (pd); by default motor, and pd where effects are given.
+            (pd); by default motor, and pd where effects are given or the data sheet states neither
+            torque nor speed.
         together: Assume that joints with the same servo in robot.toml have motors of one make.
         seed: Seed of the search for a starting point.
 
@@ -115,13 +117,14 @@ def posterior(
         InputError: If recordings, robot and model do not agree, or a chain is too short to have
             converged.
     """
+    from sim2real.plausible import validate_recording
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Sampling, sample_joints
-    from sim2real.robot import match_joints
 
+    _check_sampling("posterior", steps, walkers, seed)
     read, known = recordings_of(recordings), robot_of(robot)
     for recording in read:
-        match_joints(recording, known)
+        validate_recording(recording, known)
     bench = [recording for recording in read if recording.kind == "servo"]
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     return Posteriors(*sample_joints(bench, model_of(model), sampling), seed)
@@ -167,9 +170,7 @@ def ranges(
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Sampling, gather
 
-    for name, count in (("steps", steps), ("walkers", walkers)):
-        if count < 1:
-            raise InputError("ranges", name, str(count), "at least 1")
+    _check_sampling("ranges", steps, walkers, seed)
     read, known, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
     made: dict[str, int] = {}
 
@@ -201,13 +202,14 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
-    from sim2real.robot import match_joints
+    from sim2real.plausible import validate_commands
     from sim2real.servo.prediction import predict_recordings
 
     read = recordings_or_commands(recordings)
     if robot is not None:
+        known = robot_of(robot)
         for recording in read:
-            match_joints(recording, robot_of(robot))
+            validate_commands(recording, known)
     return predict_recordings(read, model_of(model))
 
 
@@ -240,24 +242,53 @@ def recordings_or_commands(recordings: Recorded) -> list[Recording]:
 
 
 def robot_of(robot: Robot | File) -> Robot:
-    """The robot, read where a file is given."""
-    from sim2real.robot import Robot, read_robot
+    """The robot, read where a file is given.
 
+    Raises:
+        InputError: If it is neither, or the file is not a robot.
+    """
+    from sim2real.robot import Robot, read_robot
+    from sim2real.structured import shown
+
+    if not isinstance(robot, Robot | str | os.PathLike):
+        raise InputError("robot", "", shown(robot), "a robot or its robot.toml")
     return robot if isinstance(robot, Robot) else read_robot(robot)
 
 
 def model_of(model: Model | File) -> Model:
-    """The model, read where a file is given."""
-    from sim2real.model import Model, read_model
+    """The model, read where a file is given.
 
+    Raises:
+        InputError: If it is neither, or the file is not a model.
+    """
+    from sim2real.model import Model, read_model
+    from sim2real.structured import shown
+
+    if not isinstance(model, Model | str | os.PathLike):
+        raise InputError("model", "", shown(model), "a model or its MODEL.json")
     return model if isinstance(model, Model) else read_model(model)
 
 
 def _several(recordings: Recorded) -> list[Recording | File]:
     from sim2real.recording import Recording
+    from sim2real.structured import shown
 
-    if isinstance(recordings, Recording | str | os.PathLike):
-        return [recordings]
-    if not recordings:
+    several: object = recordings
+    if isinstance(several, Recording | str | os.PathLike):
+        several = [several]
+    expected = "a recording, its CSV file, or a list of these"
+    if not isinstance(several, Iterable):
+        raise InputError("recordings", "", shown(several), expected)
+    listed = list(several)
+    if not listed:
         raise InputError("recordings", "", "none", "at least one")
-    return list(recordings)
+    for recording in listed:
+        if not isinstance(recording, Recording | str | os.PathLike):
+            raise InputError("recordings", "", shown(recording), expected)
+    return listed
+
+
+def _check_sampling(verb: str, steps: int, walkers: int, seed: int) -> None:
+    check_whole(verb, "steps", steps, 1)
+    check_whole(verb, "walkers", walkers, 2)
+    check_whole(verb, "seed", seed)

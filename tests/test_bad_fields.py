@@ -33,7 +33,7 @@ from sim2real.robot import read_robot
         ("mass_kg = 0.5", "mass_kg = 2026-01-01", ("links[0].mass_kg", "2026", "a number")),
         ("max_torque_Nm = 1.67", "max_torque_Nm = 0", ("servos.lx824.max_torque_Nm", "above 0")),
         ("[servos.lx824]", "[[servos.lx824]]", ("servos.lx824", "a table")),
-        ("[servos.lx824]", "[servo.lx824]", ("joints[0].servo", "none")),
+        ("[servos.lx824]", "[servo.lx824]", ("servo", "an unknown key", "did you mean servos?")),
     ],
 )
 def test_robot_fields(tmp_path: Path, old: str, new: str, parts: tuple[str, ...]) -> None:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim2real.check import Check, check, format_check, match_joints
+from sim2real.check import Check, check, format_check
 from sim2real.errors import InputError
 from sim2real.recording import Load, Recording, read_recording
-from sim2real.robot import Joint, Link, Robot, Servo, read_robot
+from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
 
 STEP = 0.00419
 T = np.arange(0, 10, 0.02)

@@ -35,7 +35,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     """Any recording that the format allows."""
     joints = tuple(draw(st.lists(NAMES, min_size=1, max_size=3, unique=True)))
     samples = draw(st.integers(2, 12))
-    steps = st.lists(st.floats(1e-6, 1e3), min_size=samples, max_size=samples)
+    steps = st.lists(st.floats(1e-4, 0.4), min_size=samples, max_size=samples)
 
     def column(values: st.SearchStrategy[float]) -> np.ndarray:
         return np.array(draw(st.lists(values, min_size=samples, max_size=samples)))

@@ -22,8 +22,9 @@ from sim2real.body import listed, values
 from sim2real.camera import observed
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_joints
+from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ _MEDIAN = 0.6745
 """Median of the size of a normal deviate."""
 _REST = 10
 """Samples at the start that give the first pose."""
+SHORTEST_S = 1.0
+"""Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
 
 ABOVE_HZ = 9.0
 LAGS_S: Array = np.concatenate([[0.0], np.geomspace(0.004, 0.4, 60)])
@@ -121,7 +124,11 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     Raises:
         InputError: If it is no pool recording of this robot, has no poses or no commands.
     """
-    match_joints(recording, robot)
+    validate_recording(recording, robot)
+    for joint in robot.joints:
+        if joint.name not in recording.joints:
+            found, expected = ", ".join(recording.joints), f"the robot's joint {joint.name} too"
+            raise InputError(recording.file, "joints", found, expected)
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
     for name in names:
         if name not in recording.columns:
@@ -130,6 +137,7 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     if np.isnan(recording.command).all():
         where = recording.path or recording.name
         raise InputError(where, "header", "no J.command_rad column", "the set-points sent")
+    _check_poses(recording, names)
     t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
@@ -161,6 +169,17 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
         repeated=repeated,
         shaken=shaken,
     )
+
+
+def _check_poses(recording: Recording, names: Sequence[str]) -> None:
+    """Make sure that a swim is long enough, and seen often enough, for velocities."""
+    if recording.duration_s < SHORTEST_S:
+        found, expected = f"{recording.duration_s:.3g} s", f"a swim of at least {SHORTEST_S:g} s"
+        raise InputError(recording.file, "t_s", found, expected)
+    for name in names:
+        count = int(np.isfinite(recording.columns[name]).sum())
+        if count < _REST:
+            raise InputError(recording.file, name, f"{count} values", f"at least {_REST}")
 
 
 def _jitter(shown: Array) -> Array:

@@ -6,11 +6,12 @@ import argparse
 import contextlib
 import dataclasses
 import json
-import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+from sim2real.output import finite_json
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -42,7 +43,7 @@ def _result(options: argparse.Namespace) -> Any:  # noqa: ANN401 - any JSON
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
-    """A value as JSON has it: dataclasses as objects, arrays as lists, NaN and infinity null."""
+    """A value as JSON has it: dataclasses as objects, arrays as lists, all finite."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -52,5 +53,5 @@ def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
     if isinstance(value, list | tuple | set):
         return [plain(one) for one in value]
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return finite_json(value)
     return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -13,14 +13,14 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.errors import InputError
 from sim2real.identification.motor_line import on_its_line
 from sim2real.model import JointModel, Model
-from sim2real.noise import noise_floor, quantization_step
+from sim2real.noise import quantization_step
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.residuals.plain import with_effects
 from sim2real.residuals.problem import Hypothesis, Set, minimise, plain_servos
-from sim2real.robot import Robot, Servo, match_joints
+from sim2real.robot import Robot, Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS, LINE, stated
-from sim2real.servo.trace import Trace, traces
+from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
 
 _LINE = [COLUMNS.index(name) for name in LINE]
 _SATURATION = "torque_saturation"
@@ -86,7 +86,6 @@ def prepared(case: Case) -> list[Joint]:
         InputError: If recordings and robot do not agree, or no joint moves.
     """
     for recording in case.recordings:
-        match_joints(recording, case.robot)
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
@@ -94,7 +93,8 @@ def prepared(case: Case) -> list[Joint]:
     for joint in case.robot.joints:
         given = traces(case.recordings, joint.name)
         if given:
-            noise = max(noise_floor(x.t, x.command, x.position) for x in given)
+            check_runs(given, joint.name)
+            noise = sensor_noise(given)
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)

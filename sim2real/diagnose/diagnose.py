@@ -26,6 +26,7 @@ from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.model import Model
+from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.residuals.holdout import Unseen, held_out
 from sim2real.residuals.plain import baselines
@@ -122,6 +123,9 @@ def examined(
     Returns:
         For each robot the case with the servos that were taken for granted, and its joints.
     """
+    for case in cases:
+        for recording in (*case.recordings, *case.references):
+            validate_recording(recording, case.robot)
     found: dict[int, tuple[Case, list[JointResult]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)

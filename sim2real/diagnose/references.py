@@ -17,14 +17,14 @@ from sim2real.identification.fit import best_of, gains
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.start import first_guess
 from sim2real.model import JointModel, Model
-from sim2real.noise import noise_floor, quantization_step
+from sim2real.noise import quantization_step
 from sim2real.residuals.explained import way_of
 from sim2real.residuals.plain import BLOCKS, with_effects
 from sim2real.residuals.problem import Hypothesis, minimise
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row, stated
-from sim2real.servo.trace import Trace, traces
+from sim2real.servo.trace import Trace, sensor_noise, traces
 
 
 def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
@@ -74,7 +74,7 @@ def law_of(
     plain, _ = best_of(given, [start, *others], names)
     row = plain.row
     if way_of(references, case) == "law":
-        noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+        noise = sensor_noise(given)
         row = choose_motor(given, plain, servo, noise, rng).fit.row
     return stated(row, given[0].load)
 

@@ -16,7 +16,7 @@ from sim2real.processes import shared
 from sim2real.residuals.problem import Fits, minimise, residual_angles
 from sim2real.residuals.smooth import Motion, Servo, Smooth, smooth_function_of
 from sim2real.servo.batch import Batch
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
 Array = NDArray[np.float64]
 
@@ -130,12 +130,17 @@ def intermittent(
         fits = minimise(
             outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
         )
-        level = -0.5 * np.log(fits.error2 / fits.count)
+        # Windows that leave too few samples outside them explain nothing.
+        found = {j: found[j] for k, j in enumerate(order) if fits.count[k] > outside.lags}
+        square = fits.error2 / np.maximum(fits.count, 1)
+        level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
         whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
         seen = residual_angles(batch, whole)
-        now = {j: seen[k] for k, j in enumerate(order)}
+        now = {j: seen[k] for k, j in enumerate(order) if j in found}
         before = plain.loglikelihood
         scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
+        if not found:
+            return {}
     # Each segment must earn as much as is never left to chance, and so must each second of it.
     costs = {
         j: DECISION.surely * sum(1 + b - a for some in w for a, b in some) for j, w in found.items()

@@ -95,11 +95,16 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
         robot: Gives limits and data sheets where there is no identified value.
 
     Raises:
-        InputError: If the model has no joint, an effect that the catalogue lacks or a law that is
-            not known here.
+        InputError: If the model has no joint, the robot lacks one of the model's, or there is an
+            effect that the catalogue lacks or a law that is not known here.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
+    for name in model.joints if robot else ():
+        if robot is not None and robot.joint(name) is None:
+            known = ", ".join(joint.name for joint in robot.joints)
+            file = robot.path or robot.name
+            raise InputError(file, "joints", known, f"the model's joint {name} among them")
     return tuple(
         _actuator(name, joint, robot.joint(name) if robot else None)
         for name, joint in model.joints.items()

@@ -8,6 +8,7 @@ from typing import Any
 
 from sim2real.exporters.actuator import Actuator, Export, LeftOut, actuators, shared_left_out
 from sim2real.model import Model
+from sim2real.output import finite_json
 from sim2real.robot import Robot
 
 SCHEMA = "sim2real.actuators/1"
@@ -36,7 +37,7 @@ def plain(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] =
         "joints": {one.joint: _content(one) for one in actuators(model, robot)},
         "not_expressed": [str(line) for line in lines],
     }
-    return Export(json.dumps(content, indent=2, allow_nan=False) + "\n", lines)
+    return Export(json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n", lines)
 
 
 def _content(given: Actuator) -> dict[str, Any]:

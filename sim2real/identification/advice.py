@@ -13,7 +13,7 @@ from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.holdout import rms
 from sim2real.recording import PER_INERTIA, Load, Recording
-from sim2real.robot import Servo
+from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
 
@@ -74,6 +74,18 @@ def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
     if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
         return []
     return ["unmodelled_inertia cannot show: it takes a pendulum or two known loads"]
+
+
+def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
+    """A note where the data sheet does not state what the law of a motor needs."""
+    known = robot.joint(joint)
+    if known is None:
+        return []
+    missing = " and ".join(name for name in needed if not known.servo.states(name))
+    return [
+        f"the linear law pd was fitted, as servo {known.servo.name} states no {missing}: from its "
+        "data sheet they would bound torque and speed in motions faster than the recorded ones"
+    ]
 
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:

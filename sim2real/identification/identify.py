@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arguments import check_choice, check_whole, names_of
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
 from sim2real.identification import advice
@@ -22,15 +23,18 @@ from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.holdout import rms
 from sim2real.inference.noise import correlation_samples, whiteness
 from sim2real.inference.parameters import column
-from sim2real.model import FittedEffect, JointModel, Law, Model
-from sim2real.noise import noise_floor
+from sim2real.model import LAWS, FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
+from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.trace import Trace, shows_inertia, split, traces
+from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 Array = NDArray[np.float64]
+
+MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
+"""What a data sheet must state for the law ``motor``."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ def identify(
     robot: Robot,
     *,
     held_out: str | None = None,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     law: Law | None = None,
     together: bool = False,
     seed: int = 0,
@@ -61,10 +65,11 @@ def identify(
         robot: The robot that was recorded.
         held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
             recording the last quarter is held out.
-        effects: Names of effects to fit together with the gains of every joint.
+        effects: Names of effects, or one name, to fit together with the gains of every joint.
         law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
             the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
-            servo where ``effects`` say what to add to it.
+            servo where ``effects`` say what to add to it or the data sheet states no torque and no
+            speed, which a note then says.
         together: Whether joints with one servo in the robot's file have motors of one make: each
             is then fitted again with what the others have told of theirs (``servo_type``).
         seed: Seed of the scan for a start.
@@ -74,12 +79,14 @@ def identify(
         The model, with 90 % intervals, errors on fitted and held-out data, and notes.
 
     Raises:
-        InputError: If no joint moves, a recording and the robot do not agree, or the catalogue
-            lacks an effect.
+        InputError: If no joint moves, a recording and the robot do not agree, there is no such law,
+            or the catalogue lacks an effect.
     """
+    if law is not None:
+        check_choice("identify", "law", law, LAWS)
+    check_whole("identify", "seed", seed)
+    wanted = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
-    law = law or ("pd" if effects else "motor")
-    wanted = [named(effect) for effect in dict.fromkeys(effects)]
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
     if not moving:
@@ -87,12 +94,16 @@ def identify(
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
     rng = np.random.default_rng(seed)
-    servos = {joint: _servo(robot, joint, law) for joint in moving}
+    servos = {joint: _servo(robot, joint, law or ("pd" if wanted else None)) for joint in moving}
     types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
     def one(joint: str, known: ServoType | None) -> JointResult:
         given = traces(recordings, joint)
-        return _identify_joint(given, held_out, wanted, rng, servos[joint], known)
+        check_samples(given, joint)
+        notes = []
+        if law is None and not wanted and servos[joint] is None:
+            notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
+        return _identify_joint(given, held_out, wanted, rng, servos[joint], known, notes)
 
     results = {joint: one(joint, types.get(joint)) for joint in progress(moving)}
     if together:
@@ -124,7 +135,7 @@ def fitted_motors(
         given = traces(recordings, joint.name)
         if not given:
             continue
-        noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+        noise = sensor_noise(given)
         start, others = first_guess(given, rng)
         best, _ = best_of(given, [start, *others], _influential(given, start, noise)[0])
         motor = choose_motor(given, best, joint.servo, noise, rng)
@@ -133,10 +144,15 @@ def fitted_motors(
     return found
 
 
-def _servo(robot: Robot, joint: str, law: Law) -> Servo | None:
-    """The joint's data sheet; None where the law asks for none."""
+def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
+    """The joint's data sheet; None where the law asks for none.
+
+    Without a law it is the motor's where the data sheet states what that needs.
+    """
     known = robot.joint(joint)
-    return None if law == "pd" or known is None else known.servo
+    if law == "pd" or known is None:
+        return None
+    return known.servo if law == "motor" or known.servo.states(*MOTOR_SHEET) else None
 
 
 def _told_by_others(
@@ -158,6 +174,7 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
     """Make sure that recordings, robot and the wish for what to hold out agree."""
     match_recordings(recordings, robot)
     for recording in recordings:
+        validate_recording(recording, robot)
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
@@ -178,14 +195,14 @@ def _identify_joint(
     rng: np.random.Generator,
     servo: Servo | None,
     known: ServoType | None,
+    notes: list[str],
 ) -> JointResult:
     fitted, scored, held = split(given, held_out)
-    noise = max(noise_floor(t.t, t.command, t.position) for t in fitted)
+    noise = sensor_noise(fitted)
     start, others = first_guess(fitted, rng)
     free, unseen = _influential(fitted, start, noise)
     best, rivals = best_of(fitted, [start, *others], free)
     stated = given[0].load
-    notes: list[str] = []
     motor = None
     if servo is not None and not unseen:
         motor = choose_motor(fitted, best, servo, noise, rng, known, average=True)

@@ -14,12 +14,11 @@ from sim2real.identification.motor_prior import Prior, motor_prior
 from sim2real.identification.start import first_guess
 from sim2real.inference.holdout import rms
 from sim2real.model import JointModel
-from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import COLUMNS, LINE, stated
 from sim2real.servo.rollout import Simulator
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import Trace, sensor_noise
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ def on_its_line(
         rng: For the scan for a start.
         room: How many times the data sheet's the line may be, either way.
     """
-    noise = max(noise_floor(t.t, t.command, t.position) for t in given)
+    noise = sensor_noise(given)
     start, others = first_guess(given, rng)
     names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
     plain, _ = best_of(given, [start, *others], names)

@@ -14,6 +14,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
+from sim2real.plausible import validate_recording
 from sim2real.posterior.check import Check, predictive_check
 from sim2real.posterior.convergence import require
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
@@ -31,7 +32,7 @@ from sim2real.ranges.sources import (
 )
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_recordings
-from sim2real.servo.trace import split, traces
+from sim2real.servo.trace import check_runs, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -142,6 +143,8 @@ def gather(
 
 def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
     match_recordings(recordings, robot)
+    for recording in recordings:
+        validate_recording(recording, robot)
     for joint in model.joints:
         if robot.joint(joint) is None:
             known = ", ".join(one.name for one in robot.joints)
@@ -166,6 +169,7 @@ def sample_joints(
         if not given:
             continue
         fitted, scored, _ = split(given, sampling.held_out)
+        check_runs(fitted, joint)
         posteriors[joint] = sample_servo(
             fitted,
             one,

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.errors import InputError
+from sim2real.inference.noise import counting, lags
+from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load, Recording
 
 Array = NDArray[np.float64]
@@ -16,6 +19,11 @@ Array = NDArray[np.float64]
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
 _FEWEST, _PROPORTIONAL = 50, 0.02
 """Fewest samples of a drive; the share of its power that may not be in proportion to the error."""
+
+FEWEST_SAMPLES = 20
+"""Fewest measured angles that a servo is fitted to."""
+FINEST_NOISE_RAD = 1e-6
+"""Noise where none shows: the sixth decimal, to which recordings are printed."""
 
 HELD_OUT_SHARE = 0.25
 """Share of a lone recording, at its end, that is held out."""
@@ -108,6 +116,41 @@ def drive_slope(error: Array, load: Array) -> float | None:
     if slope <= 0 or power == 0 or np.sum(left**2) > _PROPORTIONAL * power:
         return None
     return slope
+
+
+def sensor_noise(given: Sequence[Trace]) -> float:
+    """Standard deviation of a joint's sensor noise in rad, the largest of its recordings."""
+    floors = (noise_floor(trace.t, trace.command, trace.position) for trace in given)
+    return max(FINEST_NOISE_RAD, *floors)
+
+
+def check_samples(given: Sequence[Trace], joint: str) -> None:
+    """Make sure that a joint has samples enough for a servo to be fitted.
+
+    Raises:
+        InputError: If it has not.
+    """
+    count = sum(int(trace.used.sum()) for trace in given)
+    if count < FEWEST_SAMPLES:
+        found = f"{count} measured angles while its torque is on"
+        expected = f"at least {FEWEST_SAMPLES}"
+        raise InputError(given[0].file, f"{joint}.position_rad", found, expected)
+
+
+def check_runs(given: Sequence[Trace], joint: str) -> None:
+    """Make sure that a joint has samples enough in a row for the colour of its noise to be fitted.
+
+    Raises:
+        InputError: If it has not.
+    """
+    count = order = 0
+    for trace in given:
+        order = max(order, lags(float(np.median(np.diff(trace.t)))))
+        count += int(counting(trace.used, order).sum())
+    if count <= order:
+        found = f"{count} measured angles that follow {order} others without a gap"
+        expected = f"more than {order}: a longer recording, or one that lacks fewer samples"
+        raise InputError(given[0].file, f"{joint}.position_rad", found, expected)
 
 
 def shows_inertia(fitted: Sequence[Trace]) -> bool:

@@ -1,0 +1,53 @@
+"""Arguments of Python calls, checked before any work: a mistake is an InputError, in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from numbers import Integral
+
+from sim2real.errors import InputError
+from sim2real.structured import nearest, shown
+
+
+def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
+    """Make sure that ``value`` is one of ``choices``.
+
+    Args:
+        call: The function that was called, for the message.
+        argument: The argument's name.
+        value: What was given.
+        choices: What may be given.
+
+    Raises:
+        InputError: If it is none of them; the message names the choice that is most like it.
+    """
+    names = list(choices)
+    if isinstance(value, str) and value in names:
+        return
+    close = nearest(value, names) if isinstance(value, str) else None
+    hint = f" (did you mean {close}?)" if close else ""
+    raise InputError(call, argument, shown(value), f"one of {', '.join(names)}{hint}")
+
+
+def check_whole(call: str, argument: str, value: object, least: int = 0) -> None:
+    """Make sure that ``value`` is a whole number of at least ``least``, as a seed is.
+
+    Raises:
+        InputError: If it is none.
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+    if not whole:
+        raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
+
+
+def names_of(call: str, argument: str, value: str | Sequence[str]) -> list[str]:
+    """Names in their order, each once; a lone string is a list of one.
+
+    Raises:
+        InputError: If an entry is no string.
+    """
+    listed = [value] if isinstance(value, str) else list(value)
+    for entry in listed:
+        if not isinstance(entry, str):
+            raise InputError(call, argument, shown(entry), "a name or a list of names")
+    return list(dict.fromkeys(listed))

@@ -1,0 +1,171 @@
+"""Mistakes of unit and column that make a recording look valid though no servo moves like that.
+
+What is merely odd is a finding of ``check``; what is refused here can only be a mistake.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.causality import lead_s
+from sim2real.clock import check_sampling
+from sim2real.errors import InputError
+from sim2real.recording import PER_INERTIA, Recording
+from sim2real.robot import Joint, Robot, match_joints
+
+Array = NDArray[np.float64]
+
+FAR_BEYOND = 6.0
+"""Times half the joint's range, from its middle: degrees read as radians are 57 times too large."""
+MUCH_FASTER = 4.0
+"""Times the no-load speed of the data sheet, which servos exceed by half at a higher voltage."""
+MUCH_STRONGER = 6.0
+"""Times the stall torque of the data sheet, which servos exceed by half at a higher voltage."""
+SPEED_WINDOW_S, TORQUE_WINDOW_S = 0.1, 0.06
+USUALLY = 0.99
+"""Quantile of speed and acceleration that counts, so that an outlier or an end stop does not."""
+FEWEST_SAMPLES = 20
+
+
+def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
+    """Refuse a recording whose times, commands or measured angles can only be a mistake.
+
+    Args:
+        recording: The recording.
+        robot: The robot that was recorded; without it units of angles and loads are not checked.
+
+    Raises:
+        InputError: If the robot lacks a joint, the sampling period is none of a servo bus, a column
+            is both command and position, a joint moves before its command, or angles, speeds or
+            torques are many times those that the robot's file states.
+    """
+    validate_commands(recording, robot)
+    for j, joint in enumerate(recording.joints):
+        powered = recording.powered(j)
+        t, command = recording.t[:powered], recording.command[:powered, j]
+        position = recording.position[:powered, j]
+        if powered > 1:
+            _check_columns(recording, joint, t, command, position)
+        sheet = robot.joint(joint) if robot else None
+        if sheet is not None:
+            _check_speed(recording, sheet, recording.position[:, j])
+            _check_torque(recording, sheet, recording.position[:, j])
+
+
+def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
+    """Refuse times and commands that can only be a mistake; what was measured is not looked at.
+
+    Raises:
+        InputError: If the robot lacks a joint, the sampling period is none of a servo bus, or a
+            command is far beyond the joint's limits.
+    """
+    check_sampling(recording.file, recording.t)
+    if robot is None:
+        return
+    match_joints(recording, robot)
+    for j, name in enumerate(recording.joints):
+        joint, command = robot.joint(name), recording.command[:, j]
+        if joint is None or not joint.states("limits_rad") or not np.isfinite(command).any():
+            continue
+        low, high = joint.limits_rad
+        away = np.abs(command - (low + high) / 2)
+        row = int(np.nanargmax(away))
+        if away[row] > FAR_BEYOND * (high - low) / 2:
+            raise InputError(
+                recording.file,
+                f"{name}.command_rad at {recording.t[row]:.4g} s",
+                f"{command[row]:.4g} rad",
+                f"angles near the joint's limits_rad of {low:g} to {high:g} (are they degrees, or "
+                "are the limits wrong?)",
+            )
+
+
+def _check_columns(
+    recording: Recording, joint: str, t: Array, command: Array, position: Array
+) -> None:
+    seen = np.isfinite(position)
+    if (
+        seen.sum() > 1
+        and np.ptp(command[seen]) > 0
+        and np.array_equal(command[seen], position[seen])
+    ):
+        raise InputError(
+            recording.file,
+            f"{joint}.command_rad and {joint}.position_rad",
+            "the same values in every row",
+            "set-points and the angles that were measured (is one column there twice?)",
+        )
+    lead = lead_s(t, command, position)
+    if lead is not None:
+        raise InputError(
+            recording.file,
+            f"{joint}.position_rad",
+            f"an angle that moves {lead:.2g} s before its command does",
+            f"one that follows {joint}.command_rad (are the two columns swapped, or their clocks "
+            "apart?)",
+        )
+
+
+def _check_speed(recording: Recording, joint: Joint, position: Array) -> None:
+    """Refuse angles that change much faster than the servo turns, as degrees do."""
+    if not joint.servo.states("no_load_speed_rad_s"):
+        return
+    seen = np.isfinite(position)
+    if seen.sum() < FEWEST_SAMPLES:
+        return
+    t, angle = recording.t[seen], position[seen]
+    window = _window(t, SPEED_WINDOW_S)
+    change = np.abs(
+        np.interp(t[t <= t[-1] - window] + window, t, angle) - angle[t <= t[-1] - window]
+    )
+    stated = joint.servo.no_load_speed_rad_s
+    if (
+        change.size < FEWEST_SAMPLES
+        or np.quantile(change, USUALLY) <= MUCH_FASTER * stated * window
+    ):
+        return
+    raise InputError(
+        recording.file,
+        f"{joint.name}.position_rad",
+        f"motion at {np.quantile(change, USUALLY) / window:.3g} rad/s",
+        f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in degrees, "
+        "the times in another unit, or is that number wrong?)",
+    )
+
+
+def _check_torque(recording: Recording, joint: Joint, position: Array) -> None:
+    """Refuse a load that the servo is too weak for to have accelerated as it was seen to.
+
+    The second difference over a window is a mean of the acceleration, so it never exceeds the
+    largest; the weight of a pendulum may account for a part.
+    """
+    load = recording.loads.get(joint.name, PER_INERTIA)
+    if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
+        return
+    seen = np.isfinite(position)
+    if seen.sum() < FEWEST_SAMPLES:
+        return
+    t, angle = recording.t[seen], position[seen]
+    window = _window(t, TORQUE_WINDOW_S)
+    middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
+    if middle.size < FEWEST_SAMPLES:
+        return
+    before, now, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
+    acceleration = np.abs(after - 2 * now + before) / window**2
+    usual = float(np.quantile(acceleration, USUALLY)) - 2 * float(np.median(acceleration))
+    torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
+    if torque <= MUCH_STRONGER * stated:
+        return
+    raise InputError(
+        recording.file,
+        f"loads.{joint.name}.inertia_kgm2",
+        f"{load.inertia_kgm2:g} kg m2, which takes {torque:.3g} N m to move as recorded",
+        f"an inertia that a servo of max_torque_Nm = {stated:g} can move so (g cm2 instead of "
+        "kg m2, perhaps?)",
+    )
+
+
+def _window(t: Array, length_s: float) -> float:
+    """A window of ``length_s``, or of two samples where they are further apart."""
+    return max(length_s, 2 * float(np.median(np.diff(t))))

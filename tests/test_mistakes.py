@@ -1,0 +1,251 @@
+"""Common mistakes of unit, column and spelling are refused in one line that names them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
+from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
+
+import sim2real as s2r
+from sim2real.causality import lead_s
+from sim2real.errors import InputError
+from sim2real.exporters.plain import plain
+from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.output import write_json
+from sim2real.plausible import validate_recording
+from sim2real.recording import Load, Recording, read_commands, read_recording
+from sim2real.robot import Robot, Servo, read_robot
+from sim2real.servo.rollout import rollout
+
+GOOD = recording(1, "bench", seconds=8.0)
+BENCH = robot("j1")
+SERVO = Model(joints={"j1": JointModel(2.2, 0.06, 0.05, INERTIA)})
+
+
+def with_sheet(**stated: float) -> Robot:
+    joint = replace(BENCH.joints[0], servo=Servo("lx824", **stated))
+    return replace(BENCH, joints=(joint,))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "parts"),
+    [
+        (replace(GOOD, t=1e3 * GOOD.t), ("t_s", "20 s apart", "in milliseconds?")),
+        (replace(GOOD, t=1e6 * GOOD.t), ("t_s", "in microseconds?")),
+        (replace(GOOD, t=1e9 * GOOD.t), ("t_s", "in nanoseconds?")),
+        (replace(GOOD, t=GOOD.t / 3600), ("t_s", "20 us", "hours")),
+        (
+            replace(GOOD, command=GOOD.position, position=GOOD.command),
+            ("j1.position_rad", "moves 0.", "before its command", "swapped"),
+        ),
+        (replace(GOOD, position=GOOD.command), ("j1.command_rad and j1.position_rad", "twice")),
+        (
+            replace(GOOD, loads={"j1": Load(1e3 * INERTIA)}),
+            ("loads.j1.inertia_kgm2", "N m", "1.67"),
+        ),
+        (
+            replace(
+                GOOD, command=np.degrees(GOOD.command) / 5, position=np.degrees(GOOD.position) / 5
+            ),
+            ("j1.command_rad at", "limits_rad of -1 to 1", "degrees"),
+        ),
+        (
+            replace(GOOD, position=np.degrees(GOOD.position) / 5),
+            ("j1.position_rad", "rad/s", "no_load_speed_rad_s", "degrees"),
+        ),
+    ],
+)
+def test_recordings(wrong: Recording, parts: tuple[str, ...]) -> None:
+    for verb in (s2r.check, s2r.identify, s2r.diagnose):
+        message(lambda verb=verb: verb(wrong, BENCH), "bench.csv", *parts)
+
+
+def test_a_good_recording_is_not_refused() -> None:
+    validate_recording(GOOD, BENCH)
+    validate_recording(GOOD, with_sheet())
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6])
+def test_commands_whose_times_are_not_in_seconds(tmp_path: Path, unit: float) -> None:
+    path = tmp_path / "next.csv"
+    path.write_text("t_s,j1.command_rad\n" + "".join(f"{unit * k / 50},0.1\n" for k in range(9)))
+    message(lambda: read_commands(path), str(path), "t_s", "seconds?")
+    path.write_text("t_s,j1.command_rad\n0,0.1\n5,0.2\n10,0.1\n")  # way points
+    assert read_commands(path).t.size == 3
+
+
+@pytest.mark.parametrize("frequency_hz", [0.2, 0.7, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("latency_s", [0.02, 0.08, 0.15])
+def test_smooth_commands_are_followed(frequency_hz: float, latency_s: float) -> None:
+    t = 0.02 * np.arange(600)
+    rng = np.random.default_rng(0)
+    phase = 2 * np.pi * frequency_hz * np.maximum(t - 0.5, 0.0)
+    late = 2 * np.pi * frequency_hz * np.maximum(t - 0.5 - latency_s, 0.0)
+    command, position = 0.5 * np.sin(phase), 0.5 * np.sin(late) + rng.normal(0, 0.002, t.size)
+    assert lead_s(t, command, position) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lead_is_measured(seed: int) -> None:
+    bench = recording(seed, seconds=8.0)
+    lead = lead_s(bench.t, bench.position[:, 0], bench.command[:, 0])
+    assert lead_s(bench.t, bench.command[:, 0], bench.position[:, 0]) is None
+    assert lead is not None
+    assert 0.04 < lead < 0.25  # the latency of 50 ms and the rise of the angle
+
+
+def test_shipped_and_real_recordings_are_plausible(realdata: Path) -> None:
+    root = Path(__file__).parents[1] / "datasets"
+    for folder in (root / "servo_steps", root / "pool", *realdata.iterdir()):
+        for path in folder.glob("*.csv") if folder.is_dir() else ():
+            if path.stem == "emps":  # a linear drive, in another form
+                continue
+            known = read_recording(path)
+            validate_recording(
+                known, read_robot(folder / known.metadata.get("robot", "robot.toml"))
+            )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("max_torque_Nm", "max_torqe_Nm", ("servos.lx824.max_torqe_Nm", "mean max_torque_Nm?")),
+        ("limits_rad", "limit_rad", ("joints[0].limit_rad", "mean limits_rad?")),
+        ("mass_kg", "Mass_kg", ("links[0].Mass_kg", "mean mass_kg?")),
+        ('name = "fish"', 'nam = "fish"', ("nam:", "mean name?")),
+        ('name = "fish"', 'name = "fish"\nzzz = 1', ("zzz:", "one of name, links, joints, servos")),
+        ("[-0.8, 0.8]", "[-60, 60]", ("joints[0].limits_rad", "[-60, 60]", "degrees?")),
+    ],
+)
+def test_keys_and_limits_of_a_robot(
+    tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
+) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT.replace(old, new, 1))
+    message(lambda: read_robot(path), str(path), *parts)
+
+
+def test_appendages_are_known(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    box = '[[links.appendages]]\nname = "box"\nshape = "box"\nsize_m = [0.1, 0.1, 0.1]\n'
+    path.write_text(ROBOT.replace("[[joints]]", box + "[[joints]]", 1))
+    read_robot(path)
+    path.write_text(path.read_text().replace("size_m", "size_mm"))
+    message(lambda: read_robot(path), "links[1].appendages[0].size_mm", "mean size_m?")
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ({"medum": "water"}, ("medum", "medium")),
+        ({"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass": 1}}}, ("loads.j1.pendulum_mass",)),
+        ({"Loads": {}}, ("Loads", "loads")),
+    ],
+)
+def test_misspelt_fields_of_a_sidecar(
+    tmp_path: Path, change: dict[str, object], parts: tuple[str, ...]
+) -> None:
+    path = csv_file(tmp_path)
+    given = {k: v for k, v in SIDECAR.items() if k not in {key.lower() for key in change}}
+    path.with_suffix(".json").write_text(json.dumps({**given, **change}))
+    message(lambda: read_recording(path), "an unknown key", "did you mean", *parts)
+
+
+def test_further_fields_of_a_sidecar_are_kept(tmp_path: Path) -> None:
+    path = csv_file(tmp_path)
+    further = {"servo": "lx", "sources": ["a"], "tested_joints": ["j1"], "external_load": {}}
+    path.with_suffix(".json").write_text(json.dumps(SIDECAR | {"source": "x"} | further))
+    assert read_recording(path).metadata == further
+
+
+def test_columns_that_were_found(tmp_path: Path) -> None:
+    for header, hint in (("time,j1.command_rad,j1.position_rad", "time"), ("t,a,b", "t")):
+        path = csv_file(tmp_path, ROWS, header)
+        message(
+            lambda path=path: read_recording(path),
+            "no column t_s among",
+            header.split(",")[2],
+            hint,
+        )
+    path = csv_file(tmp_path, ROWS, HEADER.replace("position_rad", "positon_rad"))
+    message(lambda: read_recording(path), "did you mean j1.positon_rad?")
+
+
+@pytest.mark.parametrize(
+    ("call", "parts"),
+    [
+        (lambda: s2r.identify(GOOD, BENCH, law="pid"), ("law", "'pid'", "pd, motor")),  # type: ignore[arg-type]
+        (lambda: s2r.identify(GOOD, BENCH, seed=-1), ("seed", "-1", "at least 0")),
+        (lambda: s2r.identify(GOOD, BENCH, effects="backlsh"), ("effects", "'backlsh'")),
+        (lambda: s2r.identify(GOOD, BENCH, effects=[3]), ("effects", "3", "a name")),  # type: ignore[list-item]
+        (lambda: s2r.identify(3, BENCH), ("recordings", "3")),  # type: ignore[arg-type]
+        (lambda: s2r.identify([None], BENCH), ("recordings", "None")),  # type: ignore[list-item]
+        (lambda: s2r.identify(GOOD, None), ("robot", "None")),  # type: ignore[arg-type]
+        (lambda: s2r.predict(GOOD, BENCH, 3), ("model", "3")),  # type: ignore[arg-type]
+        (lambda: s2r.posterior(GOOD, BENCH, SERVO, steps=0), ("steps", "0", "at least 1")),
+        (
+            lambda: s2r.simulate(GOOD, BENCH, SERVO, fidelity="real"),  # type: ignore[arg-type]
+            ("fidelity", "'real'", "fluid, twin"),
+        ),
+        (lambda: plain(SERVO, robot("a", "b")), ("joints", "a, b", "the model's joint j1")),
+    ],
+)
+def test_arguments(call: Callable[[], object], parts: tuple[str, ...]) -> None:
+    message(call, *parts)
+
+
+def test_a_lone_effect_is_a_list_of_one() -> None:
+    alone, listed = (s2r.identify(GOOD, BENCH, effects=e) for e in ("backlash", ["backlash"]))
+    assert alone.joints["j1"].effects == listed.joints["j1"].effects
+    assert alone.joints["j1"].effects[0].effect == "backlash"
+
+
+def test_no_data_sheet_means_the_linear_law() -> None:
+    for stated in ({}, {"max_torque_Nm": 1.67}):
+        bare = with_sheet(**stated)
+        found = s2r.identify(GOOD, bare).joints["j1"]
+        assert found.law == "pd"
+        assert any("states no" in n and "no_load_speed_rad_s" in n for n in found.notes)
+        s2r.check(GOOD, bare)
+        with pytest.raises(InputError, match="lx824|servos"):
+            s2r.identify(GOOD, bare, law="motor")
+    linear = s2r.identify(GOOD, BENCH, law="pd").joints["j1"]
+    assert found.kp_Nm_per_rad == pytest.approx(linear.kp_Nm_per_rad)
+    assert not any("states no" in note for note in linear.notes)
+
+
+def test_a_polled_set_point_shortens_the_latency_by_half_a_period() -> None:
+    period, load, found = 0.016, Load(INERTIA), []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        sent_at = 0.001 * np.arange(20_000)
+        sent = steps(sent_at, rng)
+        angle = rollout(row(load)[None], sent_at, sent[:, None])[0, :, 0]
+        seen = np.arange(0, sent_at.size, 16)
+        position = angle[seen, None] + rng.normal(0, NOISE, (seen.size, 1))
+        polled = Recording(
+            "polled", "servo", ("j1",), sent_at[seen], sent[seen, None], position, {"j1": load}
+        )
+        found.append(s2r.identify(polled, BENCH, law="pd").joints["j1"].latency_s)
+    assert np.mean(found) == pytest.approx(LATENCY - period / 2, abs=0.002)
+
+
+def test_infinite_numbers_in_json(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    write_json(path, {"a": [np.inf, -np.inf, float("nan")], "b": {"c": (np.float64(np.inf), 1.5)}})
+    found = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert found == {"a": ["inf", "-inf", None], "b": {"c": ["inf", 1.5]}}
+    joint = replace(SERVO.joints["j1"], interval={"latency_s": (0.0, np.inf)})
+    model = Model(joints={"j1": joint}, fit={"j1.position_rad": {"train": np.inf}})
+    write_model(model, path)
+    assert json.loads(path.read_text())["joints"]["j1"]["interval"]["latency_s"] == [0.0, None]
+    assert read_model(path).joints["j1"].interval == joint.interval
+    assert read_model(path).fit == model.fit
+    path.write_text(json.dumps(MODEL | {"fit": {"j1.position_rad": {"train": "much"}}}))
+    message(lambda: read_model(path), "fit.j1.position_rad.train", "'much'")
