@@ -31,12 +31,12 @@ from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.differences import differences
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
-from sim.inference.calibrate import Calibrated, calibrate
+from sim.inference.calibrate import calibrate
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.parameters import law_parameters, servo_parameters
-from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
-from sim.view.calibration_plot import comparison
+from sim.inference.swims import by_twin, swim_of
+from sim.view.calibration_page import calibration_section
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
 from sim2real.commands.diagnose import write as write_servos
@@ -53,9 +53,10 @@ from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.drawing import svg
 from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import Figure, Note, Section, Table, write_page
+from sim2real.report.page import Figure, Note, Section, write_page
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
+from sim2real.report.style import NARROW
 from sim2real.report.table import fit_report
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.replay import Replay, replay
@@ -139,37 +140,12 @@ def _pool(options: argparse.Namespace) -> list[Section]:
     write_ranges(found.ranges, options.out / "ranges.json")
     told, plan = _ablated(options, robot, fitted.model, found)
     return [
-        _calibration(swim, model, fitted, twin, robot),
+        calibration_section(swim, model, fitted, twin, robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
         ranges_section(found),
         _ablation(told, plan),
         _swim(told, options, robot, fitted.model),
     ]
-
-
-def _calibration(
-    swim: Swim, model: Model, fitted: Calibrated, twin: Simulator, robot: Robot
-) -> Section:
-    """The figure that the paper shows, and the errors behind it."""
-    figure = svg(comparison(swim, model, fitted.model, twin, robot))
-    lead = (
-        "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin. "
-        "What no parameter of its body makes up for, the next section finds."
-    )
-    caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
-    units = [*UNITS, *("rad" for _ in robot.joints)]
-    rows = [
-        (
-            name,
-            f"{before:.3f}\n{unit}",
-            f"{after:.3f}\n{unit}",
-            f"{100 * (after / before - 1):+.0f} %",
-        )
-        for name, unit, (before, after) in zip(names, units, fitted.rmse.T, strict=True)
-    ]
-    header = ("held-out error", "before", "after", "")
-    return Section("Calibration", lead, [Figure(figure, caption), Table(header, rows)])
 
 
 def _ablated(
@@ -213,10 +189,11 @@ def _ablation(told: dict[str, Any], plan: Plan) -> Section:
         "swum in the fluid, the servo's is worth most by far (reports/ablation)."
     )
     apart = differences(told)
+    captions = ("", power(apart), "")
+    drawn = (return_figure(rows(told)), difference_figure(apart), way_figure(told))
     figures = [
-        Figure(svg(return_figure(rows(told)))),
-        Figure(svg(difference_figure(apart)), power(apart)),
-        Figure(svg(way_figure(told))),
+        Figure(svg(one), caption, svg(one, width=NARROW))
+        for one, caption in zip(drawn, captions, strict=True)
     ]
     lead = keeps({row["arm"]: row for row in rows(told)})
     return Section("A quick ablation", lead, [Note("info", note), *figures])

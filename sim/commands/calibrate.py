@@ -28,6 +28,7 @@ from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable, provenance
 from sim2real.recording import read_recording
 from sim2real.report.drawing import save_png
+from sim2real.report.quantity import change_text
 from sim2real.robot import Robot, read_robot
 
 
@@ -127,15 +128,11 @@ def table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
     lines.append("  held-out error            before     after")
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         before, after = found.rmse[:, k]
-        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {_fall(before, after)}"
+        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {change_text(before, after)}"
         if noise[k] > 0:
-            line += f"; beyond the noise of {noise[k]:.4f} {_fall(*beyond[:, k])}"
+            line += f"; beyond the noise of {noise[k]:.4f} {change_text(*beyond[:, k])}"
         lines.append(line)
     return "\n".join(lines)
-
-
-def _fall(before: float, after: float) -> str:
-    return f"{100 * (after / before - 1):+.0f} %" if before > 0 else "-"
 
 
 def with_figures(found: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:
