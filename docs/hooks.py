@@ -14,6 +14,7 @@ from latex2mathml.converter import convert
 
 ROOT = Path(__file__).resolve().parents[1]
 _EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+_FILE_LINK = re.compile(r"\[[^\]]*\]\((?!\w+:|#)([^)#\s]+)[^)]*\)")
 
 
 def on_page_content(content: str, **_: Any) -> str:  # noqa: ANN401 - MkDocs'
@@ -31,18 +32,36 @@ def on_page_markdown(markdown: str, **_: Any) -> str:  # noqa: ANN401 - MkDocs'
     if "{{commands}}" in markdown:
         markdown = markdown.replace("{{commands}}", commands())
     if "{{effects}}" in markdown:
-        listed = (ROOT / "sim2real" / "effects" / "README.md").read_text(encoding="utf-8")
-        markdown = markdown.replace("{{effects}}", listed.partition("\n")[2])
+        catalogue = ROOT / "sim2real" / "effects" / "README.md"
+        _title, _, body = catalogue.read_text(encoding="utf-8").partition("\n")
+        markdown = markdown.replace("{{effects}}", name_files(body, catalogue.parent))
     return markdown
 
 
+def name_files(markdown: str, folder: Path) -> str:
+    """Replace links to files of the repository, which no page links to, by their paths in it.
+
+    Args:
+        markdown: Text whose relative links start from ``folder``.
+        folder: A folder of the repository, absolute.
+
+    Raises:
+        FileNotFoundError: If a link leads to no file.
+    """
+
+    def path_in_repository(link: re.Match[str]) -> str:
+        return f"`{(folder / link[1]).resolve(strict=True).relative_to(ROOT)}`"
+
+    return _FILE_LINK.sub(path_in_repository, markdown)
+
+
 def commands() -> str:
-    """The help of every command, as the terminal shows it at 88 columns."""
+    """The help of every command, as a terminal of 80 columns shows it: what a page has room for."""
     import os
 
     from sim2real.cli import COMMANDS, parser
 
-    os.environ["COLUMNS"] = "88"
+    os.environ["COLUMNS"] = "80"
     (several,) = (a for a in parser()._actions if a.dest == "command")
     shown = []
     for name, (_home, said) in COMMANDS.items():

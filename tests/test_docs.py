@@ -15,6 +15,7 @@ shortened, in it.
 from __future__ import annotations
 
 import ast
+import importlib.util
 import os
 import re
 import shlex
@@ -278,3 +279,26 @@ def test_every_page_is_in_the_navigation():
     listed = set(re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
     written = {os.fspath(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
     assert listed == written
+
+
+def test_search_needs_no_network():
+    """Opened from a folder, a browser starts no worker: the site has its own stand-in for one."""
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert re.search(r"^ +- offline$", settings, re.M)
+    (script,) = re.findall(r"^ +polyfills: \[(\S+)\]", settings, re.M)
+    assert "iframe-worker" in script  # or the plugin would load one from the network
+    assert (ROOT / "docs" / script).is_file()
+
+
+def test_links_of_the_catalogue_become_paths_of_the_repository():
+    """The catalogue is written beside the code; the documentation has none of those files."""
+    spec = importlib.util.spec_from_file_location("hooks", ROOT / "docs" / "hooks.py")
+    pytest.importorskip("latex2mathml")
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    folder = ROOT / "sim2real" / "effects"
+    page = hooks.on_page_markdown("{{effects}}")
+    assert "`sim2real/servo/motor.py`" in page and not re.search(r"\]\((?!\w+:|#)", page)
+    assert hooks.name_files("[a](https://a.b/c) [d](#d)", folder) == "[a](https://a.b/c) [d](#d)"
+    with pytest.raises(FileNotFoundError):
+        hooks.name_files("[gone](../servo/gone.py)", folder)

@@ -30,11 +30,10 @@ from rl.experiments.ablation_report import (
 from rl.experiments.differences import differences
 from rl.experiments.pretrained import Pretrained, read_pretrained
 from sim.commands.diagnose import write_all
-from sim.inference.calibrate import Calibrated
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
-from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_twin, swim_of
-from sim.view.calibration_plot import comparison
+from sim.inference.swims import by_twin, swim_of
+from sim.view.calibration_page import calibration_section
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
 from sim2real.commands.identify import most_held_out
@@ -49,9 +48,10 @@ from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.drawing import svg
 from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import Block, Figure, Note, Section, Table, write_page
+from sim2real.report.page import Block, Figure, Note, Section, write_page
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
+from sim2real.report.style import NARROW
 from sim2real.report.table import fit_report
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.replay import Replay, replay
@@ -140,37 +140,12 @@ def _pool(options: argparse.Namespace, beside: Iterator[Done]) -> list[Section]:
     if drift > 1:
         print(f"note: {_drifted(drift)}")
     return [
-        _calibration(swim, pool.model, fitted, by_twin(robot), robot),
+        calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
         ranges_section(found),
         _ablation(told, agents, drift),
         _swim(told, options, robot, fitted.model),
     ]
-
-
-def _calibration(
-    swim: Swim, model: Model, fitted: Calibrated, twin: Simulator, robot: Robot
-) -> Section:
-    """The figure that the paper shows, and the errors behind it."""
-    figure = svg(comparison(swim, model, fitted.model, twin, robot))
-    lead = (
-        "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin. "
-        "What no parameter of its body makes up for, the next section finds."
-    )
-    caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
-    units = [*UNITS, *("rad" for _ in robot.joints)]
-    rows = [
-        (
-            name,
-            f"{before:.3f}\n{unit}",
-            f"{after:.3f}\n{unit}",
-            f"{100 * (after / before - 1):+.0f} %",
-        )
-        for name, unit, (before, after) in zip(names, units, fitted.rmse.T, strict=True)
-    ]
-    header = ("held-out error", "before", "after", "")
-    return Section("Calibration", lead, [Figure(figure, caption), Table(header, rows)])
 
 
 def _ablation_in(options: argparse.Namespace) -> Path:
@@ -210,10 +185,11 @@ def _ablation(told: dict[str, Any], agents: Pretrained | None, drift: float) -> 
     blocks: list[Block] = [Note("info", note)]
     if drift > 1:
         blocks.append(Note("warn", _drifted(drift)[0].upper() + _drifted(drift)[1:] + "."))
+    captions = ("", power(apart), "")
+    drawn = (return_figure(rows(told)), difference_figure(apart), way_figure(told))
     figures = [
-        Figure(svg(return_figure(rows(told)))),
-        Figure(svg(difference_figure(apart)), power(apart)),
-        Figure(svg(way_figure(told))),
+        Figure(svg(one), caption, svg(one, width=NARROW))
+        for one, caption in zip(drawn, captions, strict=True)
     ]
     lead = keeps({row["arm"]: row for row in rows(told)})
     return Section("A quick ablation", lead, [*blocks, *figures])

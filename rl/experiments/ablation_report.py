@@ -108,8 +108,6 @@ def _mean(testbed: Mapping[str, Any]) -> str:
 
 def sections(found: Found, plan: Plan) -> list[Section]:
     """What the page says."""
-    from sim2real.report.drawing import svg
-
     table = rows(found)
     by = {row["arm"]: row for row in table}
     cells = [
@@ -138,7 +136,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     returns = Section(
         "What each technique is worth",
         keeps(by),
-        [Picture(svg(return_figure(table))), Table(header, cells, caption=note)],
+        [_picture(return_figure(table)), Table(header, cells, caption=note)],
     )
     told = differences(found)
     notes: list[Block] = [
@@ -146,7 +144,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         for arm, one in told.items()
     ]
     if told:
-        notes.insert(0, Picture(svg(difference_figure(told))))
+        notes.insert(0, _picture(difference_figure(told)))
         notes += [Note("info", power(told)), Note("info", floored(found))]
     if not any(row["reality"]["success"] for row in table):
         said = "No arm reached the target in reality: returns compare how far and how cheaply they "
@@ -154,7 +152,7 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     ways = Section(
         "The turns",
         "Ways of the head in reality: two turns of each agent.",
-        [Picture(svg(way_figure(found)))],
+        [_picture(way_figure(found))],
     )
     how = Text(
         f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
@@ -168,6 +166,14 @@ def sections(found: Found, plan: Plan) -> list[Section]:
         ways,
         Section("How", "", [how]),
     ]
+
+
+def _picture(figure: Figure) -> Picture:
+    """A figure for a page, and its layout for a phone."""
+    from sim2real.report.drawing import svg
+    from sim2real.report.style import NARROW
+
+    return Picture(svg(figure), narrow=svg(figure, width=NARROW))
 
 
 _DIFFERENCES = (
@@ -233,7 +239,7 @@ def difference_figure(told: Mapping[str, Difference]) -> Figure:
         axes.set_yticks(range(len(told)), [TITLES[arm] for arm in told])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("return of all techniques less this arm's, in reality")
+        axes.set_xlabel("return of all techniques\nless this arm's, in reality")
     return figure
 
 
@@ -266,7 +272,9 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
         axes.invert_yaxis()
         axes.grid(axis="x")
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("discounted return of a 180 degree turn with the target 1.5 m behind")
+        axes.set_xlabel(
+            "discounted return of a 180 degree turn\nwith the target 1.5 m behind", loc="right"
+        )
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 

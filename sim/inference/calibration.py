@@ -18,6 +18,7 @@ from sim2real.model import Model
 from sim2real.progress import progress_bar
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Section, Table
+from sim2real.report.quantity import change_text
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:
@@ -164,9 +165,9 @@ def _table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
     lines.append("  held-out error            before     after")
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         before, after = found.rmse[:, k]
-        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {_change(before, after)}"
+        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {change_text(before, after)}"
         if noise[k] > 0:
-            line += f"; beyond the noise of {noise[k]:.4f} {_change(*beyond[:, k])}"
+            line += f"; beyond the noise of {noise[k]:.4f} {change_text(*beyond[:, k])}"
         lines.append(line)
     return "\n".join(lines)
 
@@ -189,10 +190,6 @@ def _calibration(calibration: Calibration) -> Section:
         Table(("signal", "held-out RMSE before", "after", "unit"), errors),
     )
     return Section("Calibration", "", blocks)
-
-
-def _change(before: float, after: float) -> str:
-    return f"{100 * (after / before - 1):+.0f} %" if before > 0 else "-"
 
 
 def _with_errors(found: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:

@@ -12,6 +12,8 @@ from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival
 from sim2real.model import Model
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.report.quantity import change_text
+from sim2real.report.style import NARROW
 from sim2real.robot import Robot
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
@@ -67,8 +69,7 @@ def swims_section(
         for fit in (found.baseline_fit, found.enriched_fit)
     )
     errors = [
-        (name, f"{x:.4g}", f"{now[name]:.4g}", f"{100 * (now[name] / x - 1):+.0f} %" if x else "")
-        for name, x in was.items()
+        (name, f"{x:.4g}", f"{now[name]:.4g}", change_text(x, now[name])) for name, x in was.items()
     ]
     caption = "Root mean square error at the end of the swims, fitted to what is before; SI units."
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, caption))
@@ -92,4 +93,4 @@ def _drawn(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot
         label="with what is named", held_out=0.0,
     )  # fmt: skip
     said = "measured, and simulated before and after; both models were fitted to all of it"
-    return Figure(svg(figure), f"{swim.name}: {said}.")
+    return Figure(svg(figure), f"{swim.name}: {said}.", svg(figure, width=NARROW))

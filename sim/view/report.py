@@ -10,6 +10,9 @@ from sim2real.report.page import Block, Figure, Section, Table, Text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+_MARKED = 40
+"""Points from which on a curve is a line without marks."""
+
 
 def cases_section(case: Case, seconds: float) -> Section:
     """What was reached beside what is published, and the curves."""
@@ -26,32 +29,37 @@ def cases_section(case: Case, seconds: float) -> Section:
     ]
     header = ("", "ours", "published", "error", "bar", "")
     blocks: list[Block] = [Table(header, rows, caption=f"Source: {case.source}.")]
-    blocks += [Figure(_svg(curve), caption=curve.title) for curve in case.curves]
+    blocks += [_picture(curve) for curve in case.curves]
     blocks.append(Text(f"{case.setup}; {seconds:.0f} s."))
     met = sum(figure.met for figure in case.figures)
     return Section(case.title, f"{met} of {len(case.figures)} figures within their bars.", blocks)
 
 
-def _svg(curve: Curve) -> str:
+def _picture(curve: Curve) -> Figure:
     from sim2real.report.drawing import svg
+    from sim2real.report.style import NARROW
 
-    return svg(_drawn(curve))
+    drawing = curve_figure(curve)
+    return Figure(svg(drawing), curve.title, svg(drawing, width=NARROW))
 
 
-def _drawn(curve: Curve) -> Drawing:
+def curve_figure(curve: Curve) -> Drawing:
+    """Draw our curve and the published one; marks at the ends of an axis are drawn whole."""
     from sim2real.report.style import ACCENT, INK, house_style, new_figure
 
     with house_style():
         figure = new_figure(260, curve.title)
         axes = figure.subplots()
-        style = "o-" if curve.x.size < 40 else "-"
-        axes.plot(curve.x, curve.y, style, color=INK, markersize=4, label="ours")
+        many = curve.x.size >= _MARKED
+        axes.plot(curve.x, curve.y, "-" if many else "o-", color=INK, markersize=4, label="ours")
         if curve.reference_x.size:
+            marked = curve.reference_x.size < _MARKED
             axes.plot(
-                curve.reference_x, curve.reference_y, "o", color=ACCENT, markersize=5,
-                fillstyle="none", label="published",
+                curve.reference_x, curve.reference_y, "o" if marked else "-", color=ACCENT,
+                markersize=5, fillstyle="none", label="published",
             )  # fmt: skip
-            axes.legend(frameon=False)
+            figure.legend(loc="outside upper right", ncols=2)
+        axes.margins(x=0.02)
         axes.set_xlabel(curve.x_label)
-        axes.set_ylabel(curve.y_label)
+        axes.set_title(curve.y_label)
     return figure

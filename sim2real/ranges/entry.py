@@ -12,6 +12,8 @@ from sim2real.output import write_json
 from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.ranges/1"
+_ALL_DIGITS = 17
+"""Digits at which two different numbers always read differently."""
 
 Period = Literal["episode", "step"]
 
@@ -42,6 +44,25 @@ class Range:
     unit: str
     period: Period
     source: str
+
+    @property
+    def constant(self) -> bool:
+        """Whether every draw is the same: nothing says how far the number may be off."""
+        return self.distribution == "uniform" and self.first == self.second
+
+    def numbers(self, digits: int) -> str:
+        """Low and high, or mean and standard deviation, without the unit.
+
+        Args:
+            digits: Significant digits; there are more where two ends would read the same.
+        """
+        if self.constant:
+            return f"{self.first:.{digits}g}"
+        if self.distribution == "normal":
+            return f"{self.first:.{digits}g} ± {self.second:.{digits}g}"
+        while f"{self.first:.{digits}g}" == f"{self.second:.{digits}g}" and digits < _ALL_DIGITS:
+            digits += 1
+        return f"{self.first:.{digits}g} to {self.second:.{digits}g}"
 
     def content(self) -> dict[str, Any]:
         """The entry as it stands in the file."""
@@ -96,9 +117,9 @@ class Ranges(NotebookDisplay):
         width = max((len(entry.parameter) for entry in self.entries), default=0)
         lines = []
         for entry in self.entries:
-            between = " to " if entry.distribution == "uniform" else " ± "
-            numbers = f"{entry.first:.4g}{between}{entry.second:.4g} {entry.unit}".rstrip()
-            kind = f"{entry.distribution:<7}  {entry.period:<7}"
+            numbers = f"{entry.numbers(4)} {entry.unit}".rstrip()
+            shape = "fixed" if entry.constant else entry.distribution
+            kind = f"{shape:<7}  {entry.period:<7}"
             lines.append(f"{entry.parameter:<{width}}  {kind}  {numbers}")
         return "\n".join([*lines, *(f"  ! {note}" for note in self.notes)])
 

@@ -21,13 +21,16 @@ Fit = tuple[Recording, str, Array, NDArray[np.bool_] | None]
 
 _LEAD = (
     "Each servo is a spring and a damper that pull towards the command, a moment late: torque = "
-    "kp\u00a0(command\u00a0−\u00a0position)\u00a0−\u00a0kd\u00a0velocity, where the command is the "
+    "kp\u00a0(command\u00a0− position) − kd\u00a0velocity, where the command is the "
     "one sent a latency ago."
 )
 _TABLE = (
     "Estimates, and below each its 90 % interval. RMSE is the root mean square error on samples "
     "held out."
 )
+_MOTOR = "The motor behind each servo: estimates, and below each its 90 % interval."
+_GAINS = 4
+"""kp, kd, latency and inertia lead the quantities of a joint; its motor's follow."""
 _PARAMETERS = "Estimate and 90 % interval. An arrow: the interval goes on, or has no end."
 _FIT = (
     "{joint} in {recording}. Above, the whole recording{shaded}; in the middle, what the model "
@@ -43,7 +46,10 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
         fits: For each figure the recording, the joint, its predicted position in rad, shape (T,),
             and which samples were held out, shape (T,).
     """
-    blocks: list[Block] = [_parameter_table(model), *(Note("warn", note) for note in model.notes)]
+    blocks: list[Block] = [_parameter_table(model)]
+    if any(joint.motor for joint in model.joints.values()):
+        blocks.append(_motor_table(model))
+    blocks += [Note("warn", note) for note in model.notes]
     drawing = parameter_figure(model)
     blocks.append(Figure(svg(drawing), _PARAMETERS, svg(drawing, width=NARROW)))
     for name, joint in model.joints.items():
@@ -53,7 +59,7 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
 
 
 def _parameter_table(model: Model) -> Table:
-    known = {name: quantities(joint) for name, joint in model.joints.items()}
+    known = {name: quantities(joint)[:_GAINS] for name, joint in model.joints.items()}
     columns = list(zip(*known.values(), strict=True))
     # A unit that all joints share stands in the header: a phone is narrow.
     shared = [len({quantity.unit for quantity in column}) == 1 for column in columns]
@@ -69,6 +75,23 @@ def _parameter_table(model: Model) -> Table:
         for name, row in known.items()
     ]
     return Table((*header, "RMSE\nmrad"), rows, _TABLE)
+
+
+def _motor_table(model: Model) -> Table:
+    """A row a parameter, a column a joint: motors have many parameters, robots few joints."""
+    motors = [
+        {quantity.name: quantity for quantity in quantities(joint)[_GAINS:]}
+        for joint in model.joints.values()
+    ]
+    units = {name: quantity.unit for motor in motors for name, quantity in motor.items()}
+    rows = [
+        (
+            f"{name}\n{unit}" if unit else name,
+            *(_cell(motor[name], with_unit=False) if name in motor else "–" for motor in motors),
+        )
+        for name, unit in units.items()
+    ]
+    return Table(("motor", *model.joints), rows, _MOTOR)
 
 
 def _cell(quantity: Quantity, *, with_unit: bool) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.output import write_whole
+from sim2real.report.cell import breakable, is_number, letters, prose
 from sim2real.report.extra import report_libraries
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 _FOLDER = Path(__file__).parent
 _HASH_LETTERS = 12
+_PHONE_LETTERS = 50
+"""Letters of a table's text, with the gaps between columns, that a phone shows on one line."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,28 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """For each column whether it holds numbers, which stand right-aligned."""
-        columns = [[row[k] for row in self.rows] for k in range(len(self.header))]
-        return tuple(any(column) and all(map(_is_number, column)) for column in columns)
+        """For each column whether it holds numbers, which stand right-aligned.
+
+        The first column names its row: it is one of numbers only if they stand alone.
+        """
+        return tuple(
+            any(column) and all(is_number(cell, alone=k == 0) for cell in column)
+            for k, column in enumerate(self._columns)
+        )
+
+    @property
+    def stacked(self) -> bool:
+        """Whether the columns are too wide to stand side by side on a phone.
+
+        A phone then shows each row as a list, every cell after its column's title.
+        """
+        columns = zip(self.header, self._columns, self.numeric, strict=True)
+        needed = sum(letters(title, cells, numeric=numeric) for title, cells, numeric in columns)
+        return needed > _PHONE_LETTERS
+
+    @property
+    def _columns(self) -> list[list[str]]:
+        return [[row[k] for row in self.rows] for k in range(len(self.header))]
 
 
 @dataclass(frozen=True)
@@ -65,7 +87,8 @@ class Figure:
     Attributes:
         svg: The figure.
         caption: What it shows.
-        narrow: The same figure laid out for a phone, if there is one.
+        narrow: The same figure laid out for a phone; without one, a phone scrolls the figure
+            sideways at a size that can be read.
     """
 
     svg: str
@@ -172,7 +195,9 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["kind"] = lambda block: type(block).__name__
+    environment.globals.update(
+        kind=lambda block: type(block).__name__, prose=prose, breakable=breakable
+    )
     return environment.get_template("page.html")
 
 
@@ -192,8 +217,3 @@ def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
         ),
     ]
     return [(label, lines) for label, lines in parts if any(lines)]
-
-
-def _is_number(cell: str) -> bool:
-    first = cell.partition("\n")[0].strip()
-    return not first or first[0].isdigit() or first[0] in "+-−±∞<>≥≤.–—"

@@ -134,6 +134,14 @@ def effect_text(
     return printable(f"{effect.effect} ({'; '.join(parameters)})" if parameters else effect.effect)
 
 
+def change_text(before: float, after: float) -> str:
+    """By how much a number grew or fell: ``"-52 %"``, ``"+120 %"``; a dash if it was nothing."""
+    if not before > 0:
+        return "-"
+    percent = round(100 * (after / before - 1))
+    return f"{percent:+d} %" if percent else "0 %"
+
+
 def milliradians(angle_rad: float | None) -> str:
     """An angle as ``"4.1 mrad"``; a dash where there is none."""
     if angle_rad is None or not math.isfinite(angle_rad):

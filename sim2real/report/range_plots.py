@@ -37,7 +37,7 @@ def density_figure(density: Density) -> Figure:
         for x, y, name in zip(middle, density.value, density.links, strict=True):
             label = f"{printable(name)}\n{y:.3f}"
             axes.text(x, y / 2, label, ha="center", va="center", color=INK)
-        axes.set_title("normalised density; the dashed line is the whole robot's")
+        axes.set_title("normalised density; dashed: whole robot")
         axes.set_xlabel("from the nose, m")
         axes.set_ylim(0, 1.15 * float(density.value.max()))
         axes.set_xlim(0, float(ends[-1]))
@@ -75,6 +75,6 @@ def predictive_figure(check: Check, joint: str) -> Figure:
         axes.fill_between(t, low, high, color=ACCENT, alpha=0.16, linewidth=0)
         off = 1e3 * (check.measured[part] - middle)
         axes.plot(*drawable(t, off), color=INK, linewidth=0.7)
-        axes.set_title("measured − predicted, mrad; band: 95 % of predictions")
+        axes.set_title("measured − predicted, mrad; band: 95 %")
         axes.set_xlabel("time, s")
     return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from sim2real.posterior.check import LEVELS
 from sim2real.posterior.convergence import LEAST_TIMES
-from sim2real.ranges.entry import Range
 from sim2real.ranges.gather import Gathered
 from sim2real.report.corner_plot import corner_figure
 from sim2real.report.drawing import svg
@@ -20,7 +19,8 @@ _LEAD = (
 )
 _TABLE = (
     "What each parameter is drawn from: low to high of a uniform distribution, or mean ± standard "
-    "deviation of a normal one; once an episode, or anew at every step."
+    "deviation of a normal one; once an episode, or anew at every step. Fixed: the model "
+    "has a value but no interval."
 )
 _LATENCY = (
     "Latency of the commands in each {what}, with two standard errors, all joints together. The "
@@ -51,8 +51,8 @@ def ranges_section(found: Gathered) -> Section:
     rows = [
         (
             printable(entry.parameter),
-            f"{_numbers(entry)}\n{entry.unit}",
-            f"{entry.distribution}\nper {entry.period}",
+            f"{entry.numbers(3 if entry.distribution == 'normal' else 5)}\n{entry.unit}",
+            "fixed" if entry.constant else f"{entry.distribution}\nper {entry.period}",
             printable(entry.source),
         )
         for entry in found.ranges.entries
@@ -127,9 +127,3 @@ def _predictive(found: Gathered, joint: str) -> list[Block]:
         Note("good" if check.holds else "warn", text),
         Figure(svg(drawn), caption, svg(drawn, width=NARROW)),
     ]
-
-
-def _numbers(entry: Range) -> str:
-    if entry.distribution == "uniform":
-        return f"{entry.first:.5g} to {entry.second:.5g}"
-    return f"{entry.first:.3g} ± {entry.second:.3g}"

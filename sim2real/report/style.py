@@ -48,7 +48,7 @@ STYLE: dict[Any, Any] = {
     "axes.facecolor": "none",
     "figure.facecolor": PAPER,
     "figure.constrained_layout.h_pad": 0.1,
-    "figure.constrained_layout.w_pad": 0.0,
+    "figure.constrained_layout.w_pad": 0.04,  # fonts of browsers are a little wider
     "figure.constrained_layout.wspace": 0.05,
     "grid.color": RULE,
     "grid.linewidth": 0.6,

@@ -49,3 +49,18 @@ def test_a_spoilt_file(tmp_path, field, value, where):
     with pytest.raises(InputError) as error:
         read_ranges(tmp_path / "ranges.json")
     assert error.value.where == where
+
+
+def test_two_different_ends_never_read_the_same():
+    near = uniform("j1.kp_Nm_per_rad", 2.1, 2.1 * (1 + 1e-9), "N m/rad", "a fit")
+    low, high = near.numbers(4).split(" to ")
+    assert low != high and float(low) == pytest.approx(2.1)
+    assert uniform("a", 0.0676, 0.0679, "s", "").numbers(4) == "0.0676 to 0.0679"
+    assert normal("a", 0.0, 0.00199, "m", "").numbers(3) == "0 ± 0.00199"
+
+
+def test_a_range_of_no_width_is_a_fixed_number():
+    fixed = uniform("j1.kp_Nm_per_rad", 2.1, 2.1, "N m/rad", "the model")
+    assert fixed.constant and fixed.numbers(4) == "2.1"
+    assert "fixed" in str(Ranges([fixed])) and "2.1 to" not in str(Ranges([fixed]))
+    assert not normal("a", 2.1, 2.1, "", "").constant

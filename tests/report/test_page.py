@@ -12,6 +12,7 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.report import Figure, Note, Section, Table, Text, identification_section, write_page
 from sim2real.report.page import Film, render_page
+from sim2real.report.quantity import change_text
 from sim2real.report.response import describe_response, step_response
 
 EVIL = "<script>alert(1)</script>"
@@ -21,7 +22,7 @@ PROVENANCE = {
     "versions": {"python": "3.11"},
     "inputs": {"/somewhere/steps.csv": "0123456789abcdef" * 4},
 }
-VOID = {"meta", "link", "br"}
+VOID = {"meta", "link", "br", "wbr"}
 
 
 class Page(HTMLParser):
@@ -219,3 +220,69 @@ def test_words_for_how_it_settles():
     assert "overshoots a step by" in words(2.0, 0.06)
     assert "does not overshoot" in words(2.0, 1.0)
     assert "does not follow" in words(0.0, 0.06)
+
+
+def test_a_first_column_of_names_is_text_even_if_they_begin_with_a_digit():
+    rows = [("2D-1 drag coefficient", "5.6592", "1.43 %"), ("1 joint: boxes stopped", "0", "–")]
+    assert Table(("", "ours", "error"), rows).numeric == (False, True, True)
+    assert Table(("cells", "error"), [("96", "18 %"), ("192", "7.5 %")]).numeric == (True, True)
+    units = [("kp", "0.0304 N m/(rad s)"), ("gap", "0.733° per N m"), ("limit", "3.55e+04 rad/s²")]
+    assert Table(("", "j1"), units).numeric == (False, True)
+
+
+def test_a_table_too_wide_for_a_phone_is_stacked_there_with_every_title():
+    small = Table(("recording", "rate\nHz"), [("steps", "50.0")])
+    wide = Table(
+        ("parameter", "range", "drawn", "from"),
+        [("command_latency_s", "0.0676 to 0.0679\ns", "uniform\nper episode", "15 windows")],
+    )
+    assert not small.stacked and wide.stacked
+    page = Page(render_page("t", "", [Section("s", "", [small, wide])], {}))
+    titles = [value for name, value in page.attributes if name == "data-title"]
+    assert titles == ["range", "drawn", "from"]
+    phone = re.search(r"@media screen and \(max-width.*?\n}", page_css(), re.S)[0]
+    assert "attr(data-title)" in phone and ".stacked thead { display: none; }" in phone
+
+
+def page_css():
+    return render_page("t", "", [], {}).partition("<style>")[2].partition("</style>")[0]
+
+
+def test_what_is_wide_scrolls_inside_its_own_box():
+    one = Figure("<svg></svg>", narrow="<svg></svg>")
+    blocks = [Table(("a",), [("1",)]), Figure("<svg></svg>"), one]
+    page = render_page("t", "", [Section("s", "", blocks)], {})
+    assert re.search(r'<div class="scroll">\s*<table', page)
+    assert page.count('<div class="scroll"><svg>') == 1  # the one without a layout for a phone
+    assert page.count('<div class="wide"><svg>') == page.count('<div class="narrow"><svg>') == 1
+    css = page_css()
+    assert re.search(r"\.scroll \{\s*overflow-x: auto", css)
+    assert re.search(r"\.drawing svg \{[^}]*width: 100%", css)
+
+
+def test_long_names_may_break_and_units_and_numbers_do_not():
+    digest = "0123456789abcdef" * 4
+    cells = ("command_latency_s", "0.0676 rad/s", digest, "98.4 %")
+    page = render_page("t", "", [Section("s", "", [Table(("",) * 4, [cells])])], {})
+    assert "command_<wbr>latency_s" in page or "command_<wbr>latency_<wbr>s" in page
+    assert "0.0676 rad/s" in page and digest not in page
+    assert digest in page.replace("<wbr>", "") and "98.4\N{NO-BREAK SPACE}%" in page
+
+
+def test_motors_of_different_kinds_share_a_table(bench):
+    one = bench.model.joints["j1"]
+    other = replace(one, motor={"stall_torque_Nm": 1.6, "loop_period_s": 0.01})
+    section = identification_section(Model({"a": one, "b": other, "c": other}), [])
+    gains, motor = (block for block in section.blocks if isinstance(block, Table))
+    assert len(gains.header) == 6 and [row[0] for row in gains.rows] == ["a", "b", "c"]
+    assert motor.header == ("motor", "a", "b", "c")
+    assert [row[0] for row in motor.rows] == ["stall torque\nN m", "loop period\ns"]
+    assert [row[1] for row in motor.rows] == ["–", "–"]
+    assert motor.rows[0][2].startswith("1.6")
+
+
+def test_a_change_is_never_minus_nothing():
+    assert [change_text(1.0, x) for x in (0.48, 2.2, 0.999, 1.0)] == ["-52 %", "+120 %"] + [
+        "0 %"
+    ] * 2
+    assert change_text(0.0, 1.0) == "-"

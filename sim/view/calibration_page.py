@@ -1,0 +1,163 @@
+"""A calibration of the body as a section of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.inference.calibrate import Calibrated
+from sim.inference.problem import HELD_OUT_SHARE
+from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim.view.calibration_plot import comparison
+from sim2real.model import Model
+from sim2real.report.drawing import svg
+from sim2real.report.page import Figure, Note, Section, Table
+from sim2real.report.quantity import change_text
+from sim2real.report.style import NARROW
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+_WORSE = 0.05
+"""Rise of a held-out error, as a share of it, from which on the page comments on it."""
+_OFFSET = 0.5
+"""Share of the mean square error from which on a constant offset is its main part."""
+_TABLE = (
+    "Root mean square error on the held-out part of the swim, beside the size (root mean square) "
+    "of the measured signal there; and how the error changed on the part that was fitted."
+)
+
+
+@dataclass(frozen=True)
+class SignalError:
+    """How well one signal of a swim is simulated before and after a calibration.
+
+    Attributes:
+        name: The signal.
+        unit: Its unit.
+        held_out: Root mean square error on the held-out part, before and after.
+        fitted: The same on the fitted part.
+        size: Root mean square of what was measured on the held-out part.
+        offset: Mean error on the held-out part after the calibration.
+    """
+
+    name: str
+    unit: str
+    held_out: tuple[float, float]
+    fitted: tuple[float, float]
+    size: float
+    offset: float
+
+    @property
+    def comment(self) -> str:
+        """Why the held-out error rose, as far as its numbers tell; empty if it hardly did."""
+        before, after = self.held_out
+        if after <= (1 + _WORSE) * before:
+            return ""
+        change = change_text(*self.fitted)
+        improved = self.fitted[1] < self.fitted[0]
+        return " ".join(
+            [
+                f"{self.name}: the held-out error rises from {before:.3f} to {after:.3f} "
+                f"{self.unit}, {100 * after / self.size:.0f} % of the signal's size.",
+                f"On the fitted part it changes by {change}: "
+                + (
+                    "what the fit gained there does not carry over to the held-out motion."
+                    if improved
+                    else "the fit, which weighs all signals together, gave up some of this one for "
+                    "the others."
+                ),
+                self._kind,
+            ]
+        )
+
+    @property
+    def _kind(self) -> str:
+        share = (self.offset / self.held_out[1]) ** 2
+        part = f"A constant offset of {self.offset:+.3f} {self.unit} is {100 * share:.0f} % of it"
+        if share >= _OFFSET:
+            return f"{part} (of the mean square): a slow drift, not the beat of the tail."
+        return f"{part} (of the mean square): most of it varies with the motion."
+
+
+def signal_errors(
+    swim: Swim,
+    found: Calibrated,
+    simulator: Simulator,
+    robot: Robot,
+    held_out: float = HELD_OUT_SHARE,
+) -> list[SignalError]:
+    """The errors of every signal of a swim that a model was calibrated to.
+
+    Args:
+        swim: What was fitted, its end held out.
+        found: The calibration, of this swim alone.
+        simulator: What it was calibrated in.
+        robot: The robot.
+        held_out: Share of the swim at its end that was held out.
+    """
+    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
+    units = [*UNITS, *("rad" for _ in robot.joints)]
+    first = round(swim.t.size * (1 - held_out))
+    (after,) = simulated(swim, [found.model], simulator)
+    offset = np.nanmean((after - swim.signals)[first:], axis=0)
+    size = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
+    return [
+        SignalError(
+            name=name,
+            unit=units[k],
+            held_out=(float(found.rmse[0, k]), float(found.rmse[1, k])),
+            fitted=(float(found.train[0, k]), float(found.train[1, k])),
+            size=float(size[k]),
+            offset=float(offset[k]),
+        )
+        for k, name in enumerate(names)
+    ]
+
+
+def calibration_section(
+    swim: Swim, before: Model, found: Calibrated, simulator: Simulator, robot: Robot
+) -> Section:
+    """The swim as measured and simulated before and after, the errors, and why some of them grow.
+
+    Args:
+        swim: What was fitted, its end held out.
+        before: The model that the calibration began with.
+        found: The calibration.
+        simulator: What it was calibrated in.
+        robot: The robot.
+    """
+    lead = (
+        "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin. "
+        "What no parameter of its body makes up for, the next section finds."
+    )
+    figure = comparison(swim, before, found.model, simulator, robot)
+    caption = f"{swim.name}: measured (simulated with other physics), before and after."
+    errors = signal_errors(swim, found, simulator, robot)
+    return Section(
+        "Calibration",
+        lead,
+        [
+            Figure(svg(figure), caption, svg(figure, width=NARROW)),
+            _table(errors),
+            *(Note("info", error.comment) for error in errors if error.comment),
+        ],
+    )
+
+
+def _table(errors: Sequence[SignalError]) -> Table:
+    rows = [
+        (
+            f"{error.name}\n{error.unit}",
+            f"{error.size:.3f}",
+            *(f"{x:.3f}" for x in error.held_out),
+            change_text(*error.held_out),
+            change_text(*error.fitted),
+        )
+        for error in errors
+    ]
+    header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
+    return Table(header, rows, _TABLE)
