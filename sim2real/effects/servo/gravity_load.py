@@ -10,6 +10,7 @@ gain; another gain or supply tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import sine
 
 
 @wp.func
@@ -26,7 +27,7 @@ def pendulum(
     s: int,
 ) -> wp.float64:
     """Torque on the shaft in N m."""
-    return x - p[c] * wp.sin(q)
+    return x - p[c] * sine(q)
 
 
 EFFECT = Effect(

@@ -10,6 +10,7 @@ which it contains; only motion below ``velocity_rad_s`` tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 
 
 @wp.func
@@ -29,7 +30,7 @@ def bound(
     bound = p[c]
     if p[c + 2] > wp.float64(0.0):
         slow = v / p[c + 2]
-        bound += (p[c + 1] - p[c]) * wp.exp(-slow * slow)
+        bound += (p[c + 1] - p[c]) * decay(slow * slow)
     return x + bound
 
 
