@@ -54,12 +54,12 @@ def sampled(motor: MotorFit) -> MotorFit | None:
         return None
     rates = _rates(sent + delay, spread)
     coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread) for hz in rates])
-    loss = motor.losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
+    loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
     near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
     found = refitted(motor, near, _STEPS)[0]
     for _ in range(_ROUNDS):
         fine = np.concatenate([found.x[None], _nearby(found)])
-        found = refitted(found, fine[np.argsort(found.losses(fine))[:_BEST]])[0]
+        found = refitted(found, fine[np.argsort(found.rough_losses(fine))[:_BEST]])[0]
     return found
 
 

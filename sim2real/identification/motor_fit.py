@@ -64,6 +64,11 @@ class _Problem:
         rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
         return rows
 
+    @property
+    def coarse(self) -> _Problem:
+        """The same with longer sub-steps, for what is far from a minimum yet."""
+        return replace(self, substep_s=min(_LONGEST_S, _COARSER * self.substep_s))
+
     def residuals(self, x: Array) -> Array:
         """Simulated minus measured angles of all traces, shape (B, n)."""
         return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
@@ -167,8 +172,14 @@ class MotorFit:
 
     def losses(self, x: Array) -> Array:
         """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
-        error = self.problem.residuals(x)
-        return _loss(self.problem, x, error, self.fit.scale_rad, self.inflation)
+        return self._losses(self.problem, x)
+
+    def rough_losses(self, x: Array) -> Array:
+        """The same with longer sub-steps: to choose among servos where a search may begin."""
+        return self._losses(self.problem.coarse, x)
+
+    def _losses(self, problem: _Problem, x: Array) -> Array:
+        return _loss(problem, x, problem.residuals(x), self.fit.scale_rad, self.inflation)
 
     def loss_at(self, scale_rad: float, inflation: float) -> float:
         """The loss for residuals of another scale and correlation."""
@@ -223,14 +234,13 @@ def fit_motor(
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation, loss = 1.0, 1.0, np.zeros(x.shape[0])
-    coarse = replace(problem, substep_s=min(_LONGEST_S, _COARSER * substep))
     for number in range(_ROUNDS):
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
         if number:
             x, loss = _descend(problem, x, scale, inflation, _LATER)
         else:
-            x, loss = _descend(coarse, x, scale, inflation, _FIRST)
+            x, loss = _descend(problem.coarse, x, scale, inflation, _FIRST)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
