@@ -94,9 +94,19 @@ def search(
     if again:
         selection.select(problem, again, selection.Breadth(most=1))
     problem.singles = False
-    selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.5 * share))
+    selection.select(
+        problem,
+        ledgers,
+        BREADTH,
+        lambda share: progress(0.4 + 0.5 * share),
+        exhausted=problem.exhausted,
+    )
     if noise is not None:
-        selection.select(problem, beside_rivals(problem, ledgers, large, DECISION.surely), BREADTH)
+        going = [k for k, one in enumerate(ledgers) if not problem.exhausted(one)]
+        again = beside_rivals(
+            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.surely
+        )
+        selection.select(problem, again, BREADTH, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem
 
@@ -132,6 +142,9 @@ class ServoSearch:
         """Effects of each case that stay as they are."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
+        self.unfinished: set[int] = set()
+        """Cases whose search was ended by its budget, ``DECISION.search_substeps``."""
+        self._spent_before = batch.substeps.copy()
         self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
     def seen(self, ledger: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
@@ -268,6 +281,16 @@ class ServoSearch:
         """
         gain, limit = self.left(ledger, members)
         return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
+
+    def exhausted(self, ledger: Tried) -> bool:
+        """Whether a case that would be searched further has spent its budget; noted down if so.
+
+        The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
+        """
+        spent = self.batch.substeps[ledger.case] - self._spent_before[ledger.case]
+        if spent > DECISION.search_substeps:
+            self.unfinished.add(ledger.case)
+        return ledger.case in self.unfinished
 
     def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
         """Largest gain that an effect would still make, and what chance would make.

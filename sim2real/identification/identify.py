@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,9 @@ from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace, shows_inertia, split, traces
 
 Array = NDArray[np.float64]
+
+_SIDE_BY_SIDE = 2
+"""Joints fitted at once: one fills the processor while the other prepares its next rollouts."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +90,18 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    rng = np.random.default_rng(seed)
+    # Each joint has random numbers of its own, so that joints can be fitted side by side.
+    streams = dict(zip(moving, np.random.default_rng(seed).spawn(len(moving)), strict=True))
     servos = {joint: _servo(robot, joint, law) for joint in moving}
     types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
     def one(joint: str, known: ServoType | None) -> JointResult:
         given = traces(recordings, joint)
-        return _identify_joint(given, held_out, wanted, rng, servos[joint], known)
+        return _identify_joint(given, held_out, wanted, streams[joint], servos[joint], known)
 
-    results = {joint: one(joint, types.get(joint)) for joint in progress(moving)}
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
+        running = {joint: pool.submit(one, joint, types.get(joint)) for joint in moving}
+        results = {joint: running[joint].result() for joint in progress(moving)}
     if together:
         told = {joint: _told_by_others(joint, servos, results) for joint in moving}
         for joint, known in told.items():

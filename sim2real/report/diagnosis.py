@@ -92,6 +92,8 @@ _DOUBT = (
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """What is missing, in words, numbers and figures."""
     blocks: list[Block] = [_verdict(diagnosis)]
+    if diagnosis.unfinished:
+        blocks.append(Note("warn", diagnosis.search_ended))
     most = 1.0
     if diagnosis.effects and diagnosis.false_discovery_rate > _DOUBTFUL:
         blocks.append(Note("warn", _DOUBT.format(rate=sure(diagnosis.false_discovery_rate))))

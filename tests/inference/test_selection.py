@@ -117,3 +117,14 @@ def test_what_is_not_needed_is_pruned():
     assert set(adds) == set("bdf") and min(adds.values()) > 10
     nothing, adds = prune(lambda members: problem("").hypothesis(0, members), frozenset("ab"))
     assert nothing.members == frozenset() and adds == {}
+
+
+def test_a_case_without_budget_is_searched_no_further_than_single_candidates():
+    given = problem("bde", "bde")
+    ledgers = [Ledger(case) for case in range(2)]
+    for ledger in ledgers:
+        ledger.keep(given.hypothesis(ledger.case, ledger.base))
+    select(given, ledgers, exhausted=lambda ledger: ledger.case == 1)
+    assert ledgers[0].best.members == frozenset("bde")
+    assert {len(members) for members in ledgers[1].tried} == {0, 1}
+    assert len(ledgers[1].tried) == 1 + len(NAMES)
