@@ -31,6 +31,7 @@ validate: .venv/installed   ## accuracy: known servos recovered, real ones fitte
 
 bench: .venv/installed   ## speed and memory, as ratios
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/first_hour.py
 	$(BIN)/python benchmarks/fluid_speed.py
 	$(BIN)/python benchmarks/twin_speed.py
 

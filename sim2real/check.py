@@ -65,10 +65,20 @@ class Check(NotebookDisplay):
         return format_check(self).rstrip("\n")
 
 
-def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) -> Check:
+def check(
+    recording: Recording,
+    robot: Robot | None = None,
+    *,
+    seed: int = 0,
+    identifiable: bool = True,
+) -> Check:
     """Look a recording over; with ``robot``, against its limits and data sheets too.
 
-    ``seed`` is that of the search for a servo that roughly fits, which says what can be told.
+    Args:
+        recording: The recording.
+        robot: The robot that was recorded.
+        seed: Seed of the search for a servo that roughly fits, which says what can be identified.
+        identifiable: Whether to work that out; it takes most of the time.
 
     Raises:
         InputError: If the robot lacks a joint of the recording, or the recording can only be a
@@ -81,7 +91,8 @@ def check(recording: Recording, robot: Robot | None = None, *, seed: int = 0) ->
         findings.append("No command was recorded: no servo can be identified from it.")
     if recording.kind == "pool" and "body.x_m" not in recording.columns:
         findings.append("The body was not tracked: nothing about the water can be calibrated.")
-    joints = tuple(_check_joint(recording, j, robot, seed) for j in range(len(recording.joints)))
+    every = range(len(recording.joints))
+    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in every)
     return Check(
         recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
     )
@@ -134,7 +145,7 @@ def format_check(check: Check) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -> JointCheck:
+def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | None) -> JointCheck:
     name, position = recording.joints[j], recording.position[:, j]
     powered = recording.powered(j)
     command = recording.command[:powered, j]
@@ -166,7 +177,9 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int) -
         missing=int(np.isnan(position).sum()),
         load=_load_text(load) if recording.kind == "servo" else recording.medium,
         findings=findings,
-        identifiable=expected_precision(recording, name, seed=seed) if powered > 1 else (),
+        identifiable=()
+        if seed is None or powered < 2
+        else expected_precision(recording, name, seed=seed),
     )
 
 

@@ -52,6 +52,7 @@ class Decision:
     change_explained: float  # share of what changed that names must explain, or it has none
     change_worth: float  # evidence below which no change will be named, however well it fits
     detection_gain: float  # gain at which an effect is noticed
+    search_substeps: float  # sub-steps of rollouts after which the search on a joint goes no wider
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,11 @@ class Finding:
     place: int = 0
 
     @property
+    def unfinished(self) -> bool:
+        """Whether the search was ended by its budget."""
+        return self.tried.case in self.search.unfinished
+
+    @property
     def said(self) -> Set:
         """Effects of its groups."""
         return frozenset(effect for group in self.groups for effect in group.members)

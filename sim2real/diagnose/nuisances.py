@@ -139,6 +139,7 @@ def beside_rivals(
         Those in which other effects are likeliest now.
     """
     before = {one.case: one.best for one in ledgers}
+    largest = {one.case: angle for one, angle in zip(ledgers, large, strict=True)}
     pairs = [
         (one, h)
         for one in ledgers
@@ -152,9 +153,9 @@ def beside_rivals(
         tried = [next(found) for _ in some]
         if not tried:
             continue
-        one.keep(_best(h, tried, large[one.case]))
+        one.keep(_best(h, tried, largest[one.case]))
         # Bent more than any sensor that is in order: no nuisance, and it has no name.
-        bent = [t for t in tried if _BENT in t.members - _small(t, large[one.case])]
+        bent = [t for t in tried if _BENT in t.members - _small(t, largest[one.case])]
         top = max(bent, key=lambda t: t.evidence, default=h)
         if top.evidence > before[one.case].evidence + surely:
             one.keep(top)

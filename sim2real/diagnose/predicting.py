@@ -65,7 +65,7 @@ def predicting(
     given = [traces(recordings, name) for name in names]
     batch = Batch(given, bounded=False, white=True)
     rng = np.random.default_rng(seed)
-    tried, _ = search(
+    tried, problem = search(
         batch,
         baselines(batch),
         level=_LEVEL,
@@ -81,7 +81,13 @@ def predicting(
             fit[signal] = figures
     progress(1.0)
     effects = tuple(_shifted(effect, found.model.joints, joints) for effect in found.effects)
-    return replace(found, effects=effects, model=replace(found.model, joints=joints, fit=fit))
+    ended = {name for one, name in zip(tried, names, strict=True) if one.case in problem.unfinished}
+    return replace(
+        found,
+        effects=effects,
+        model=replace(found.model, joints=joints, fit=fit),
+        unfinished=tuple(n for n in found.model.joints if n in ended or n in found.unfinished),
+    )
 
 
 def _had_effects(found: Diagnosis) -> bool:

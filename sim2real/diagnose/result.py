@@ -234,6 +234,7 @@ class Diagnosis(NotebookDisplay):
             set where that foretells left-out recordings better.
         baseline: The simulator as fitted before anything was added.
         evidence: For the report.
+        unfinished: Joints whose search for sets of effects was ended by its budget.
         provenance: As ``sim2real.output.provenance`` gives it.
     """
 
@@ -253,6 +254,7 @@ class Diagnosis(NotebookDisplay):
     baseline: Model | None = None
     evidence: tuple[Evidence, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
+    unfinished: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def remaining(self, signal: str) -> float | None:
@@ -278,9 +280,25 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
         for joint, formula in self.hypothesis.items():
             lines.append(f"  {joint}: hypothesis, not a finding: {formula}")
+        if self.unfinished:
+            lines.append(f"search: {self.search_ended}")
         if self.next_experiment is not None:
             lines.append(f"next: {self.next_experiment.statement}")
         return "\n".join(lines)
+
+    @property
+    def search_ended(self) -> str:
+        """One sentence about joints whose search was ended by its budget; empty if there are none.
+
+        The budget is ``search_substeps`` of ``decision.json``.
+        """
+        if not self.unfinished:
+            return ""
+        return (
+            f"The search for combinations of effects on {', '.join(self.unfinished)} was ended by"
+            " its budget of simulation: every effect was tried by itself, but not every combination"
+            " that looked promising."
+        )
 
     def plot(self) -> Figure:
         """How probable what was named is, and what was considered beside it."""
@@ -324,6 +342,11 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
         "next_experiment": {k: x for k, x in told.items() if k not in ("t", "signal")} or None,
         "gate": list(diagnosis.gate),
+        "search": {
+            "complete": not diagnosis.unfinished,
+            "unfinished": list(diagnosis.unfinished),
+            "statement": diagnosis.search_ended,
+        },
         "provenance": dict(diagnosis.provenance),
     }
 

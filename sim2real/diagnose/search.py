@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +20,13 @@ from sim2real.residuals.problem import (
     Tried,
     descended,
     joined,
-    minimise,
     stacked,
 )
 from sim2real.residuals.screen import Candidate, Screen, candidates, screen
 from sim2real.servo.batch import Batch
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
@@ -36,6 +36,8 @@ _RIVALS, _NEAR = 10, 80.0
 """Sets that are refitted with nothing held, and how far their evidence may be behind."""
 _SINGLES, _HOPELESS = 24, 1.0
 """Starts of single effects that are followed, and the gain at first sight below which none is."""
+_PROMISE = 3.0
+"""Times the gain that a fit's quadratic model promises, which it may still make."""
 _GAIN = "sensor_gain"
 
 
@@ -92,9 +94,19 @@ def search(
     if again:
         selection.select(problem, again, selection.Breadth(most=1))
     problem.singles = False
-    selection.select(problem, ledgers, BREADTH, lambda share: progress(0.4 + 0.5 * share))
+    selection.select(
+        problem,
+        ledgers,
+        BREADTH,
+        lambda share: progress(0.4 + 0.5 * share),
+        exhausted=problem.exhausted,
+    )
     if noise is not None:
-        selection.select(problem, beside_rivals(problem, ledgers, large, DECISION.surely), BREADTH)
+        going = [k for k, one in enumerate(ledgers) if not problem.exhausted(one)]
+        again = beside_rivals(
+            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.surely
+        )
+        selection.select(problem, again, BREADTH, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem
 
@@ -130,6 +142,9 @@ class ServoSearch:
         """Effects of each case that stay as they are."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
+        self.unfinished: set[int] = set()
+        """Cases whose search was ended by its budget, ``DECISION.search_substeps``."""
+        self._spent_before = batch.substeps.copy()
         self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
 
     def seen(self, ledger: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
@@ -205,14 +220,45 @@ class ServoSearch:
                 best[key] = k
         fits = {key: rough.one(k) for key, k in best.items()}
         keys = [key for key, k in best.items() if not settled[k]]
+        goal = self._goals(jobs, fits)
+        promised = {key: _promised(fits[key]) for key in keys}
+        keys = [
+            key
+            for key in keys
+            if float(fits[key].loglikelihood[0]) + _PROMISE * promised[key] > goal[key]
+        ]
         if keys:
             index = np.array([best[key] for key in keys])
-            fine = minimise(self.batch, rough.servos[index], iterations=15, blocks=BLOCKS)
+            goals = np.array([goal[key] for key in keys])
+
+            def hopeless(places: Index, loss: Array, promised: Array) -> NDArray[np.bool_]:
+                return np.asarray(_PROMISE * promised - loss < goals[places])
+
+            fine, _ = descended(
+                self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
+            )
             fits.update((key, fine.one(n)) for n, key in enumerate(keys))
         return [
             Hypothesis(s, fits[one.case, s], _evidence(fits[one.case, s], s - one.base))
             for one, s, _ in jobs
         ]
+
+    def _goals(
+        self, jobs: Sequence[Job], fits: Mapping[tuple[int, Set], Fits]
+    ) -> dict[tuple[int, Set], float]:
+        """Log-likelihood from which each set matters, among those of its case.
+
+        Sets with another gain of the sensor are compared however far behind they are.
+        """
+        top: dict[int, float] = {}
+        for ledger, members, _ in jobs:
+            here = float(fits[ledger.case, members].loglikelihood[0])
+            known = float(ledger.best.fit.loglikelihood[0])
+            top[ledger.case] = max(here, known, top.get(ledger.case, -np.inf))
+        return {
+            (ledger.case, members): -np.inf if _GAIN in members else top[ledger.case] - _NEAR
+            for ledger, members, _ in jobs
+        }
 
     def release(self, ledgers: Sequence[Tried]) -> None:
         """Refit the likeliest sets of each case, and the plain one, with nothing held.
@@ -235,6 +281,16 @@ class ServoSearch:
         """
         gain, limit = self.left(ledger, members)
         return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
+
+    def exhausted(self, ledger: Tried) -> bool:
+        """Whether a case that would be searched further has spent its budget; noted down if so.
+
+        The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
+        """
+        spent = self.batch.substeps[ledger.case] - self._spent_before[ledger.case]
+        if spent > DECISION.search_substeps:
+            self.unfinished.add(ledger.case)
+        return ledger.case in self.unfinished
 
     def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
         """Largest gain that an effect would still make, and what chance would make.
@@ -279,6 +335,14 @@ def _likely(one: Tried) -> list[Hypothesis]:
     ]
     sets += [one.base, *(best.members - {e} for e in best.members - one.base)]
     return [tried[s] for s in dict.fromkeys(sets) if s in tried]
+
+
+def _promised(fit: Fits) -> float:
+    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    total = fit.gram[0].sum(axis=0)
+    inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
+    share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
+    return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
 
 
 def _evidence(fit: Fits, added: Set) -> float:

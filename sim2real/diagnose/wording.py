@@ -88,6 +88,7 @@ def diagnosis(case: Case, joints: Sequence[JointResult], negligible: float, seed
         unknown={one.name: one.finding.unknown for one in joints},
         baseline_fit={one.signal: one.fit(enriched=False) for one in joints},
         enriched_fit={one.signal: one.fit(enriched=True) for one in joints},
+        unfinished=tuple(one.name for one in joints if one.finding.unfinished),
         model=_model(case, joints, origin),
         baseline=Model(joints={one.name: one.model(enriched=False) for one in joints}),
         provenance=origin,

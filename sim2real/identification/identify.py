@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,8 @@ Array = NDArray[np.float64]
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
 """What a data sheet must state for the law ``motor``."""
+_SIDE_BY_SIDE = 2
+"""Joints fitted at once: one fills the processor while the other prepares its next rollouts."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,8 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    rng = np.random.default_rng(seed)
+    # Each joint has random numbers of its own, so that joints can be fitted side by side.
+    streams = dict(zip(moving, np.random.default_rng(seed).spawn(len(moving)), strict=True))
     servos = {joint: _servo(robot, joint, law or ("pd" if wanted else None)) for joint in moving}
     types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
@@ -103,9 +107,11 @@ def identify(
         notes = []
         if law is None and not wanted and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        return _identify_joint(given, held_out, wanted, rng, servos[joint], known, notes)
+        return _identify_joint(given, held_out, wanted, streams[joint], servos[joint], known, notes)
 
-    results = {joint: one(joint, types.get(joint)) for joint in progress(moving)}
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
+        running = {joint: pool.submit(one, joint, types.get(joint)) for joint in moving}
+        results = {joint: running[joint].result() for joint in progress(moving)}
     if together:
         told = {joint: _told_by_others(joint, servos, results) for joint in moving}
         for joint, known in told.items():

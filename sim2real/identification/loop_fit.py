@@ -54,12 +54,12 @@ def sampled(motor: MotorFit) -> MotorFit | None:
         return None
     rates = _rates(sent + delay, spread)
     coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread) for hz in rates])
-    loss = motor.losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
+    loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
     near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
     found = refitted(motor, near, _STEPS)[0]
     for _ in range(_ROUNDS):
         fine = np.concatenate([found.x[None], _nearby(found)])
-        found = refitted(found, fine[np.argsort(found.losses(fine))[:_BEST]])[0]
+        found = refitted(found, fine[np.argsort(found.rough_losses(fine))[:_BEST]])[0]
     return found
 
 
@@ -164,11 +164,14 @@ def _rates(times: Array, spread: Array) -> Array:
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
     rates = np.arange(*RATES_HZ, fine)
     power = np.empty(rates.size)
-    for part in np.array_split(np.arange(rates.size), max(1, rates.size * times.size // 10**6)):
-        hz = rates[part, None]
+    block = max(1, 10**6 // times.size)
+    turned = np.exp(2j * np.pi * fine * np.arange(min(block, rates.size))[:, None] * times)
+    for first in range(0, rates.size, block):
+        hz = rates[first : first + block, None]
         weight = np.exp(-2 * (np.pi * hz * spread) ** 2)
-        together = np.abs((weight * np.exp(2j * np.pi * hz * times)).sum(axis=1)) ** 2
-        power[part] = together / np.maximum((weight**2).sum(axis=1), 1e-9)
+        begin = np.exp(2j * np.pi * rates[first] * times)
+        together = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
+        power[first : first + block] = together / np.maximum((weight**2).sum(axis=1), 1e-9)
     chosen: list[float] = []
     for k in np.argsort(-power):
         if all(abs(rates[k] - other) > 5 * fine for other in chosen):

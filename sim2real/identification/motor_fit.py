@@ -27,7 +27,15 @@ _SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
 """Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-3
+_LONGEST_S = 0.002
 _STEPS_PER_RADIAN = 32.0
+_COARSER = 4.0
+"""Times as long as they are in the end, sub-steps are while starts are still far from a minimum."""
+_SAME = 0.1
+"""Distance in units within which two searches are on their way to one minimum."""
+_BEHIND, _PROMISE = 60.0, 5.0
+"""A search is given up where it would stay so far behind the best one, should it gain so many times
+what its quadratic model foretells."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
@@ -55,6 +63,11 @@ class _Problem:
         phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
         rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
         return rows
+
+    @property
+    def coarse(self) -> _Problem:
+        """The same with longer sub-steps, for what is far from a minimum yet."""
+        return replace(self, substep_s=min(_LONGEST_S, _COARSER * self.substep_s))
 
     def residuals(self, x: Array) -> Array:
         """Simulated minus measured angles of all traces, shape (B, n)."""
@@ -159,8 +172,14 @@ class MotorFit:
 
     def losses(self, x: Array) -> Array:
         """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
-        error = self.problem.residuals(x)
-        return _loss(self.problem, x, error, self.fit.scale_rad, self.inflation)
+        return self._losses(self.problem, x)
+
+    def rough_losses(self, x: Array) -> Array:
+        """The same with longer sub-steps: to choose among servos where a search may begin."""
+        return self._losses(self.problem.coarse, x)
+
+    def _losses(self, problem: _Problem, x: Array) -> Array:
+        return _loss(problem, x, problem.residuals(x), self.fit.scale_rad, self.inflation)
 
     def loss_at(self, scale_rad: float, inflation: float) -> float:
         """The loss for residuals of another scale and correlation."""
@@ -201,7 +220,7 @@ def fit_motor(
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(0.002, 1 / (_STEPS_PER_RADIAN * fastest)))
+    substep = float(min(_LONGEST_S, 1 / (_STEPS_PER_RADIAN * fastest)))
     problem = _Problem(traces, prior, free, substep, Simulator(traces))
     x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
@@ -218,7 +237,10 @@ def fit_motor(
     for number in range(_ROUNDS):
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
-        x, loss = _descend(problem, x, scale, inflation, _LATER if number else _FIRST)
+        if number:
+            x, loss = _descend(problem, x, scale, inflation, _LATER)
+        else:
+            x, loss = _descend(problem.coarse, x, scale, inflation, _FIRST)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -332,6 +354,7 @@ def _descend(
             normal[s] = by.T @ weighted + belief_by.T @ belief_by
             slope[s] = weighted.T @ here + belief_by.T @ belief
         active = active[~settled & (damping[active] < 1e5)]
+        active = _worth_following(active, best[:, free] / unit, least, normal, slope)
         if not active.size:
             break
         for s in active:
@@ -346,6 +369,35 @@ def _descend(
             trial[s] = best[s]
             trial[s, free] = np.clip(now + change * unit, low, high)
     return best, least
+
+
+def _worth_following(
+    active: NDArray[np.intp], at: Array, loss: Array, normal: Array, slope: Array
+) -> NDArray[np.intp]:
+    """Those searches that may still end below the best one, and are not on their way to it.
+
+    Args:
+        active: Places of the searches that go on, of S.
+        at: Where each search is, in units, shape (S, F).
+        loss: Its loss, shape (S,).
+        normal: Half the second derivatives of its loss, shape (S, F, F).
+        slope: Half the first derivatives, shape (S, F).
+    """
+    going = set(active.tolist())
+    kept: list[int] = []
+    before: list[int] = []
+    order = np.argsort(loss, kind="stable").tolist()
+    for s in order:
+        twin = any(np.abs(at[k] - at[s]).max() < _SAME for k in before)
+        before.append(s)
+        if twin or s not in going:
+            continue
+        ridge = 1e-9 * np.diag(normal[s]).max() + 1e-300
+        matrix = normal[s] + ridge * np.eye(slope.shape[1])
+        promised = _PROMISE * max(float(slope[s] @ np.linalg.solve(matrix, slope[s])), 1.0)
+        if loss[s] - promised < loss[order[0]] + _BEHIND:
+            kept.append(s)
+    return np.sort(np.array(kept, dtype=np.intp))
 
 
 def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses: Array) -> MotorFit:

@@ -71,7 +71,9 @@ def _errors(points: Array, trace: Trace) -> Array:
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        angle = rollout(theta, trace.t, trace.command[:, None], steps_per_radian=6.0)[:, :, 0]
+        angle = rollout(theta, trace.t, trace.command[:, None], steps_per_radian=6.0, threads=2)[
+            :, :, 0
+        ]
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 

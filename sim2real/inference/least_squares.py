@@ -21,6 +21,8 @@ SETTLED = 0.02
 """Gain in log-likelihood below which a step is not worth making."""
 OUTLIER_SD = 3.0
 """Residuals beyond so many standard deviations lose weight."""
+LOOK = 4
+"""Evaluations after which problems may be given up, again and again."""
 LARGEST_STEP = 3.0
 """Largest step of a parameter, in units."""
 _LEAST, _MOST = 1e-6, 1e6
@@ -80,6 +82,7 @@ def minimise(
     free: Mask | None = None,
     evaluations: int = 40,
     settled: float = SETTLED,
+    hopeless: Callable[[Index, Array, Array], Mask] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Minimum:
     """Fit N problems, each by its own damped steps, all in one evaluation a round.
@@ -95,6 +98,8 @@ def minimise(
         free: Places that hold a parameter, shape (N, F); all where None.
         evaluations: Most of each problem.
         settled: Expected gain below which a step is not worth making.
+        hopeless: Which problems are given up, of their places (M,), losses (M,) and what the
+            undamped step promises to gain (M,); asked every ``LOOK`` evaluations.
         progress: Called with the share that is done.
     """
     N = start.shape[0]
@@ -119,6 +124,9 @@ def minimise(
         converged[active] = ~worth
         trial[active] = best[active] + step
         active = active[worth]
+        if hopeless is not None and active.size and made % LOOK == 0:
+            promised = _step(at, best, (low, high), free, np.zeros(N), active)[1]
+            active = active[~hopeless(active, at.loss[active], promised)]
         progress(made / evaluations)
         if not active.size:
             break

@@ -123,11 +123,26 @@ def autocorrelation_times(series: Array) -> Array:
     Returns:
         Shape (F,).
     """
-    from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
-
+    series = np.asarray(series)
+    walkers = series.reshape(len(series), -1, series.shape[2] if series.ndim == 3 else 1)
+    times = np.empty(walkers.shape[2])
     with np.errstate(invalid="ignore", divide="ignore"):
-        times = np.asarray(integrated_time(series, c=_WINDOW_TIMES, quiet=True, tol=0))
+        for f in range(times.size):
+            together = 2.0 * np.cumsum(_autocorrelation(walkers[:, :, f])) - 1.0
+            inside = np.arange(together.size) < _WINDOW_TIMES * together
+            times[f] = together[np.argmin(inside) if inside.any() else -1]
     return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
+
+
+def _autocorrelation(walkers: Array) -> Array:
+    """Mean autocorrelation of some series (T, walkers), 1 without a lag, shape (T,)."""
+    length = 2 ** int(np.ceil(np.log2(len(walkers))) + 1)
+    total: Array = np.zeros(len(walkers))
+    for series in walkers.T:
+        spectrum = np.fft.fft(series - np.mean(series), n=length)
+        products = np.fft.ifft(spectrum * np.conjugate(spectrum))[: len(walkers)].real
+        total += products / products[0]
+    return np.asarray(total / walkers.shape[1])
 
 
 def correlation_samples(error: Array) -> float:

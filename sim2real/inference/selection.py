@@ -123,6 +123,7 @@ def select(
     ledgers: Sequence[Ledger[Fit]],
     breadth: Breadth = Breadth(),  # noqa: B008 - frozen
     progress: Callable[[float], None] = lambda share: None,
+    exhausted: Callable[[Ledger[Fit]], bool] = lambda ledger: False,
 ) -> None:
     """Try sets of candidates in every case until none is better; the ledgers keep them all.
 
@@ -131,12 +132,14 @@ def select(
         ledgers: One a case; each holds its base, fitted.
         breadth: How widely.
         progress: Called with the share that is done.
+        exhausted: Whether a case that would go on to larger sets has spent its budget.
     """
     problem.look([(ledger, ledger.base) for ledger in ledgers])
     _refit(problem, [job for one in ledgers for job in _grown(problem, one, one.base, None)])
     going = [ledger for ledger in ledgers if problem.remains(ledger, ledger.base)]
     for number in range(1, breadth.most):
         progress(number / breadth.most)
+        going = [ledger for ledger in going if not exhausted(ledger)]
         if not going:
             break
         before = {ledger.case: ledger.best.members for ledger in going}

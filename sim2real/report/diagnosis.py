@@ -80,6 +80,8 @@ _WORTH_A_BAR = 0.05
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """What is missing, in words, numbers and figures."""
     blocks: list[Block] = [_verdict(diagnosis)]
+    if diagnosis.unfinished:
+        blocks.append(Note("warn", diagnosis.search_ended))
     blocks += [_effect(effect) for effect in diagnosis.effects]
     for mismatch in diagnosis.mismatch:
         blocks += _where(diagnosis, mismatch)

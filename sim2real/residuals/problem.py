@@ -237,6 +237,7 @@ def descended(
     iterations: int,
     blocks: int = 1,
     white: bool = False,
+    hopeless: Callable[[NDArray[np.intp], Array, Array], NDArray[np.bool_]] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Fits, NDArray[np.bool_]]:
     """Fit all servos in step (``inference.least_squares``), one launch a round.
@@ -250,6 +251,7 @@ def descended(
         iterations: Most evaluations.
         blocks: Blocks of each recording for ``Fits.gram``.
         white: Whether to take the noise for white.
+        hopeless: Which servos are given up, as ``inference.least_squares.minimise`` has it.
         progress: Called with the share that is done.
 
     Returns:
@@ -275,6 +277,7 @@ def descended(
         high,
         free=servos.free,
         evaluations=iterations,
+        hopeless=hopeless,
         progress=progress,
     )
     aside = found.expansion.aside

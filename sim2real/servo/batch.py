@@ -79,6 +79,11 @@ class Batch:
         white: Whether the noise is taken for white, whatever a fit or a screen asks for.
         period: Time between samples, which says how far the noise reaches back; their median
             where None.
+
+    Attributes:
+        substeps: Sub-steps simulated so far for each joint, a sample and the arrival of a
+            set-point counting as one each, shape (J,): a measure of the work that is the same on
+            every machine.
     """
 
     def __init__(
@@ -110,6 +115,8 @@ class Batch:
             position[part] = np.where(trace.used, trace.position, np.nan)
             counts[part] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
+        self.substeps = np.zeros(len(joints))
+        self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in every])
         self._signals = [to_warp(x, device) for x in (t, command, self.length)]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
@@ -140,6 +147,7 @@ class Batch:
             keep: Whether to return residuals and innovations as well.
         """
         N, V, _ = problems.theta.shape
+        self._count_substeps(problems)
         if self.white:
             autoregression = np.zeros((N, self.lags))
         room = next(v for k, v in _BYTES.items() if self.device.startswith(k))
@@ -253,6 +261,15 @@ class Batch:
             has = recordings > r
             out[has, r] = everything[first[has] + r * number[has]]
         return out
+
+    def _count_substeps(self, problems: Problems) -> None:
+        recording = np.arange(self.recordings.max())
+        signal = self.first_signal[problems.joint][:, None] + recording
+        signal = np.minimum(signal, self.length.size - 1)
+        each = self._span_s[signal] / self._substep(problems) + 2 * self.length[signal]
+        each = np.where(recording < self.recordings[problems.joint][:, None], each, 0.0)
+        servos = 1 + np.count_nonzero(problems.scale[:, 1:], axis=1)
+        np.add.at(self.substeps, problems.joint, np.nan_to_num(servos * each.sum(axis=1)))
 
     def _substep(self, problems: Problems) -> Array:
         """One sub-step for all variants on one recording, in s, shape (N, R)."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from sim2real.effects import CATALOGUE
+from sim2real.effects.elementary import sine
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
@@ -110,7 +111,7 @@ def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
     """Torque of the stated load's weight."""
     if gravity == wp.float64(0.0):
         return wp.float64(0.0)
-    return -gravity * wp.sin(q)
+    return -gravity * sine(q)
 
 
 def substep_of(effects: bool) -> wp.Function:

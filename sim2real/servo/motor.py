@@ -32,6 +32,7 @@ Symbols and units as in ``law``; ``p`` is the joint's row of parameters, ``m`` i
 import warp as wp
 
 from sim2real.effects import MOST_EFFECTS
+from sim2real.effects.elementary import decay
 from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, MOTOR
 
 Row = wp.array(dtype=wp.float64)
@@ -189,7 +190,7 @@ def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor)
         slow = v * m.per_slow
         if slow * slow < _NO_EXPONENT:
             more = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
-            bound += wp.exp(-slow * slow) * more
+            bound += decay(slow * slow) * more
     return bound
 
 
@@ -203,4 +204,4 @@ def softness(m: Motor) -> wp.float64:
 def soft_stop(v: wp.float64, free: wp.float64, h: wp.float64, m: Motor) -> wp.float64:
     """Speed after h, friction below its bound, of a shaft at ``v`` that would reach ``free``."""
     creeping = m.creep * (free - v) / h
-    return creeping + (v - creeping) * wp.exp(-h / softness(m))
+    return creeping + (v - creeping) * decay(h / softness(m))

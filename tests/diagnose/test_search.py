@@ -1,12 +1,15 @@
 """The search names what is there, nothing where nothing is, and never one mechanism twice."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose.search import BREADTH
+from sim2real.diagnose import search as searching
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.search import BREADTH, search
 from sim2real.effects import named
 from sim2real.model import FittedEffect, JointModel
 from sim2real.residuals.plain import baselines
@@ -97,3 +100,19 @@ def test_the_plain_servo_does_not_ring_faster_than_samples_can_tell():
     batch = Batch([[traced(1, "a", **lagging), traced(2, "b", **lagging)]])
     kp = baselines(batch).servos.theta[0, 0]
     assert np.sqrt(kp / INERTIA) < np.pi / PERIOD
+
+
+def test_a_search_out_of_budget_tries_no_combinations_and_says_so(rubbing, monkeypatch):
+    def tried(most):
+        decision = replace(DECISION, search_substeps=most)
+        monkeypatch.setattr(searching, "DECISION", decision)
+        batch = Batch([rubbing.traces])
+        rng = np.random.default_rng(0)
+        (found,), problem = search(batch, rubbing.plain, level=0.01, rng=rng)
+        return found, problem.unfinished, batch.substeps[0]
+
+    short, ended, spent = tried(1.0)
+    assert ended == {0} and max(map(len, short.tried)) == 1
+    assert short.best.members == {"coulomb_friction"}
+    whole, ended, more = tried(100 * spent)
+    assert ended == set() and max(map(len, whole.tried)) > 1 and more > spent

@@ -134,3 +134,20 @@ def test_robust_scale_ignores_a_few_wild_samples(wild):
     error = 0.002 * rng.standard_normal(20000)
     error[: int(wild * error.size)] = 1.0
     assert robust_scale(error) == pytest.approx(0.002, rel=0.02 if wild == 0 else 0.4)
+
+
+def test_a_hopeless_problem_is_given_up_and_the_others_end_as_without_it():
+    start, low, high = np.full((3, 2), 0.3), np.zeros((3, 2)), np.full((3, 2), 9.0)
+    asked = []
+
+    def hopeless(places, loss, promised):
+        asked.append(places)
+        assert (promised > 0).all() and np.isfinite(loss).all()
+        return places == 1
+
+    whole = minimise(expand, start, low, high, settled=1e-9)
+    some = minimise(expand, start, low, high, settled=1e-9, hopeless=hopeless)
+    assert asked and all(1 not in places for places in asked[1:])
+    assert not some.converged[1] and some.converged[[0, 2]].all()
+    assert some.expansion.loss[1] > whole.expansion.loss[1]
+    np.testing.assert_array_equal(some.x[[0, 2]], whole.x[[0, 2]])

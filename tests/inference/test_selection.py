@@ -108,3 +108,14 @@ def test_the_better_fit_of_a_set_is_kept():
     for evidence in (1.0, 3.0, 2.0):
         ledger.keep(Hypothesis(frozenset("x"), evidence, evidence))
     assert ledger.best.fit == 3.0
+
+
+def test_a_case_without_budget_is_searched_no_further_than_single_candidates():
+    given = problem("bde", "bde")
+    ledgers = [Ledger(case) for case in range(2)]
+    for ledger in ledgers:
+        ledger.keep(given.hypothesis(ledger.case, ledger.base))
+    select(given, ledgers, exhausted=lambda ledger: ledger.case == 1)
+    assert ledgers[0].best.members == frozenset("bde")
+    assert {len(members) for members in ledgers[1].tried} == {0, 1}
+    assert len(ledgers[1].tried) == 1 + len(NAMES)

@@ -1,3 +1,4 @@
+import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -15,6 +16,7 @@ from sim2real.diagnose.result import (
     Mismatch,
     NamedEffect,
     Rival,
+    write_diagnosis,
 )
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
@@ -182,6 +184,19 @@ def test_named_effect_is_told_with_its_probability_and_size():
     assert "after reversals above all" in text
     assert "12 samples of j2 are missing" in text
     assert "Guess" not in text and "guess" not in text
+
+
+def test_a_search_that_its_budget_ended_is_told_on_page_terminal_and_in_the_file(tmp_path):
+    ended = replace(EXPLAINED, unfinished=("j2",))
+    text, _ = said(ended)
+    sentence = "The search for combinations of effects on j2 was ended by its budget"
+    assert sentence in text and sentence in str(ended)
+    assert "budget" not in explained()[0] and "budget" not in str(EXPLAINED)
+    for one in (ended, EXPLAINED):
+        write_diagnosis(one, tmp_path / "d.json", "m.json")
+        search = json.loads((tmp_path / "d.json").read_text())["search"]
+        assert search["complete"] == (one is EXPLAINED)
+        assert search["unfinished"] == list(one.unfinished)
 
 
 def table(blocks, first):

@@ -192,3 +192,17 @@ def test_one_of_the_deep_variants_may_not_be_there(joints, problems):
     lacking = Problems(problems.joint, problems.theta, scale)
     deep, whole = (Batch(joints).evaluate(lacking, deep=deep) for deep in (DEEP, None))
     np.testing.assert_allclose(deep.gram[:, :, 2], whole.gram[:, :, 2])
+
+
+def test_the_work_of_each_joint_is_counted(joints):
+    batch = Batch(joints)
+    theta = np.tile(row(), (2, 3, 1))
+    theta[1, 1:, column("latency_s")] += 0.01
+    problems = Problems(np.array([0, 1], dtype=np.int32), theta, np.array([[0, 1, 1], [0, 1, 0]]))
+    batch.evaluate(problems)
+    for j, servos in enumerate((3, 2)):
+        each = [(t.t[-1] - t.t[0]) / SUBSTEP + 2 * t.t.size for t in joints[j]]
+        assert batch.substeps[j] == pytest.approx(servos * sum(each), rel=0.01)
+    once = batch.substeps.copy()
+    batch.evaluate(problems)
+    np.testing.assert_allclose(batch.substeps, 2 * once)

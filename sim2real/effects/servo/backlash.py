@@ -18,6 +18,7 @@ friction; three amplitudes tell.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import sine
 from sim2real.effects.warp_types import F, Row
 
 
@@ -53,7 +54,7 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     felt = rest / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
     push = x - felt * p[0] * (before - z[s + 2])
     if rest > wp.float64(0.0) and p[4] != wp.float64(0.0):
-        push += share * p[4] * wp.sin(q) / rest
+        push += share * p[4] * sine(q) / rest
     damping = wp.float64(0.5) * per * felt * (p[1] + wp.float64(0.5) * h * p[0])
     speed = ((one - damping) * z[s + 1] + per * push) / (one + damping)  # trapezoidal
     place = before + wp.float64(0.5) * h * (z[s + 1] + speed)

@@ -8,6 +8,7 @@ Leaves a ripple with position, the same in both directions. Taken for: gear ripp
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import sine
 from sim2real.effects.warp_types import F, Row
 
 
@@ -16,7 +17,7 @@ def ripple(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
     """Torque on the shaft in N m."""
     if p[c + 1] == wp.float64(0.0):
         return x
-    return x + p[c] * wp.sin(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
+    return x + p[c] * sine(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
 
 
 _PERIODS = tuple(5.0 / (0.75 + 0.3 * k) for k in range(65))

@@ -9,6 +9,7 @@ looks the same from one sensor.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 from sim2real.effects.warp_types import F, Row
 
 
@@ -19,7 +20,7 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
         z[s] = x
         z[s + 1] = wp.float64(1.0)
     gap = z[s] - x
-    left = wp.exp(-h / p[c])
+    left = decay(h / p[c])
     z[s] = x + gap * left
     return x + gap * (wp.float64(1.0) - left) * p[c] / h  # its mean over the sub-step
 

@@ -17,6 +17,7 @@ added inertia tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay, sine
 from sim2real.effects.warp_types import F, Row
 
 
@@ -33,7 +34,7 @@ def carried(
     share = wp.min(p[c + 1] / p[3], wp.float64(0.98))
     load = (wp.float64(1.0) - share) * torque
     if p[4] != wp.float64(0.0):
-        load += share * p[4] * wp.sin(q)
+        load += share * p[4] * sine(q)
     if z[s + 1] == wp.float64(0.0):
         z[s] = torque
         z[s + 1] = wp.float64(1.0)
@@ -52,7 +53,7 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
     before = z[s]
     left = wp.float64(0.0)
     if p[1] > wp.float64(0.0):
-        left = wp.exp(-h * share / (p[1] * give * rest))
+        left = decay(h * share / (p[1] * give * rest))
     z[s] = settled + (before - settled) * left
     return wp.float64(0.5) * (before + z[s])
 

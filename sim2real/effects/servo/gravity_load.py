@@ -10,13 +10,14 @@ gain; another gain or supply tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import sine
 from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
 def pendulum(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque on the shaft in N m."""
-    return x - p[c] * wp.sin(q)
+    return x - p[c] * sine(q)
 
 
 EFFECT = Effect(

@@ -12,6 +12,7 @@ small sines tell, by their minor loops.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 from sim2real.effects.warp_types import F, Row
 
 
@@ -22,7 +23,7 @@ def bristle(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
         return x
     before = z[s]
     slip = wp.sign(v) * p[c] / p[c + 1]
-    z[s] = slip + (before - slip) * wp.exp(-wp.abs(v) * h * p[c + 1] / p[c])
+    z[s] = slip + (before - slip) * decay(wp.abs(v) * h * p[c + 1] / p[c])
     damping = wp.float64(2.0) * p[c + 2] * wp.sqrt(p[c + 1] * p[3])
     spring = wp.float64(0.5) * p[c + 1] * (before + z[s])  # its mean over the sub-step
     return x - spring - wp.min(damping / h, p[3] / (h * h)) * (z[s] - before)

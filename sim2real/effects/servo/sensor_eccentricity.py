@@ -12,6 +12,7 @@ Leaves a wave over the angle, the same in both directions and at all speeds. Tak
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import sine
 from sim2real.effects.warp_types import F, Row
 
 RANGE_RAD = 0.8
@@ -31,7 +32,7 @@ def wave(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
         z[s + 2] = (
             wp.float64(3.0) * turn * wp.cos(p[c + 2]) * (wp.sin(r) - r * wp.cos(r)) / (r * r * r)
         )
-    return x + p[c] * (wp.sin(turn * q + p[c + 2]) - z[s + 1] - z[s + 2] * q)
+    return x + p[c] * (sine(turn * q + p[c + 2]) - z[s + 1] - z[s + 2] * q)
 
 
 _PERIODS = tuple(3.2 / (1.0 + 0.5 * k) for k in range(18))

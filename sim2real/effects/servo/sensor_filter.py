@@ -9,6 +9,7 @@ only a second sensor tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 from sim2real.effects.warp_types import F, Row
 
 
@@ -20,7 +21,7 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
         z[s + 1] = wp.float64(1.0)
         z[s + 2] = x
     middle = wp.float64(0.5) * (z[s + 2] + x)
-    z[s] += (middle - z[s]) * (wp.float64(1.0) - wp.exp(-h / p[c]))
+    z[s] += (middle - z[s]) * (wp.float64(1.0) - decay(h / p[c]))
     z[s + 2] = x
     return z[s]
 

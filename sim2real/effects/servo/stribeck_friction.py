@@ -11,6 +11,7 @@ which it contains; only motion below ``velocity_rad_s`` tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 from sim2real.effects.warp_types import F, Row
 
 
@@ -20,7 +21,7 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     bound = p[c]
     if p[c + 2] > wp.float64(0.0):
         slow = v / p[c + 2]
-        bound += (p[c + 1] - p[c]) * wp.exp(-slow * slow)
+        bound += (p[c + 1] - p[c]) * decay(slow * slow)
     return x + bound
 
 

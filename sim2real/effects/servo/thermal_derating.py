@@ -11,6 +11,7 @@ pause tells.
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.elementary import decay
 from sim2real.effects.warp_types import F, Row
 
 
@@ -22,7 +23,7 @@ def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
         warm = wp.max(wp.float64(0.1) * p[0], wp.float64(1e-12))
     relative = torque / warm
     z[s] += h / wp.float64(30.0) * (relative * relative - z[s])
-    return x * (wp.float64(1.0) - p[c] * (wp.float64(1.0) - wp.exp(-z[s])))
+    return x * (wp.float64(1.0) - p[c] * (wp.float64(1.0) - decay(z[s])))
 
 
 EFFECT = Effect(

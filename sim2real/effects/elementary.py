@@ -1,0 +1,96 @@
+"""Sine and exponential for the inner loop of a rollout, without a call to the mathematical library.
+
+A library call in each sub-step costs as much as the rest of a linear servo's sub-step: the compiler
+must save all registers around it, and cannot overlap it with the row beside. These are inlined.
+Both reduce the argument in two parts (Cody and Waite, Software Manual for the Elementary Functions
+(Prentice Hall, 1980)) and then sum the Taylor series to double precision by Estrin's scheme; errors
+are a few units in the last place of 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+
+_ROUNDER = wp.constant(wp.float64(6755399441055744.0))
+"""1.5 * 2^52: adding and then subtracting it rounds to the nearest integer."""
+_HALF_PI = wp.constant(wp.float64(1.57))
+_PER_PI = wp.constant(wp.float64(0.3183098861837907))
+_PI_HIGH = wp.constant(wp.float64(3.1415926534682512))
+"""The first 33 bits of pi, so that its product with an integer below 2^20 is exact."""
+_PI_LOW = wp.constant(wp.float64(1.2154201013012384e-10))
+_MOST_TURNS = wp.constant(wp.float64(1e5))
+_PER_LN2 = wp.constant(wp.float64(1.4426950408889634))
+_LN2_HIGH = wp.constant(wp.float64(0.6931471803691238))
+_LN2_LOW = wp.constant(wp.float64(1.9082149292705877e-10))
+_MOST_DECAY = wp.constant(wp.float64(700.0))
+_S3 = wp.constant(wp.float64(-1.0 / math.factorial(3)))
+_S5 = wp.constant(wp.float64(1.0 / math.factorial(5)))
+_S7 = wp.constant(wp.float64(-1.0 / math.factorial(7)))
+_S9 = wp.constant(wp.float64(1.0 / math.factorial(9)))
+_S11 = wp.constant(wp.float64(-1.0 / math.factorial(11)))
+_S13 = wp.constant(wp.float64(1.0 / math.factorial(13)))
+_S15 = wp.constant(wp.float64(-1.0 / math.factorial(15)))
+_S17 = wp.constant(wp.float64(1.0 / math.factorial(17)))
+_S19 = wp.constant(wp.float64(-1.0 / math.factorial(19)))
+"""Coefficients of the sine's Taylor series."""
+_E2 = wp.constant(wp.float64(1.0 / math.factorial(2)))
+_E3 = wp.constant(wp.float64(1.0 / math.factorial(3)))
+_E4 = wp.constant(wp.float64(1.0 / math.factorial(4)))
+_E5 = wp.constant(wp.float64(1.0 / math.factorial(5)))
+_E6 = wp.constant(wp.float64(1.0 / math.factorial(6)))
+_E7 = wp.constant(wp.float64(1.0 / math.factorial(7)))
+_E8 = wp.constant(wp.float64(1.0 / math.factorial(8)))
+_E9 = wp.constant(wp.float64(1.0 / math.factorial(9)))
+_E10 = wp.constant(wp.float64(1.0 / math.factorial(10)))
+_E11 = wp.constant(wp.float64(1.0 / math.factorial(11)))
+_E12 = wp.constant(wp.float64(1.0 / math.factorial(12)))
+"""Coefficients of the exponential's."""
+
+
+@wp.func
+def sine(x: wp.float64) -> wp.float64:
+    """Sine of an angle in rad."""
+    r = wp.float64(x)
+    sign = wp.float64(1.0)
+    if not (wp.abs(x) < _HALF_PI):  # the usual angle of a shaft waits for no reduction
+        turns = (x * _PER_PI + _ROUNDER) - _ROUNDER
+        if not (wp.abs(turns) < _MOST_TURNS):  # NaN too
+            return wp.sin(x)
+        r = (x - turns * _PI_HIGH) - turns * _PI_LOW
+        half = wp.float64(0.5) * turns
+        odd = half - ((half + _ROUNDER) - _ROUNDER)  # 0 after an even number of half turns
+        sign = wp.float64(1.0) - wp.float64(8.0) * odd * odd
+    z = r * r
+    z2 = z * z
+    z4 = z2 * z2
+    a = _S3 + z * _S5
+    b = _S7 + z * _S9
+    c = _S11 + z * _S13
+    d = _S15 + z * _S17
+    d += z2 * _S19
+    series = (a + z2 * b) + z4 * (c + z2 * d)
+    return sign * (r + r * z * series)
+
+
+@wp.func
+def decay(x: wp.float64) -> wp.float64:
+    """``exp(-x)`` of an exponent that is not negative."""
+    if not (x < _MOST_DECAY):
+        return wp.exp(-x)
+    shifted = _ROUNDER - x * _PER_LN2
+    halvings = shifted - _ROUNDER  # 0 or negative
+    r = (-x - halvings * _LN2_HIGH) - halvings * _LN2_LOW
+    z2 = r * r
+    z4 = z2 * z2
+    a = wp.float64(1.0) + r
+    b = _E2 + r * _E3
+    c = _E4 + r * _E5
+    d = _E6 + r * _E7
+    e = _E8 + r * _E9
+    f = _E10 + r * _E11
+    f += z2 * _E12
+    series = (a + z2 * b) + z4 * ((c + z2 * d) + z4 * (e + z2 * f))
+    exponent = wp.int64(halvings) + wp.int64(1023)
+    return series * wp.cast(exponent << wp.int64(52), wp.float64)
