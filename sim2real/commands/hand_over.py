@@ -12,8 +12,8 @@ from sim2real.exporters.actuator import Export
 from sim2real.output import write_whole
 
 if TYPE_CHECKING:
-    from sim2real.exporters.expressible import Refit
     from sim2real.exporters.mujoco_refit import Agreement
+    from sim2real.exporters.refit import Refit
 
 
 def hand_over(

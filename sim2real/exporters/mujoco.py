@@ -25,6 +25,7 @@ from sim2real.exporters.actuator import (
 from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
+from sim2real.servo.parameters import SOFT
 
 TIMESTEP_S = 0.00025
 SHAFT_SHARE = 1 / 500  # of the inertia that stands on the motor's side of a spring
@@ -69,7 +70,7 @@ LACKS = {
 
 def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` has no filter of its commands."""
-    has = {*HAS, "torque_saturation"}
+    has = {*HAS, "torque_saturation", *SOFT}
     names = {fitted.effect for fitted in joint.effects}
     return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
 
@@ -112,7 +113,8 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         lines += _late(actuator, parts["actuator"][-1])
         lines += _passive(actuator, parts["actuator"])
         _sensor(actuator, parts["sensor"])
-        lines += left_out(actuator, HAS, LACKS, "MuJoCo")
+        hard = {name: x for name, x in actuator.motor.items() if f"motor.{name}" not in SOFT}
+        lines += left_out(replace(actuator, motor=hard), HAS, LACKS, "MuJoCo")
     root.extend(part for part in parts.values() if len(part))
     lines += [*dropped, *shared_left_out(model)]
     ElementTree.indent(root)
@@ -184,14 +186,32 @@ def _losses(given: Actuator) -> dict[str, str]:
     attributes = {}
     if friction > 0:
         attributes["frictionloss"] = _text(friction)
-        attributes["solreffriction"] = _text(2 * TIMESTEP_S, 1)
-        attributes["solimpfriction"] = "0.9999 0.9999"
+        attributes |= _softness(
+            *(given.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
+        )
     square = given.value("quadratic_drag", "coefficient_Nms2")
     if square > 0:
         attributes["damping"] = _text(given.back_emf, square, 0)
     elif given.back_emf > 0:
         attributes["damping"] = _text(given.back_emf)
     return attributes
+
+
+def _softness(stick: float, creep: float) -> dict[str, str]:
+    """Attributes of dry friction that stops a shaft in these times, s; at once where both are 0.
+
+    Impedance d and time constant T of the constraint: ``stick = T d / 2``, ``creep = stick (1 - d)
+    / d``. Source: MuJoCo's documentation, Computation, Constraint model (friction loss), where
+    ``stick`` is 1 / b and b = 2 / (d T).
+    """
+    impedance = min(max(stick / max(stick + creep, 1e-12), 0.0001), 0.9999)
+    constant = max(2 * stick / impedance, 2 * TIMESTEP_S)
+    if not stick:
+        impedance = 0.9999
+    return {
+        "solreffriction": _text(constant, 1),
+        "solimpfriction": _text(impedance, impedance),
+    }
 
 
 def _motor(given: Actuator, section: Element) -> list[LeftOut]:

@@ -9,9 +9,10 @@ from importlib.util import find_spec
 import numpy as np
 
 from sim2real.exporters.actuator import Export
-from sim2real.exporters.expressible import Expressible, FittingData, expressible, fitting_data
+from sim2real.exporters.expressible import Expressible, expressible, fitting_data
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import simulate
+from sim2real.exporters.refit import FittingData
 from sim2real.inference.holdout import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording

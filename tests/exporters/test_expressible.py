@@ -75,6 +75,15 @@ def test_what_a_target_expresses_stays_to_the_last_digit() -> None:
         assert not found.dropped
 
 
+def test_a_dead_band_is_soft_dry_friction_in_mujoco() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    found = mujoco_refit(servo(deadband=DEADBAND))
+    motor = found.expressible.model.joints["j1"].motor
+    assert motor["stick_time_s"] == pytest.approx(simulated.INERTIA / simulated.KD, rel=0.05)
+    assert found.expressible.refits[0].full_rad < 1e-4
+    assert found.agreement[0].error_rad < 1e-3
+
+
 def test_expressed_effects_are_fitted_again_beside_those_dropped() -> None:
     model = servo(coulomb_friction={"torque_Nm": 0.05}, deadband=DEADBAND)
     found = expressible(model, TARGETS["mujoco"].expressed)

@@ -238,6 +238,18 @@ def test_a_drive_that_clips_before_the_back_emf() -> None:
     assert np.sqrt(np.mean((seen - linear) ** 2)) > 10 * WITHIN_RAD
 
 
+@pytest.mark.parametrize("creep_time_s", [0.0, 0.01])
+def test_friction_that_stops_the_shaft_softly(creep_time_s: float) -> None:
+    hard = motor(coulomb_Nm=0.05)
+    soft = motor(coulomb_Nm=0.05, stick_time_s=0.03, creep_time_s=creep_time_s)
+    assert not mujoco(soft).left_out
+    assert apart(soft) < WITHIN_RAD
+    t, signals = commands()
+    sent = {"j1": signals["steps"]}
+    moved = predict(soft, t, sent)["j1"] - predict(hard, t, sent)["j1"]
+    assert np.sqrt(np.mean(moved**2)) > 3 * WITHIN_RAD
+
+
 def test_a_motor_that_a_pid_must_run_is_listed() -> None:
     model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
     effects = (FittedEffect("rate_limit", TYPICAL["rate_limit"]),)

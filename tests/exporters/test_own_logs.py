@@ -53,7 +53,7 @@ def error_of(xml: Path, recording: str) -> float:
     ("servo", "effect", "worst_rad"),
     [
         (Servo(friction_Nm=0.03), "coulomb_friction", 0.0012),
-        (Servo(deadband_rad=0.02), "deadband", 0.008),
+        (Servo(deadband_rad=0.02), "deadband", 0.0012),
     ],
     ids=["friction", "dead band"],
 )
