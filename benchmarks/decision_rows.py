@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sim2real.diagnose.case import Case
-    from sim2real.diagnose.joint_result import JointResult
+    from sim2real.diagnose.joint_result import JointFindings
 
 Row = dict[str, Any]
 SHARED = ("supply", "link")
@@ -137,8 +137,8 @@ def measured(
     """What is known of each joint of some cases; their verdicts are written along."""
     from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.diagnose import examined
+    from sim2real.diagnose.page.wording import diagnosis
     from sim2real.diagnose.result import write_diagnosis
-    from sim2real.diagnose.wording import diagnosis
     from sim2real.model import write_model
 
     start, begin = time.process_time(), time.perf_counter()
@@ -216,9 +216,9 @@ def _case(folder: Path) -> Case:
     )
 
 
-def _row(answer: Row, one: JointResult, case: Case) -> Row:
-    from sim2real.diagnose.judging import evidence
-    from sim2real.diagnose.nuisances import size_in_noise
+def _row(answer: Row, one: JointFindings, case: Case) -> Row:
+    from sim2real.diagnose.missing.calibrated_odds import evidence
+    from sim2real.diagnose.missing.nuisances import size_in_noise
     from sim2real.effects import named
 
     finding, best = one.finding, one.finding.best
@@ -295,12 +295,12 @@ VARIED = {"law_error": (0.0, 0.01, 0.1), "group_share": (0.03, 0.3)}
 """Other values of numbers whose decisions can be taken again from the sets that were tried."""
 
 
-def _varied(joints: Sequence[JointResult]) -> list[Row]:
+def _varied(joints: Sequence[JointFindings]) -> list[Row]:
     """For each joint, by number and value, the likeliest set and the groups of it."""
     import numpy as np
 
-    from sim2real.diagnose import posterior
     from sim2real.diagnose.decision import DECISION
+    from sim2real.diagnose.missing import effect_probabilities as posterior
 
     found: list[Row] = [{} for _ in joints]
     tried = [one.finding.tried for one in joints]

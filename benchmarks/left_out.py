@@ -12,8 +12,8 @@ from filmed import Film, by_beat, by_regression, errors
 from numpy.typing import NDArray
 
 import sim2real as s2r
-from sim.inference.calibrate import Calibrated, calibrate
-from sim.inference.parameters import candidates, law_parameters
+from sim.calibration.swim_parameters import candidates, law_parameters
+from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import Simulator, Swim, simulated
 from sim.twin.prescribed import by_film, follower
 from sim.twin.twin import Coefficients

@@ -38,7 +38,7 @@ from sim.inference.law_error import (
     LawError,
     read_law_error,
 )
-from sim.inference.linear import together
+from sim.inference.linear_fit import together
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import Belief, TwinSwims
 from sim2real.model import Model, read_model

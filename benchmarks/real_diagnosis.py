@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.diagnose import Case, diagnose_all
-from sim2real.diagnose.predicting import predicting
+from sim2real.diagnose.missing.best_predictor import predicting
 from sim2real.diagnose.result import Diagnosis
 from sim2real.identification.identify import identify
 from sim2real.model import JointModel, Model

@@ -1,4 +1,4 @@
-"""How large changes look where nothing has changed: writes ``sim2real/diagnose/unchanged.json``.
+"""How large changes look where nothing has changed: writes ``diagnose/changed/unchanged.json``.
 
     python -m benchmarks.unchanged_bank
 
@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.change import BANK
-from sim2real.diagnose.references import law_of
+from sim2real.diagnose.changed.change import BANK
+from sim2real.diagnose.changed.position_jumps import Steps
+from sim2real.diagnose.changed.references import law_of
+from sim2real.diagnose.changed.regression import Explained, directions, explained, first_look
+from sim2real.diagnose.changed.repeated_commands import unit
 from sim2real.output import write_json
-from sim2real.residuals.explained import Explained, directions, explained, first_look
-from sim2real.residuals.jumps import Steps
-from sim2real.residuals.repeats import unit
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
 

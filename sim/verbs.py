@@ -14,7 +14,7 @@ from sim2real.errors import InputError
 from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
 
 if TYPE_CHECKING:
-    from sim.inference.calibration import Calibration
+    from sim.calibration.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.diagnose.result import Diagnosis
     from sim2real.model import Model
@@ -118,7 +118,7 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.inference.calibration import Fluid, calibrate_body
+    from sim.calibration.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance_of
 
@@ -131,7 +131,7 @@ def calibrate(
         known,
         fit_gains=fit_gains,
         held_out=held_out,
-        fluid=Fluid(cell_m, device, rollouts) if fluid else None,
+        fluid=FluidSettings(cell_m, device, rollouts) if fluid else None,
         seed=seed,
     )
     origin = provenance_of([*read, known, model], seed)

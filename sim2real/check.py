@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.clock import Timing, clock_findings, timing
 from sim2real.display import NotebookDisplay
 from sim2real.findings import Seen, joint_findings, moves
-from sim2real.identification.expect import expected_precision
+from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording

@@ -8,7 +8,7 @@ import numpy as np
 from rival_case import Case, Said, entry, surest_first
 
 from sim2real.effects import named
-from sim2real.identification.enrich import fit_effects
+from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import Fit
 from sim2real.model import FittedEffect, Model
 from sim2real.servo.trace import Trace

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.identification.fit import Fit, fit, gains
-from sim2real.identification.start import first_guess
+from sim2real.identification.initial_guess import first_guess
 from sim2real.model import JointModel, Model, write_model
 from sim2real.output import write_json
 from sim2real.recording import Commands, read_commands, read_recording

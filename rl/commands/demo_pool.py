@@ -17,8 +17,8 @@ from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
-from sim.inference.calibrate import Calibrated, calibrate
-from sim.inference.parameters import law_parameters, servo_parameters
+from sim.calibration.swim_parameters import law_parameters, servo_parameters
+from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import by_twin, swim_of
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model

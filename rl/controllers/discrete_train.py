@@ -39,7 +39,7 @@ QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy
 
 
 @dataclass(frozen=True)
-class Settings:
+class GaitSettings:
     """Hyper-parameters.
 
     Attributes:
@@ -67,7 +67,7 @@ class Settings:
     least: float = 0.05
 
 
-def make_dqn(env: VecEnv, seed: int, settings: Settings = Settings()) -> DQN:
+def make_dqn(env: VecEnv, seed: int, settings: GaitSettings = GaitSettings()) -> DQN:
     """A fresh agent for ``env``, a ``DiscreteCPGEnv``."""
     return DQN(
         "MlpPolicy", env, learning_rate=settings.rate, buffer_size=settings.memory,
@@ -111,7 +111,7 @@ def train_run(
             raise InputError("train", option, str(value), "at least 1")
     fish, fitted = read_robot(robot), read_model(model)
     given = None if ranges is None else read_ranges(ranges)
-    chosen, settings = TASKS[task], Settings()
+    chosen, settings = TASKS[task], GaitSettings()
     if energy_weight is not None:
         chosen = replace(chosen, energy=energy_weight)
     draws = draws_of(fitted, given, fish, seed=0)

@@ -38,7 +38,7 @@ _LOOKS = 100
 
 
 @dataclass(frozen=True)
-class Held:
+class FixedCylinder:
     """What a held cylinder felt.
 
     Attributes:
@@ -69,7 +69,7 @@ def channel(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArra
 
 def hold(
     reynolds: float, diameter: int, time: float, *, device: str = "cpu", threads: int = 2
-) -> Held:
+) -> FixedCylinder:
     """Hold the cylinder in the stream for so many diameters over the mean speed."""
     walls, normals, velocity = channel(diameter)
     viscosity = _MEAN * diameter / reynolds
@@ -103,7 +103,7 @@ def hold(
     row = density[:, [int(y), int(y) + 1]].mean(axis=1)
     front, back = np.interp([x - diameter / 2, x + diameter / 2], np.arange(row.size), row)
     times = (np.arange(looks) + 1) * every * _MEAN / diameter
-    return Held(times, force[:, 0], force[:, 1], float((front - back) * CS2 / _MEAN**2))
+    return FixedCylinder(times, force[:, 0], force[:, 1], float((front - back) * CS2 / _MEAN**2))
 
 
 def strouhal(time: Array, lift: Array) -> float:

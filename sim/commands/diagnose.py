@@ -10,7 +10,7 @@ from sim.inference.recorded_swims import has_poses, simulator_of
 from sim.inference.swims import swim_of
 from sim.view.diagnosis_page import swims_section
 from sim2real.commands.verb import arguments_of
-from sim2real.diagnose.next_experiment import write_commands
+from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable

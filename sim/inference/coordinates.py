@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.calibration.swim_parameters import Candidate, candidates
 from sim.inference import discrepancy
-from sim.inference.parameters import Candidate, candidates
 from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
 from sim2real.body import values

@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
 from sim.inference.coordinates import Swum, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
-from sim.inference.parameters import Candidate
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import LIKELY, Decided, decide
 from sim.inference.swim_findings import findings

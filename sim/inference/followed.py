@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from sim.calibration.emulator import path_of, steps_of
 from sim.inference.blocks import bounds
 from sim.inference.coordinates import Swum
-from sim.inference.emulator import path_of, steps_of
 from sim.inference.swims import Swim
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.prescribed import carry

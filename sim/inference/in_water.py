@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.calibration.emulator import path_of, steps_of
 from sim.fluid.wall import SLIP, Wall
 from sim.inference.coordinates import WATER, Coordinates, Swum
-from sim.inference.emulator import path_of, steps_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned
 from sim.inference.swims import Swim, with_values

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
 from sim.inference.coordinates import Coordinates, Swum, seen_as
 from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
-from sim.inference.linear import together
-from sim.inference.parameters import Candidate
+from sim.inference.linear_fit import together
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Belief, Fit, TwinSwims
 from sim.inference.unlisted import gains
@@ -53,7 +53,7 @@ _CLOSE = 10.0
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedSet:
     """One set of effects, as far as decisions need it.
 
     Attributes:
@@ -67,7 +67,7 @@ class Tried:
     settled: bool
 
 
-class Held(NamedTuple):
+class HeldOutErrors(NamedTuple):
     """What a fit to the beginning of the swims predicts of their end.
 
     Attributes:
@@ -100,14 +100,15 @@ class Searched:
     found: list[Hypothesis[Fit]]
     best: Hypothesis[Fit]
     nameless: dict[str, dict[str, float]]
-    held: dict[Members, Held]
+    held: dict[Members, HeldOutErrors]
     misfit: Array
 
-    def table(self) -> list[Tried]:
+    def table(self) -> list[TriedSet]:
         """All sets."""
         zero = self.plain.evidence
         return [
-            Tried(names_of(one.members), one.evidence - zero, one.fit.looked) for one in self.found
+            TriedSet(names_of(one.members), one.evidence - zero, one.fit.looked)
+            for one in self.found
         ]
 
 
@@ -294,7 +295,7 @@ def _parts(members: Members) -> list[Members]:
     return [members - {one} for one in sorted(members, key=str)]
 
 
-def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> Held:
+def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> HeldOutErrors:
     """What a set predicts of the end of the swims, fitted to their beginning."""
     fit, left = problem.held(one.members, one.fit, HELD_OUT)
     rows = fit.rows
@@ -306,7 +307,7 @@ def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> Held:
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
         count += int(left[at : at + n].reshape(weight.shape)[:, 0].sum())
         at += n
-    return Held(fit, loss, float(np.sqrt(square / max(count, 1))))
+    return HeldOutErrors(fit, loss, float(np.sqrt(square / max(count, 1))))
 
 
 def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.inference.coordinates import Coordinates
-from sim.inference.linear import Fit, Slope
+from sim.inference.linear_fit import Fit, Slope
 from sim2real.inference.selection import Members
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
-from sim.inference.linear import Belief, Fit, Slope, bounded
+from sim.inference.linear_fit import Belief, Fit, Slope, bounded
 from sim.inference.starts import jumped
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.calibrate import Calibrated
-from sim.inference.problem import HELD_OUT_SHARE
+from sim.calibration.swim_problem import HELD_OUT_SHARE
+from sim.calibration.twin_fit import Calibrated
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
 from sim.view.calibration_plot import comparison
 from sim2real.model import Model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim.inference.problem import HELD_OUT_SHARE
+from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
 from sim2real.model import Model
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure

@@ -10,13 +10,13 @@ import numpy as np
 
 from sim2real.check import all_findings, check
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.errors import InputError
-from sim2real.identification.motor_line import on_its_line
+from sim2real.identification.servo_problem import Hypothesis, Set, minimise, plain_servos
+from sim2real.identification.torque_speed_line import on_its_line
 from sim2real.model import JointModel, Model
 from sim2real.noise import quantization_step
 from sim2real.recording import PER_INERTIA, Recording
-from sim2real.residuals.plain import with_effects
-from sim2real.residuals.problem import Hypothesis, Set, minimise, plain_servos
 from sim2real.robot import Robot, Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS, LINE, stated
@@ -46,7 +46,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointCase:
     """A joint with its recordings.
 
     Attributes:
@@ -79,7 +79,7 @@ class Joint:
         return frozenset(e.effect for e in self.given.effects) if self.given else frozenset()
 
 
-def prepared(case: Case) -> list[Joint]:
+def prepared(case: Case) -> list[JointCase]:
     """The joints of a case that move.
 
     Raises:
@@ -98,7 +98,7 @@ def prepared(case: Case) -> list[Joint]:
             step = coarse_step(given, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)
-            joints.append(Joint(joint.name, given, noise, step, model, before, joint.servo))
+            joints.append(JointCase(joint.name, given, noise, step, model, before, joint.servo))
     if not joints:
         recording = case.recordings[0]
         found, expected = "no motion", "commands and angles that change"
@@ -125,7 +125,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
 
 
 def lines_beside(
-    batch: Batch, joints: Sequence[Joint], best: Sequence[Hypothesis]
+    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> dict[int, JointModel]:
     """Plain models on their lines, of joints that reach them beside what explains them best.
 
@@ -156,7 +156,7 @@ def lines_beside(
     return found
 
 
-def by_robot(robots: Sequence[Sequence[Joint]]) -> list[list[int]]:
+def by_robot(robots: Sequence[Sequence[JointCase]]) -> list[list[int]]:
     """Which of all joints are each robot's, where they stand one after the other."""
     ends = np.cumsum([0, *(len(joints) for joints in robots)])
     return [list(range(a, b)) for a, b in pairwise(ends)]

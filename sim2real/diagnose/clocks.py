@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Joint
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.residuals.holdout import simulated
-from sim2real.residuals.problem import Hypothesis, variants
+from sim2real.identification.held_out import simulated
+from sim2real.identification.servo_problem import Hypothesis, variants
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
 
@@ -29,10 +29,10 @@ _STEP = 1e-4
 
 def on_one_clock(
     batch: Batch,
-    joints: Sequence[Joint],
+    joints: Sequence[JointCase],
     robots: Sequence[Sequence[int]],
     best: Sequence[Hypothesis],
-) -> list[Joint]:
+) -> list[JointCase]:
     """The joints, their angles as the clock of the set-points would have stamped them.
 
     Args:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.residuals.screen import FITTED
+from sim2real.diagnose.missing.screening import FITTED
 from sim2real.structured import Fields, read_json
 
 FILE = Path(__file__).with_name("decision.json")

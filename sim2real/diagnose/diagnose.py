@@ -9,28 +9,28 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim2real.diagnose.case import Case, Joint, by_robot, lines_beside, on_their_lines, prepared
-from sim2real.diagnose.checks import with_checks
+from sim2real.diagnose.case import Case, JointCase, by_robot, lines_beside, on_their_lines, prepared
+from sim2real.diagnose.changed.references import against_references, with_known_servos
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import Finding, investigate, placed
-from sim2real.diagnose.joint_result import JointResult
-from sim2real.diagnose.judging import judged
-from sim2real.diagnose.nuisances import first_look
-from sim2real.diagnose.offer import offer, simpler
-from sim2real.diagnose.predicting import BEFORE, predicting
-from sim2real.diagnose.references import against_references, with_known_servos
+from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
+from sim2real.diagnose.missing.calibrated_odds import judged
+from sim2real.diagnose.missing.effect_search import ServoSearch, ledgers_of
+from sim2real.diagnose.missing.investigate import Finding, investigate, placed
+from sim2real.diagnose.missing.nuisances import first_look
+from sim2real.diagnose.missing.offer import offer, simpler
+from sim2real.diagnose.page.supplements import with_checks
+from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.search import ServoSearch, ledgers_of
-from sim2real.diagnose.wording import diagnosis
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
+from sim2real.identification.held_out import Unseen, held_out
+from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
-from sim2real.residuals.holdout import Unseen, held_out
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.problem import Hypothesis, Set, Tried, joined, residual_angles
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 
@@ -117,7 +117,7 @@ def examined(
     seed: int = 0,
     device: str = "cpu",
     progress: Progress = lambda share: None,
-) -> list[tuple[Case, list[JointResult]]]:
+) -> list[tuple[Case, list[JointFindings]]]:
     """What is known of each joint of each robot, before it is put into words; as ``diagnose_all``.
 
     Returns:
@@ -126,7 +126,7 @@ def examined(
     for case in cases:
         for recording in (*case.recordings, *case.references):
             validate_recording(recording, case.robot)
-    found: dict[int, tuple[Case, list[JointResult]]] = {}
+    found: dict[int, tuple[Case, list[JointFindings]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
         some = with_known_servos([cases[k] for k in group], rng)
@@ -160,7 +160,7 @@ def sampled_alike(
 
 def _joint_results(
     cases: Sequence[Case], rng: np.random.Generator, device: str, progress: Progress
-) -> list[list[JointResult]]:
+) -> list[list[JointFindings]]:
     """What is known of each joint of robots that were sampled alike."""
     ready = [prepared(case) for case in cases]
     given = joints = [joint for some in ready for joint in some]
@@ -211,7 +211,7 @@ def _joint_results(
         for joint, h in zip(given, plain, strict=True)
     ]
     results = [
-        JointResult(
+        JointFindings(
             joint,
             findings[j],
             rich[j],
@@ -227,8 +227,8 @@ def _joint_results(
 
 
 def _first_look(
-    joints: Sequence[Joint], rng: np.random.Generator, device: str
-) -> tuple[list[Joint], list[Tried]]:
+    joints: Sequence[JointCase], rng: np.random.Generator, device: str
+) -> tuple[list[JointCase], list[Tried]]:
     """The joints, on their lines where that shows beside what explains them best, and all tried."""
     batch = Batch([joint.traces for joint in joints], device)
     ledgers = _looked(batch, joints, rng)
@@ -242,7 +242,7 @@ def _first_look(
     return found, ledgers
 
 
-def _looked(batch: Batch, joints: Sequence[Joint], rng: np.random.Generator) -> list[Tried]:
+def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator) -> list[Tried]:
     plain = baselines(batch, [joint.given for joint in joints])
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
     if all(joint.before for joint in joints):
@@ -282,7 +282,7 @@ def _all_sets(finding: Finding) -> list[Set]:
 
 
 def _unseen(
-    joints: Sequence[Joint],
+    joints: Sequence[JointCase],
     sets: Sequence[Sequence[Set]],
     findings: Sequence[Finding],
     device: str,

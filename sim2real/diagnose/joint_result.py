@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Joint
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.effects import named
 from sim2real.effects.effect import is_limit
-from sim2real.identification.motor_line import with_stated_line
-from sim2real.inference.holdout import rms
-from sim2real.inference.noise import RESIDUAL_WANDER
+from sim2real.identification.held_out import Unseen
+from sim2real.identification.servo_problem import Hypothesis, Set
+from sim2real.identification.torque_speed_line import with_stated_line
+from sim2real.inference.correlated_noise import RESIDUAL_WANDER
+from sim2real.inference.folds import rms
 from sim2real.model import FittedEffect, JointModel
-from sim2real.residuals.holdout import Unseen
-from sim2real.residuals.problem import Hypothesis, Set
 from sim2real.servo.parameters import COLUMNS, stated
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ _DIGIT_RAD = 1e-9
 
 
 @dataclass(frozen=True)
-class JointResult:
+class JointFindings:
     """One joint.
 
     Attributes:
@@ -45,7 +45,7 @@ class JointResult:
             held out.
     """
 
-    joint: Joint
+    joint: JointCase
     finding: Finding
     rich: Hypothesis
     offered: Hypothesis
@@ -196,7 +196,7 @@ def includes_zero(found: Hypothesis, effect: str) -> bool:
     return abs(float(servos.theta[0, column])) <= _Q95 * sd
 
 
-def servo(joint: Joint, theta: Array, hypothesis: Hypothesis) -> JointModel:
+def servo(joint: JointCase, theta: Array, hypothesis: Hypothesis) -> JointModel:
     """A fitted joint as a model states it.
 
     Args:

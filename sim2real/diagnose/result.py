@@ -183,7 +183,7 @@ class Ladder:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class JointSeries:
     """What one joint did in one recording, for a person to look at.
 
     Attributes:
@@ -252,7 +252,7 @@ class Diagnosis(NotebookDisplay):
     next_experiment: Experiment | None = None
     gate: tuple[str, ...] = ()
     baseline: Model | None = None
-    evidence: tuple[Evidence, ...] = ()
+    evidence: tuple[JointSeries, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
     unfinished: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)

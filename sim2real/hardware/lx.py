@@ -18,7 +18,7 @@ BYTE_S = 10 / BAUD_RATES[0]
 """Time of one byte on the wire: eight bits, a start and a stop bit."""
 
 
-class Command(IntEnum):
+class BusCommand(IntEnum):
     """Every command of the family but one: 13, which gives servos new identities for good."""
 
     MOVE_TIME_WRITE = 1
@@ -51,20 +51,20 @@ class Command(IntEnum):
 
 
 REPLY_BYTES = {
-    Command.MOVE_TIME_READ: 4,
-    Command.MOVE_TIME_WAIT_READ: 4,
-    Command.ID_READ: 1,
-    Command.ANGLE_OFFSET_READ: 1,
-    Command.ANGLE_LIMIT_READ: 4,
-    Command.VIN_LIMIT_READ: 4,
-    Command.TEMP_MAX_LIMIT_READ: 1,
-    Command.TEMP_READ: 1,
-    Command.VIN_READ: 2,
-    Command.POS_READ: 2,
-    Command.MOTOR_MODE_READ: 4,
-    Command.LOAD_READ: 1,
-    Command.LED_CTRL_READ: 1,
-    Command.LED_ERROR_READ: 1,
+    BusCommand.MOVE_TIME_READ: 4,
+    BusCommand.MOVE_TIME_WAIT_READ: 4,
+    BusCommand.ID_READ: 1,
+    BusCommand.ANGLE_OFFSET_READ: 1,
+    BusCommand.ANGLE_LIMIT_READ: 4,
+    BusCommand.VIN_LIMIT_READ: 4,
+    BusCommand.TEMP_MAX_LIMIT_READ: 1,
+    BusCommand.TEMP_READ: 1,
+    BusCommand.VIN_READ: 2,
+    BusCommand.POS_READ: 2,
+    BusCommand.MOTOR_MODE_READ: 4,
+    BusCommand.LOAD_READ: 1,
+    BusCommand.LED_CTRL_READ: 1,
+    BusCommand.LED_ERROR_READ: 1,
 }
 """Bytes of parameters in the reply to each command that has one."""
 
@@ -91,7 +91,7 @@ def encode(packet: Packet) -> bytes:
     """
     if not 0 <= packet.servo_id <= BROADCAST:
         raise ValueError(f"servo {packet.servo_id}: identities run from 0 to {LARGEST_ID}")
-    if packet.command not in Command.__members__.values():
+    if packet.command not in BusCommand.__members__.values():
         raise ValueError(f"command {packet.command} is not one that this library sends")
     length = len(packet.parameters) + SHORTEST
     if length > LONGEST:
@@ -110,7 +110,7 @@ def is_reply(request: Packet, packet: Packet) -> bool:
     return (
         packet.command == request.command
         and request.servo_id in (packet.servo_id, BROADCAST)
-        and len(packet.parameters) == REPLY_BYTES[Command(request.command)]
+        and len(packet.parameters) == REPLY_BYTES[BusCommand(request.command)]
     )
 
 
@@ -123,12 +123,12 @@ def move(servo_id: int, ticks: int, time_ms: int = 0) -> Packet:
     if not 0 <= ticks <= LARGEST_TICKS or not 0 <= time_ms <= LONGEST_MOVE_MS:
         raise ValueError(f"{ticks} ticks in {time_ms} ms is outside 0 to 1000 in 0 to 30000")
     parameters = ticks.to_bytes(2, "little") + time_ms.to_bytes(2, "little")
-    return Packet(servo_id, Command.MOVE_TIME_WRITE, parameters)
+    return Packet(servo_id, BusCommand.MOVE_TIME_WRITE, parameters)
 
 
 def load(servo_id: int, on: bool) -> Packet:
     """Switch the torque on or off."""
-    return Packet(servo_id, Command.LOAD_WRITE, bytes((on,)))
+    return Packet(servo_id, BusCommand.LOAD_WRITE, bytes((on,)))
 
 
 def signed_word(reply: Packet) -> int:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from sim2real.hardware.bus import Bus
-from sim2real.hardware.lx import Command, Packet, load, move, signed_word
+from sim2real.hardware.lx import BusCommand, Packet, load, move, signed_word
 from sim2real.hardware.mounting import Mounting
 
 SPEED_RAD_S = 0.5
@@ -43,9 +43,9 @@ def approach(
     """
     longest = 0.0
     for mounting, angle in zip(mountings, target, strict=True):
-        temperature = _insist(bus, mounting, Command.TEMP_READ).parameters[0]
+        temperature = _insist(bus, mounting, BusCommand.TEMP_READ).parameters[0]
         check_temperature(mounting, temperature, hottest_C)
-        ticks = signed_word(_insist(bus, mounting, Command.POS_READ))
+        ticks = signed_word(_insist(bus, mounting, BusCommand.POS_READ))
         duration = abs(mounting.angle(ticks) - angle) / SPEED_RAD_S
         longest = max(longest, duration)
         go = move(mounting.servo_id, mounting.ticks(angle), round(1000 * min(duration, 30.0)))
@@ -80,7 +80,7 @@ def release(bus: Bus, mountings: Sequence[Mounting]) -> list[str]:
     for mounting in mountings:
         with contextlib.suppress(OSError):
             bus.drain()
-            bus.exchange([Packet(mounting.servo_id, Command.MOVE_STOP)], time.monotonic())
+            bus.exchange([Packet(mounting.servo_id, BusCommand.MOVE_STOP)], time.monotonic())
             if _set_load(bus, mounting, on=False):
                 continue
         held.append(mounting.joint.name)
@@ -101,14 +101,14 @@ def check_temperature(mounting: Mounting, temperature_C: float, hottest_C: float
 
 def _set_load(bus: Bus, mounting: Mounting, *, on: bool) -> bool:
     for _ in range(ATTEMPTS):
-        request = [load(mounting.servo_id, on), Packet(mounting.servo_id, Command.LOAD_READ)]
+        request = [load(mounting.servo_id, on), Packet(mounting.servo_id, BusCommand.LOAD_READ)]
         reply = bus.exchange(request, time.monotonic() + PATIENCE_S)[1]
         if reply is not None and bool(reply.parameters[0]) == on:
             return True
     return False
 
 
-def _insist(bus: Bus, mounting: Mounting, command: Command) -> Packet:
+def _insist(bus: Bus, mounting: Mounting, command: BusCommand) -> Packet:
     for _ in range(ATTEMPTS):
         reply = bus.ask(mounting.servo_id, command, PATIENCE_S)
         if reply is not None:

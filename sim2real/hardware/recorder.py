@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.hardware.bus import Bus
-from sim2real.hardware.lx import Command, Packet, move, signed_word, supply_V
+from sim2real.hardware.lx import BusCommand, Packet, move, signed_word, supply_V
 from sim2real.hardware.motion import Stopped, check_temperature
 from sim2real.hardware.mounting import Mounting
 
@@ -127,24 +127,24 @@ class _Sample:
     device_s: float
 
 
-def _health_request(mountings: Sequence[Mounting], cycle: int) -> tuple[int, Command]:
+def _health_request(mountings: Sequence[Mounting], cycle: int) -> tuple[int, BusCommand]:
     """Which servo tells what in this cycle: each its supply, then its temperature, in turn."""
     j = cycle // 2 % len(mountings)
-    return j, Command.TEMP_READ if cycle % 2 else Command.VIN_READ
+    return j, BusCommand.TEMP_READ if cycle % 2 else BusCommand.VIN_READ
 
 
 def _cycle(
     bus: Bus,
     mountings: Sequence[Mounting],
     command: Array,
-    ask: tuple[int, Command],
+    ask: tuple[int, BusCommand],
     deadline: float,
 ) -> _Sample:
     """One round over the bus; each may wait as long as those after it keep the usual time."""
     bus.drain()
     ticks = [m.ticks(float(angle)) for m, angle in zip(mountings, command, strict=True)]
     groups = [
-        [move(m.servo_id, goal), Packet(m.servo_id, Command.POS_READ)]
+        [move(m.servo_id, goal), Packet(m.servo_id, BusCommand.POS_READ)]
         for m, goal in zip(mountings, ticks, strict=True)
     ]
     groups.append([Packet(mountings[ask[0]].servo_id, ask[1])])
@@ -174,13 +174,13 @@ def _cycle(
     )
 
 
-def _health(command: Command, reply: Packet) -> float:
-    return supply_V(reply) if command == Command.VIN_READ else float(reply.parameters[0])
+def _health(command: BusCommand, reply: Packet) -> float:
+    return supply_V(reply) if command == BusCommand.VIN_READ else float(reply.parameters[0])
 
 
-def _row(sample: _Sample, start: float, J: int, ask: tuple[int, Command]) -> list[float]:
+def _row(sample: _Sample, start: float, J: int, ask: tuple[int, BusCommand]) -> list[float]:
     temperature, supply = [math.nan] * J, math.nan
-    if ask[1] == Command.TEMP_READ:
+    if ask[1] == BusCommand.TEMP_READ:
         temperature[ask[0]] = sample.health
     else:
         supply = sample.health
@@ -198,7 +198,7 @@ def _row(sample: _Sample, start: float, J: int, ask: tuple[int, Command]) -> lis
 def _check(
     mountings: Sequence[Mounting],
     sample: _Sample,
-    ask: tuple[int, Command],
+    ask: tuple[int, BusCommand],
     answered_s: list[float],
     outcome: Outcome,
     hottest_C: float,
@@ -212,5 +212,5 @@ def _check(
             outcome.missing[name] += 1
             if sample.sent_s - answered_s[j] > CONTACT_S:
                 raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
-    if ask[1] == Command.TEMP_READ and not math.isnan(sample.health):
+    if ask[1] == BusCommand.TEMP_READ and not math.isnan(sample.health):
         check_temperature(mountings[ask[0]], sample.health, hottest_C)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sim2real.hardware.bus import Bus
-from sim2real.hardware.lx import Command, Packet, signed_word, supply_V, words
+from sim2real.hardware.lx import BusCommand, Packet, signed_word, supply_V, words
 
 ATTEMPTS = 2  # to find a servo
 INSISTENCE = 5  # attempts to ask one that is there
@@ -52,7 +52,7 @@ def scan(bus: Bus, ids: Iterable[int], patience_s: float) -> tuple[list[Found], 
     found, garbled = [], []
     for servo_id in ids:
         before = bus.garbled
-        if any(bus.ask(servo_id, Command.POS_READ, patience_s) for _ in range(ATTEMPTS)):
+        if any(bus.ask(servo_id, BusCommand.POS_READ, patience_s) for _ in range(ATTEMPTS)):
             found.append(_look(bus, servo_id, patience_s))
         elif bus.garbled > before:
             garbled.append(servo_id)
@@ -61,13 +61,13 @@ def scan(bus: Bus, ids: Iterable[int], patience_s: float) -> tuple[list[Found], 
 
 
 def _look(bus: Bus, servo_id: int, patience_s: float) -> Found:
-    def ask(command: Command) -> Packet | None:
+    def ask(command: BusCommand) -> Packet | None:
         replies = (bus.ask(servo_id, command, patience_s) for _ in range(INSISTENCE))
         return next((reply for reply in replies if reply is not None), None)
 
-    position, supply = ask(Command.POS_READ), ask(Command.VIN_READ)
-    temperature, load = ask(Command.TEMP_READ), ask(Command.LOAD_READ)
-    hottest, range_mV = ask(Command.TEMP_MAX_LIMIT_READ), ask(Command.VIN_LIMIT_READ)
+    position, supply = ask(BusCommand.POS_READ), ask(BusCommand.VIN_READ)
+    temperature, load = ask(BusCommand.TEMP_READ), ask(BusCommand.LOAD_READ)
+    hottest, range_mV = ask(BusCommand.TEMP_MAX_LIMIT_READ), ask(BusCommand.VIN_LIMIT_READ)
     errors = []
     if temperature and hottest and temperature.parameters[0] > hottest.parameters[0]:
         errors.append(f"above {hottest.parameters[0]} C")

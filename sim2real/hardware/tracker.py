@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.hardware.blob import ahead, find_blob
+from sim2real.hardware.board_search import Bank, bank, search
 from sim2real.hardware.camera_file import Camera
 from sim2real.hardware.marker import Marker, ink
 from sim2real.hardware.plane import Plane
 from sim2real.hardware.registration import Print, Sighting, register
-from sim2real.hardware.search import Bank, bank, search
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -7,7 +7,7 @@ from sim2real.hardware.lx import (
     CENTRE_TICKS,
     REPLY_BYTES,
     TICK_RAD,
-    Command,
+    BusCommand,
     Packet,
     expects_reply,
     words,
@@ -15,23 +15,23 @@ from sim2real.hardware.lx import (
 from sim2real.hardware.virtual_shaft import Law, Shaft
 
 _REGISTERS = {
-    Command.ANGLE_OFFSET_READ: bytes(1),
-    Command.ANGLE_LIMIT_READ: bytes((0, 0, 0xE8, 0x03)),  # 0 to 1000 ticks
-    Command.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
-    Command.TEMP_MAX_LIMIT_READ: bytes((85,)),
-    Command.MOTOR_MODE_READ: bytes(4),
-    Command.LED_CTRL_READ: bytes(1),
-    Command.LED_ERROR_READ: bytes((7,)),
+    BusCommand.ANGLE_OFFSET_READ: bytes(1),
+    BusCommand.ANGLE_LIMIT_READ: bytes((0, 0, 0xE8, 0x03)),  # 0 to 1000 ticks
+    BusCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
+    BusCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
+    BusCommand.MOTOR_MODE_READ: bytes(4),
+    BusCommand.LED_CTRL_READ: bytes(1),
+    BusCommand.LED_ERROR_READ: bytes((7,)),
 }
 _WRITES = {
-    Command.ANGLE_OFFSET_ADJUST: Command.ANGLE_OFFSET_READ,
-    Command.ANGLE_LIMIT_WRITE: Command.ANGLE_LIMIT_READ,
-    Command.VIN_LIMIT_WRITE: Command.VIN_LIMIT_READ,
-    Command.TEMP_MAX_LIMIT_WRITE: Command.TEMP_MAX_LIMIT_READ,
-    Command.LED_CTRL_WRITE: Command.LED_CTRL_READ,
-    Command.LED_ERROR_WRITE: Command.LED_ERROR_READ,
+    BusCommand.ANGLE_OFFSET_ADJUST: BusCommand.ANGLE_OFFSET_READ,
+    BusCommand.ANGLE_LIMIT_WRITE: BusCommand.ANGLE_LIMIT_READ,
+    BusCommand.VIN_LIMIT_WRITE: BusCommand.VIN_LIMIT_READ,
+    BusCommand.TEMP_MAX_LIMIT_WRITE: BusCommand.TEMP_MAX_LIMIT_READ,
+    BusCommand.LED_CTRL_WRITE: BusCommand.LED_CTRL_READ,
+    BusCommand.LED_ERROR_WRITE: BusCommand.LED_ERROR_READ,
 }
-_MOVES = (Command.MOVE_TIME_WRITE, Command.MOVE_TIME_WAIT_WRITE)
+_MOVES = (BusCommand.MOVE_TIME_WRITE, BusCommand.MOVE_TIME_WAIT_WRITE)
 
 
 class VirtualServo:
@@ -88,50 +88,50 @@ class VirtualServo:
         if not self.connected or packet.servo_id not in (self.servo_id, BROADCAST):
             return None
         if expects_reply(packet):
-            if packet.servo_id == BROADCAST and packet.command != Command.ID_READ:
+            if packet.servo_id == BROADCAST and packet.command != BusCommand.ID_READ:
                 return None
             return Packet(self.servo_id, packet.command, self._answer(packet.command, now))
         self._obey(packet, now)
         return None
 
     def _answer(self, command: int, now: float) -> bytes:
-        if command == Command.POS_READ:
+        if command == BusCommand.POS_READ:
             number = self.ticks(now)
             return max(min(number, 32767), -32768).to_bytes(2, "little", signed=True)
-        if command == Command.VIN_READ:
+        if command == BusCommand.VIN_READ:
             return round(1000 * self._supply_V).to_bytes(2, "little")
-        if command == Command.TEMP_READ:
+        if command == BusCommand.TEMP_READ:
             temperature = self._temperature_C + self._heating * (now - self._born)
             return bytes((min(max(round(temperature), 0), 255),))
-        if command == Command.LOAD_READ:
+        if command == BusCommand.LOAD_READ:
             return bytes((self.powered,))
-        if command == Command.ID_READ:
+        if command == BusCommand.ID_READ:
             return bytes((self.servo_id,))
-        if command in (Command.MOVE_TIME_READ, Command.MOVE_TIME_WAIT_READ):
-            return self._moves[Command(command - 1)]
-        return self._registers[Command(command)]
+        if command in (BusCommand.MOVE_TIME_READ, BusCommand.MOVE_TIME_WAIT_READ):
+            return self._moves[BusCommand(command - 1)]
+        return self._registers[BusCommand(command)]
 
     def _obey(self, packet: Packet, now: float) -> None:
         command, given = packet.command, packet.parameters
         if command in _MOVES and len(given) == 4:
-            self._moves[Command(command)] = given
-            self._waiting = command == Command.MOVE_TIME_WAIT_WRITE
+            self._moves[BusCommand(command)] = given
+            self._waiting = command == BusCommand.MOVE_TIME_WAIT_WRITE
             if not self._waiting:
                 self._move(given, now)
-        elif command == Command.MOVE_START and self._waiting:
+        elif command == BusCommand.MOVE_START and self._waiting:
             self._waiting = False
-            self._move(self._moves[Command.MOVE_TIME_WAIT_WRITE], now)
-        elif command == Command.MOVE_STOP:
+            self._move(self._moves[BusCommand.MOVE_TIME_WAIT_WRITE], now)
+        elif command == BusCommand.MOVE_STOP:
             self._shaft.hold(now)
-        elif command == Command.LOAD_WRITE and len(given) == 1:
+        elif command == BusCommand.LOAD_WRITE and len(given) == 1:
             self._shaft.hold(now)
             self._shaft.powered = given[0] != 0
-        elif command in _WRITES and len(given) == REPLY_BYTES[_WRITES[Command(command)]]:
-            self._registers[_WRITES[Command(command)]] = given
+        elif command in _WRITES and len(given) == REPLY_BYTES[_WRITES[BusCommand(command)]]:
+            self._registers[_WRITES[BusCommand(command)]] = given
 
     def _move(self, given: bytes, now: float) -> None:
-        limits = self._registers[Command.ANGLE_LIMIT_READ]
-        low, high = words(Packet(self.servo_id, Command.ANGLE_LIMIT_READ, limits))
+        limits = self._registers[BusCommand.ANGLE_LIMIT_READ]
+        low, high = words(Packet(self.servo_id, BusCommand.ANGLE_LIMIT_READ, limits))
         ticks = min(max(int.from_bytes(given[:2], "little"), low), high)
         duration = int.from_bytes(given[2:], "little") / 1000
         self._shaft.angle(now)

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.effects import Effect
+from sim2real.identification.control_loop import hidden
 from sim2real.identification.fit import Fit, residuals
-from sim2real.identification.loop_fit import hidden
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
-from sim2real.inference.holdout import rms
+from sim2real.inference.folds import rms
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT

@@ -13,16 +13,16 @@ from sim2real.arguments import check_choice, check_whole, names_of
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError
 from sim2real.identification import advice
-from sim2real.identification.enrich import fit_effects
+from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
+from sim2real.identification.initial_guess import first_guess
 from sim2real.identification.intervals import intervals, motor_intervals, symmetric_intervals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
-from sim2real.identification.start import first_guess
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
-from sim2real.inference.holdout import rms
-from sim2real.inference.noise import correlation_samples, whiteness
+from sim2real.inference.correlated_noise import correlation_samples, whiteness
+from sim2real.inference.folds import rms
 from sim2real.inference.parameters import column
 from sim2real.model import LAWS, FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
@@ -41,7 +41,7 @@ _SIDE_BY_SIDE = 2
 
 
 @dataclass(frozen=True)
-class JointResult:
+class JointFit:
     """What is known of one joint after its fit."""
 
     model: JointModel
@@ -101,7 +101,7 @@ def identify(
     servos = {joint: _servo(robot, joint, law or ("pd" if wanted else None)) for joint in moving}
     types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
-    def one(joint: str, known: ServoType | None) -> JointResult:
+    def one(joint: str, known: ServoType | None) -> JointFit:
         given = traces(recordings, joint)
         check_samples(given, joint)
         notes = []
@@ -162,7 +162,7 @@ def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
 
 
 def _told_by_others(
-    joint: str, servos: Mapping[str, Servo | None], results: Mapping[str, JointResult]
+    joint: str, servos: Mapping[str, Servo | None], results: Mapping[str, JointFit]
 ) -> ServoType | None:
     """What the other joints with the same servo have told of its motor, if there are any."""
     servo, mine = servos[joint], results[joint].motor
@@ -202,7 +202,7 @@ def _identify_joint(
     servo: Servo | None,
     known: ServoType | None,
     notes: list[str],
-) -> JointResult:
+) -> JointFit:
     fitted, scored, held = split(given, held_out)
     noise = sensor_noise(fitted)
     start, others = first_guess(fitted, rng)
@@ -242,7 +242,7 @@ def _identify_joint(
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, unseen, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
-    return JointResult(model, figures, held, motor)
+    return JointFit(model, figures, held, motor)
 
 
 def _units(best: Fit) -> Array:

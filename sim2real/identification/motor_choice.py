@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim2real.identification.control_loop import sampled
 from sim2real.identification.fit import Fit
-from sim2real.identification.loop_fit import sampled
 from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
 from sim2real.identification.motor_prior import Prior, motor_prior
 from sim2real.identification.servo_type import ServoType
-from sim2real.inference.holdout import rms
-from sim2real.inference.noise import whiteness
+from sim2real.inference.correlated_noise import whiteness
+from sim2real.inference.folds import rms
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.identification.fit import Fit, errors, plain_row
+from sim2real.identification.initial_guess import WINDOW_S
 from sim2real.identification.motor_prior import Prior
-from sim2real.identification.start import WINDOW_S
+from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
-from sim2real.inference.noise import correlation_samples
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
@@ -42,7 +42,7 @@ EXPLAINED = 1.15
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _MotorProblem:
     """Recordings, what is believed, and which parameters are fitted."""
 
     traces: Sequence[Trace]
@@ -65,7 +65,7 @@ class _Problem:
         return rows
 
     @property
-    def coarse(self) -> _Problem:
+    def coarse(self) -> _MotorProblem:
         """The same with longer sub-steps, for what is far from a minimum yet."""
         return replace(self, substep_s=min(_LONGEST_S, _COARSER * self.substep_s))
 
@@ -127,7 +127,7 @@ class MotorFit:
     fit: Fit
     loss: float
     x: Array
-    problem: _Problem
+    problem: _MotorProblem
     inflation: float
     rivals: Array
 
@@ -178,7 +178,7 @@ class MotorFit:
         """The same with longer sub-steps: to choose among servos where a search may begin."""
         return self._losses(self.problem.coarse, x)
 
-    def _losses(self, problem: _Problem, x: Array) -> Array:
+    def _losses(self, problem: _MotorProblem, x: Array) -> Array:
         return _loss(problem, x, problem.residuals(x), self.fit.scale_rad, self.inflation)
 
     def loss_at(self, scale_rad: float, inflation: float) -> float:
@@ -221,7 +221,7 @@ def fit_motor(
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(_LONGEST_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = _Problem(traces, prior, free, substep, Simulator(traces))
+    problem = _MotorProblem(traces, prior, free, substep, Simulator(traces))
     x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
@@ -287,13 +287,15 @@ def _inflation(error: Array, traces: Sequence[Trace]) -> float:
     return float(np.average(times, weights=[part.size for part in parts]))
 
 
-def _loss(problem: _Problem, x: Array, error: Array, scale: float, inflation: float) -> Array:
+def _loss(problem: _MotorProblem, x: Array, error: Array, scale: float, inflation: float) -> Array:
     size = OUTLIER_SD * scale
     data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
     return np.asarray(data + (problem.terms(x) ** 2).sum(axis=1))
 
 
-def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Array | None) -> Array:
+def _starts(
+    problem: _MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
+) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
@@ -325,7 +327,7 @@ def _starts(problem: _Problem, plain: Fit, rng: np.random.Generator, start: Arra
 
 
 def _descend(
-    problem: _Problem, x: Array, scale: float, inflation: float, steps: int
+    problem: _MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Levenberg-Marquardt (Marquardt, SIAM J. Appl. Math. 11 (1963) 431-441) from all of ``x``."""
     low, high, unit = problem.box
@@ -400,7 +402,9 @@ def _worth_following(
     return np.sort(np.array(kept, dtype=np.intp))
 
 
-def _result(problem: _Problem, x: Array, scale: float, inflation: float, losses: Array) -> MotorFit:
+def _result(
+    problem: _MotorProblem, x: Array, scale: float, inflation: float, losses: Array
+) -> MotorFit:
     """The fit in the parameters' own units."""
     prior, free = problem.prior, list(problem.free)
     error = problem.residuals(x[None])

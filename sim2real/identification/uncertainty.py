@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from sim2real.identification.fit import Fit
+from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
-from sim2real.inference.noise import bandwidth, correlation_samples, fixed_b, long_run
 
 Array = NDArray[np.float64]
 

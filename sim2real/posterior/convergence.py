@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
-from sim2real.inference.noise import autocorrelation_times
+from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.posterior.chain import Chain
 
 Array = NDArray[np.float64]

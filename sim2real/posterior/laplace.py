@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.identification.servo_problem import Servos, minimise
 from sim2real.posterior.likelihood import ServoData
-from sim2real.residuals.problem import Servos, minimise
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.inference.noise import counting
+from sim2real.inference.correlated_noise import counting
 from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA, Load

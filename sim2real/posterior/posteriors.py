@@ -10,7 +10,7 @@ import numpy as np
 
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
-from sim2real.posterior.check import Check
+from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
 from sim2real.posterior.servo import ServoPosterior
 
@@ -29,7 +29,7 @@ class Posteriors(NotebookDisplay):
     """
 
     joints: Mapping[str, ServoPosterior]
-    checks: Mapping[str, Check]
+    checks: Mapping[str, PredictiveCheck]
     seed: int = 0
 
     def sample(self) -> JointSample:

@@ -15,8 +15,8 @@ from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
-from sim2real.posterior.check import Check, predictive_check
 from sim2real.posterior.convergence import require
+from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.episodes import labelled, listed
@@ -56,7 +56,7 @@ class Gathered(NotebookDisplay):
 
     ranges: Ranges
     posteriors: Mapping[str, ServoPosterior]
-    checks: Mapping[str, Check]
+    checks: Mapping[str, PredictiveCheck]
     latencies: Latencies | None
     spread: Spread | None
     density: Density | None
@@ -153,7 +153,7 @@ def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
 
 def sample_joints(
     bench: Sequence[Recording], model: Model, sampling: Sampling
-) -> tuple[dict[str, ServoPosterior], dict[str, Check]]:
+) -> tuple[dict[str, ServoPosterior], dict[str, PredictiveCheck]]:
     """Posteriors of every joint that moves on the bench, and what they predict of what they miss.
 
     Raises:
@@ -215,7 +215,7 @@ def _latency_ranges(found: Latencies | None, drawn: Spread | None, model: Model)
     return out
 
 
-def _on_check(joint: str, check: Check, noise: Range | None) -> list[str]:
+def _on_check(joint: str, check: PredictiveCheck, noise: Range | None) -> list[str]:
     """What the recording held out says against the ranges of a joint."""
     where = f"{joint}: {check.recording}, held out,"
     if not check.holds:
@@ -237,7 +237,7 @@ def _notes(
     recordings: Sequence[Recording],
     model: Model,
     posteriors: Mapping[str, ServoPosterior],
-    checks: Mapping[str, Check],
+    checks: Mapping[str, PredictiveCheck],
     found: Latencies | None,
     drawn: Spread | None,
 ) -> tuple[str, ...]:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
 from sim2real.model import JointModel, Model
 from sim2real.posterior.likelihood import loaded
 from sim2real.ranges.episodes import labelled
 from sim2real.recording import Recording
-from sim2real.residuals.problem import Fits, Servos, minimise, plain_servos
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import Trace, traces

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim2real.diagnose.result import Diagnosis, Evidence, Experiment, Mismatch, NamedEffect
+from sim2real.diagnose.result import Diagnosis, Experiment, JointSeries, Mismatch, NamedEffect
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_plots import (
     command_figure,
@@ -157,7 +157,7 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
 
 
 def _residuals(
-    diagnosis: Diagnosis, mismatch: Mismatch, joint: str, evidence: Sequence[Evidence]
+    diagnosis: Diagnosis, mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]
 ) -> Block:
     named = any(not np.array_equal(one.baseline, one.enriched) for one in evidence)
     shown = sorted(evidence, key=lambda one: -_error(one))[:_STRIPS]
@@ -169,13 +169,13 @@ def _residuals(
     return figure(drawing, _RESIDUAL.format(joint=joint, which=which, shade=shade))
 
 
-def _error(one: Evidence) -> float:
+def _error(one: JointSeries) -> float:
     left = one.position - one.baseline
     known = left[np.isfinite(left)]
     return float(np.mean(known**2)) if known.size else 0.0
 
 
-def _evidence(diagnosis: Diagnosis, joint: str) -> list[Evidence]:
+def _evidence(diagnosis: Diagnosis, joint: str) -> list[JointSeries]:
     return [x for x in diagnosis.evidence if x.joint == joint and np.isfinite(x.position).any()]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim2real.diagnose.result import Array, Evidence, Experiment
+from sim2real.diagnose.result import Array, Experiment, JointSeries
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
@@ -30,7 +30,7 @@ _INSIDE = 99.5
 
 
 def residual_figure(
-    evidence: Sequence[Evidence],
+    evidence: Sequence[JointSeries],
     noise_rad: float,
     windows_s: Mapping[str, tuple[tuple[float, float], ...]],
     *,
@@ -56,7 +56,7 @@ def residual_figure(
     return figure
 
 
-def torque_figure(evidence: Sequence[Evidence], unit: str) -> Figure:
+def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:
     """Draw the torque that the plain servo lacks, against speed and against position."""
     speed, position = states(evidence, "speed"), states(evidence, "position")
     torque, sd = _joined(evidence, "torque"), _joined(evidence, "torque_sd")
@@ -85,7 +85,7 @@ def torque_figure(evidence: Sequence[Evidence], unit: str) -> Figure:
     return figure
 
 
-def mean_figure(evidence: Sequence[Evidence], state: str, unit: str) -> Figure:
+def mean_figure(evidence: Sequence[JointSeries], state: str, unit: str) -> Figure:
     """Draw the mean of the missing torque in bins of a state, with two standard errors."""
     x, torque = states(evidence, state), _joined(evidence, "torque")
     time = np.concatenate([one.t + 1e6 * k for k, one in enumerate(evidence)])
@@ -112,7 +112,7 @@ def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     """
     if not x.size:
         return x, y, x
-    from sim2real.residuals.linear import WINDOW_S  # it loads scipy.signal
+    from sim2real.servo.linearised import WINDOW_S  # it loads scipy.signal
 
     low, high = np.percentile(x, [0.5, _INSIDE])
     edges = np.linspace(low, high, _BINS + 1)
@@ -129,7 +129,7 @@ def binned(x: Array, y: Array, t: Array) -> tuple[Array, Array, Array]:
     return columns[0], columns[1], columns[2]
 
 
-def states(evidence: Sequence[Evidence], name: str) -> Array:
+def states(evidence: Sequence[JointSeries], name: str) -> Array:
     """Values of a state in all recordings, one after the other."""
     if name == "error":
         return _joined(evidence, "command") - _joined(evidence, "position")
@@ -174,7 +174,7 @@ def _noise(axes: Axes, reach: float) -> None:
         axes.axhline(edge, color=INK, linewidth=0.9, linestyle=(0, (5, 4)), zorder=4)
 
 
-def _joined(evidence: Sequence[Evidence], name: str) -> Array:
+def _joined(evidence: Sequence[JointSeries], name: str) -> Array:
     return np.concatenate([getattr(one, name) for one in evidence])
 
 

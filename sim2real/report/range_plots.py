@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.density import Z90, Density
-from sim2real.posterior.check import Check
+from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.ranges.latency import Latencies, Spread
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
@@ -63,7 +63,7 @@ def latency_figure(found: Latencies, drawn: Spread) -> Figure:
     return figure
 
 
-def predictive_figure(check: Check, joint: str) -> Figure:
+def predictive_figure(check: PredictiveCheck, joint: str) -> Figure:
     """Draw measured angles less the median prediction, and the band that should hold 95 %."""
     with house_style():
         figure = new_figure(230, printable(f"{joint} in {check.recording}: off its prediction"))

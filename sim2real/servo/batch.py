@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim2real.inference.noise import WANDER, autoregression, counting, lags
+from sim2real.inference.correlated_noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import active_effects, longest_substep, simulate, to_warp

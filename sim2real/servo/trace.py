@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
-from sim2real.inference.noise import counting, lags
+from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load, Recording
 

@@ -9,12 +9,12 @@ from simulated import FRICTION, robot, traced, two
 from strange import position_damping, strange
 
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, examined
-from sim2real.diagnose.joint_result import JointResult
+from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.effect_search import ServoSearch, search
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.search import ServoSearch, search
+from sim2real.identification.servo_problem import Fits, Tried
 from sim2real.recording import Recording
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.problem import Fits, Tried
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import Trace
 
@@ -63,7 +63,7 @@ def explained() -> Diagnosis:
 
 
 @pytest.fixture(scope="session")
-def explained_joint() -> tuple[Case, list[JointResult]]:
+def explained_joint() -> tuple[Case, list[JointFindings]]:
     """What is known of its joint, before it is put into words."""
     return examined([Case(two(**FRICTION), robot("j1"))])[0]
 

@@ -7,15 +7,12 @@ import pytest
 from simulated import INERTIA, NOISE, column, recording, robot, row, steps, traced
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.change import BANKS, changed, what_changed
-from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.diagnose import diagnose, diagnose_all
-from sim2real.diagnose.references import law_of, with_known_servos
-from sim2real.errors import InputError
-from sim2real.recording import Load
-from sim2real.residuals.at_rest import beside_rest
-from sim2real.residuals.contrast import Contrast
-from sim2real.residuals.explained import (
+from sim2real.diagnose.changed.change import BANKS, changed, what_changed
+from sim2real.diagnose.changed.contrast import Contrast
+from sim2real.diagnose.changed.misstated_load import misstated
+from sim2real.diagnose.changed.position_jumps import Steps
+from sim2real.diagnose.changed.references import law_of, with_known_servos
+from sim2real.diagnose.changed.regression import (
     Directions,
     Explained,
     directions,
@@ -27,9 +24,12 @@ from sim2real.residuals.explained import (
     settled,
     way_of,
 )
-from sim2real.residuals.jumps import Steps
-from sim2real.residuals.misstated import misstated
-from sim2real.residuals.repeats import alignment, at_any_time, freed_of_the_common
+from sim2real.diagnose.changed.repeated_commands import alignment, at_any_time, freed_of_the_common
+from sim2real.diagnose.changed.slow_sampling import beside_rest
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.diagnose import diagnose, diagnose_all
+from sim2real.errors import InputError
+from sim2real.recording import Load
 from sim2real.servo.parameters import joint_row
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}

@@ -11,9 +11,9 @@ from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robo
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
 from sim2real.diagnose.joint_result import includes_zero
-from sim2real.diagnose.judging import judged
+from sim2real.diagnose.missing.calibrated_odds import judged
+from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import percent, write_diagnosis
-from sim2real.diagnose.wording import diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model

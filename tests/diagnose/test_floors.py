@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.inference.holdout import rms
-from sim2real.residuals import knockoffs
-from sim2real.residuals.black_box import black_box
-from sim2real.residuals.holdout import held_out, splits
-from sim2real.residuals.knockoffs import best_knockoff, changes
-from sim2real.residuals.screen import FITTED, candidate
+from sim2real.diagnose.missing.screening import FITTED, candidate
+from sim2real.diagnose.page import servo_knockoffs as knockoffs
+from sim2real.diagnose.page.black_box import black_box
+from sim2real.diagnose.page.servo_knockoffs import best_knockoff, changes
+from sim2real.identification.held_out import held_out, splits
+from sim2real.inference.folds import rms
 
 
 class Floors:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from strange import position_damping, shaking, strange
 
-from sim2real.residuals.formula import formula, what_is_left
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.problem import residual_angles
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.page.formula import formula, what_is_left
+from sim2real.identification.servo_problem import residual_angles
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import traces
 

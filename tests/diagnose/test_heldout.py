@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
-from sim2real.residuals.holdout import folds, held_out
-from sim2real.residuals.plain import baselines
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.identification.held_out import folds, held_out
 from sim2real.servo.batch import Batch
 
 

@@ -5,10 +5,10 @@ import pytest
 from simulated import NOISE, recording
 from strange import position_damping, strange
 
-from sim2real.diagnose.case import Joint
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.investigate import investigate
-from sim2real.residuals.problem import residual_angles
+from sim2real.diagnose.missing.investigate import investigate
+from sim2real.identification.servo_problem import residual_angles
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import trace
 
@@ -19,7 +19,7 @@ def test_a_joint_that_is_looked_at_again_keeps_its_place():
     odd = [trace(strange(k, f"s{k}", position_damping, seconds=8.0), "j1") for k in (3, 4)]
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
-    joints = [Joint("clean", clean, NOISE, None), Joint("odd", odd, NOISE, None)]
+    joints = [JointCase("clean", clean, NOISE, None), JointCase("odd", odd, NOISE, None)]
     found = investigate(batch, joints, [[0], [1]], rng=rng)
     assert found[0].excess < DECISION.structured < found[1].excess
     for finding, noise in zip(found, (NOISE, 3 * NOISE), strict=True):

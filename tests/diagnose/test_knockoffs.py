@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim2real.inference.holdout import rms
-from sim2real.residuals.knockoffs import changes, meaningless
+from sim2real.diagnose.page.servo_knockoffs import changes, meaningless
+from sim2real.inference.folds import rms
 
 T = 0.02 * np.arange(1500)
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from simulated import NOISE, traced
 
-from sim2real.diagnose.checks import detection_limits
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.screening import Screen, candidate, screen
+from sim2real.diagnose.page.supplements import detection_limits
 from sim2real.effects import named
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.screen import Screen, candidate, screen
 from sim2real.servo.batch import Batch
 
 NEEDED = np.sqrt(2 * DECISION.detection_gain) + 1.28

@@ -4,11 +4,11 @@ tested."""
 import numpy as np
 import pytest
 
-from sim2real.link.jitter import halfwidth, latency_jitter
-from sim2real.link.loss import packet_loss
-from sim2real.link.noise import with_noise
-from sim2real.link.uneven import LinkData, link
-from sim2real.residuals.linear import Residual
+from sim2real.diagnose.link.angle_noise import with_noise
+from sim2real.diagnose.link.jitter import halfwidth, latency_jitter
+from sim2real.diagnose.link.link_effect import LinkData, link
+from sim2real.diagnose.link.lost_packets import packet_loss
+from sim2real.servo.linearised import Residual
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
 LAGS, LEAST_GAIN = 25, 0.02

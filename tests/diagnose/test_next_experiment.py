@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import INERTIA
 
-from sim2real.diagnose.next_experiment import _CLEAR, next_experiment, write_commands
+from sim2real.diagnose.page.next_experiment import _CLEAR, next_experiment, write_commands
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load, read_recording

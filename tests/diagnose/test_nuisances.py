@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, row, traced
 
-from sim2real.diagnose.case import Joint
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look
-from sim2real.diagnose.nuisances import _best, size_in_noise
-from sim2real.diagnose.search import search
+from sim2real.diagnose.missing.baseline import as_read, baselines
+from sim2real.diagnose.missing.effect_search import search
+from sim2real.diagnose.missing.nuisances import _best, size_in_noise
+from sim2real.diagnose.missing.screening import FITTED, NUISANCES
 from sim2real.effects import named
+from sim2real.identification.servo_problem import Hypothesis
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
-from sim2real.residuals.plain import as_read, baselines
-from sim2real.residuals.problem import Hypothesis
-from sim2real.residuals.screen import FITTED, NUISANCES
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS, joint_row
@@ -154,7 +154,7 @@ def lined(stall_Nm):
         angle = rollout(theta[None], bare.t, bare.command[:, None])[0, :, 0]
         traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
     servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
-    (joint,), _ = _first_look([Joint("j1", traces, NOISE, None, servo=servo)], rng, "cpu")
+    (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng, "cpu")
     return joint.given.motor if joint.given else None
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim2real.diagnose.decision import CURVES, ODDS, Odds, read_odds
-from sim2real.diagnose.judging import scaled
+from sim2real.diagnose.missing.calibrated_odds import scaled
 from sim2real.errors import InputError
 
 EFFECT = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim2real.diagnose.posterior import Posterior, posterior
+from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, posterior
 
 SETS = (frozenset({"a", "x"}), frozenset({"b", "x"}), frozenset({"a"}), frozenset())
 
@@ -58,7 +58,7 @@ def test_same_seed_same_probabilities(rubbing):
 
 
 def test_inclusion_counts_each_set_once():
-    found = Posterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.zeros(4))
+    found = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.zeros(4))
     assert found.inclusion("x") == pytest.approx(0.7)
     assert found.inclusion("a") == pytest.approx(0.6)
     assert found.inclusion("a", "b") == pytest.approx(0.9)
@@ -66,7 +66,7 @@ def test_inclusion_counts_each_set_once():
 
 
 def test_groups_are_swaps_of_one_member():
-    found = Posterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.array([0.5, 0.3, 0.1, 0.1]))
+    found = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.array([0.5, 0.3, 0.1, 0.1]))
     first, second = found.groups(frozenset())
     assert (first.members, first.probability) == (("x",), pytest.approx(0.7))
     assert (second.members, second.probability) == (("a", "b"), pytest.approx(0.9))
@@ -74,11 +74,11 @@ def test_groups_are_swaps_of_one_member():
 
 
 def test_an_unlikely_rival_is_no_member():
-    found = Posterior(SETS, np.array([0.79, 0.01, 0.15, 0.05]), np.zeros(4))
+    found = EffectPosterior(SETS, np.array([0.79, 0.01, 0.15, 0.05]), np.zeros(4))
     assert all("b" not in group.members for group in found.groups(frozenset()))
 
 
 def test_what_a_given_model_has_is_not_named():
-    found = Posterior(SETS[:2], np.array([0.6, 0.4]), np.zeros(2))
+    found = EffectPosterior(SETS[:2], np.array([0.6, 0.4]), np.zeros(2))
     (group,) = found.groups(frozenset({"x"}))
     assert group.members == ("a", "b")

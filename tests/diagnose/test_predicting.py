@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import FRICTION, KD, NOISE, recording, two
 
-from sim2real.diagnose.predicting import predicting
+from sim2real.diagnose.missing.best_predictor import predicting
 from sim2real.model import FittedEffect
 from sim2real.servo.predict import predict
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulated import traced
 
+from sim2real.diagnose.missing.baseline import BLOCKS, baselines
+from sim2real.diagnose.missing.screening import FITTED, Screen, candidate, screen
 from sim2real.effects import named
-from sim2real.residuals.plain import BLOCKS, baselines
-from sim2real.residuals.screen import FITTED, Screen, candidate, screen
 from sim2real.servo.batch import Batch
 
 BLOCK_COUNT, STARTS, COUNT = 40, 30, 1e6

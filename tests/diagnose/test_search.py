@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
-from sim2real.diagnose import search as searching
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.search import BREADTH, search
+from sim2real.diagnose.missing import effect_search as searching
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.effect_search import BREADTH, search
+from sim2real.diagnose.missing.screening import FITTED, candidate
 from sim2real.effects import named
+from sim2real.identification.servo_problem import joined
 from sim2real.model import FittedEffect, JointModel
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.problem import joined
-from sim2real.residuals.screen import FITTED, candidate
 from sim2real.servo.batch import Batch
 
 

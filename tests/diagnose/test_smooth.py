@@ -7,11 +7,16 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
-from sim2real.residuals.smooth import Motion, Servo, smooth_function, smooth_function_of
+from sim2real.diagnose.missing.smooth_function import (
+    JointMotion,
+    ServoMotion,
+    smooth_function,
+    smooth_function_of,
+)
 from sim2real.servo.rollout import rollout
 
 LAGS = 25
-SERVO = Servo(KP, KD, LATENCY, np.full(2, INERTIA), np.zeros(2), 0.02, LAGS)
+SERVO = ServoMotion(KP, KD, LATENCY, np.full(2, INERTIA), np.zeros(2), 0.02, LAGS)
 T = PERIOD * np.arange(600)
 
 
@@ -21,7 +26,7 @@ def plain(seed):
     command = steps(T, rng)
     angle = rollout(row()[None], T, command[:, None])[0, :, 0]
     noise = rng.normal(0, NOISE, T.size)
-    return Motion(T, command, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
+    return JointMotion(T, command, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
 
 
 def pushed(torque, seed):

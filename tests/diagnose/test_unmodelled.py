@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
-from sim2real.diagnose.unmodelled import excess, unmodelled
-from sim2real.inference.noise import RESIDUAL_WANDER
-from sim2real.residuals.plain import baselines
-from sim2real.residuals.problem import residual_angles
+from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.unmodelled import excess, unmodelled
+from sim2real.identification.servo_problem import residual_angles
+from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.servo.batch import Batch, Problems
 
 

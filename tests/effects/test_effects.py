@@ -551,7 +551,7 @@ import sys
 sys.path.insert(0, {str(robot)!r})
 from dataclasses import replace
 import numpy as np
-from sim.inference.parameters import candidates
+from sim.calibration.swim_parameters import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.report.diagnosis_words import plain

@@ -11,7 +11,7 @@ from good_input import ROBOT
 from sim2real.errors import InputError
 from sim2real.hardware.bus import Bus
 from sim2real.hardware.datagram import Datagram, answer, read_answer, read_request, request
-from sim2real.hardware.lx import Command, Packet, encode, move
+from sim2real.hardware.lx import BusCommand, Packet, encode, move
 from sim2real.hardware.mounting import mount
 from sim2real.hardware.transport import open_transport
 from sim2real.hardware.virtual_bus import VirtualBus
@@ -19,8 +19,8 @@ from sim2real.hardware.virtual_servo import VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 from sim2real.robot import read_robot
 
-ASK = Packet(1, Command.POS_READ)
-REPLY = Packet(1, Command.POS_READ, b"\x00\x02")
+ASK = Packet(1, BusCommand.POS_READ)
+REPLY = Packet(1, BusCommand.POS_READ, b"\x00\x02")
 
 
 class Script:
@@ -47,7 +47,7 @@ class Script:
         [encode(REPLY)],
         [encode(move(1, 3)) + encode(ASK), encode(REPLY)],  # its own echo first
         [b"\x55\x07\x55", encode(REPLY)[:3], encode(REPLY)[3:] + b"\x55"],
-        [encode(Packet(2, Command.POS_READ, b"\x09\x09")), encode(REPLY)],
+        [encode(Packet(2, BusCommand.POS_READ, b"\x09\x09")), encode(REPLY)],
     ],
 )
 def test_the_reply_is_found(pieces):
@@ -68,9 +68,9 @@ def test_no_reply_is_none_and_counted(pieces):
 
 
 def test_replies_come_in_any_order():
-    other = Packet(2, Command.POS_READ, b"\x01\x00")
+    other = Packet(2, BusCommand.POS_READ, b"\x01\x00")
     bus = Bus(Script(encode(other) + encode(REPLY)))
-    asked = [ASK, Packet(2, Command.POS_READ), Packet(3, Command.POS_READ)]
+    asked = [ASK, Packet(2, BusCommand.POS_READ), Packet(3, BusCommand.POS_READ)]
     assert bus.exchange(asked, math.inf) == [REPLY, other, None]
 
 
@@ -111,9 +111,11 @@ def test_a_serial_port_over_the_network():
         thread = threading.Thread(target=serve)
         thread.start()
         with Bus(open_transport(f"socket://127.0.0.1:{listener.getsockname()[1]}")) as bus:
-            assert bus.ask(1, Command.POS_READ, 5.0) == Packet(1, Command.POS_READ, b"\xf4\x01")
-            assert bus.ask(2, Command.POS_READ, 0.01) is None
-            assert bus.ask(1, Command.TEMP_READ, 5.0).parameters == b"\x1e"
+            assert bus.ask(1, BusCommand.POS_READ, 5.0) == Packet(
+                1, BusCommand.POS_READ, b"\xf4\x01"
+            )
+            assert bus.ask(2, BusCommand.POS_READ, 0.01) is None
+            assert bus.ask(1, BusCommand.TEMP_READ, 5.0).parameters == b"\x1e"
         thread.join(5)
 
 

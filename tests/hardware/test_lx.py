@@ -4,7 +4,7 @@ import pytest
 from golden import GOLDEN
 
 from sim2real.hardware import lx
-from sim2real.hardware.lx import Command, Packet
+from sim2real.hardware.lx import BusCommand, Packet
 
 
 @pytest.mark.parametrize("text", GOLDEN)
@@ -29,15 +29,15 @@ def test_numbers_of_replies():
 def test_no_servo_ever_gets_a_new_identity():
     with pytest.raises(ValueError, match="13"):
         lx.encode(Packet(254, 13, b"\x01"))
-    assert 13 not in list(Command)
+    assert 13 not in list(BusCommand)
 
 
 @pytest.mark.parametrize(
     "spoilt",
     [
-        lambda: lx.encode(Packet(255, Command.POS_READ)),
-        lambda: lx.encode(Packet(-1, Command.POS_READ)),
-        lambda: lx.encode(Packet(1, Command.MOVE_TIME_WRITE, bytes(5))),
+        lambda: lx.encode(Packet(255, BusCommand.POS_READ)),
+        lambda: lx.encode(Packet(-1, BusCommand.POS_READ)),
+        lambda: lx.encode(Packet(1, BusCommand.MOVE_TIME_WRITE, bytes(5))),
         lambda: lx.move(1, 1001),
         lambda: lx.move(1, -1),
         lambda: lx.move(1, 0, 30001),
@@ -49,11 +49,11 @@ def test_what_the_protocol_lacks_is_refused(spoilt):
 
 
 def test_a_reply_is_told_from_an_echo():
-    request = Packet(1, Command.POS_READ)
+    request = Packet(1, BusCommand.POS_READ)
     assert lx.expects_reply(request)
     assert not lx.expects_reply(lx.move(1, 500))
     assert not lx.is_reply(request, request)
-    assert lx.is_reply(request, Packet(1, Command.POS_READ, b"\x00\x02"))
-    assert not lx.is_reply(request, Packet(2, Command.POS_READ, b"\x00\x02"))
-    assert not lx.is_reply(request, Packet(1, Command.VIN_READ, b"\x00\x02"))
-    assert lx.is_reply(Packet(254, Command.ID_READ), Packet(7, Command.ID_READ, b"\x07"))
+    assert lx.is_reply(request, Packet(1, BusCommand.POS_READ, b"\x00\x02"))
+    assert not lx.is_reply(request, Packet(2, BusCommand.POS_READ, b"\x00\x02"))
+    assert not lx.is_reply(request, Packet(1, BusCommand.VIN_READ, b"\x00\x02"))
+    assert lx.is_reply(Packet(254, BusCommand.ID_READ), Packet(7, BusCommand.ID_READ, b"\x07"))

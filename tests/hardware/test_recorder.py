@@ -6,7 +6,7 @@ from good_input import ROBOT
 from virtual_bench import robot_file
 
 from sim2real.hardware import recorder
-from sim2real.hardware.lx import Command, Packet
+from sim2real.hardware.lx import BusCommand, Packet
 from sim2real.hardware.mounting import mount
 from sim2real.hardware.row_stream import RowStream
 from sim2real.recording import read_recording
@@ -41,9 +41,9 @@ class Bus:
         self.clock.now += self.takes(self.cycle) / 2
         command = packets[-1].command
         replies = {
-            Command.POS_READ: b"\x26\x02",
-            Command.VIN_READ: b"\xe8\x1c",
-            Command.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
+            BusCommand.POS_READ: b"\x26\x02",
+            BusCommand.VIN_READ: b"\xe8\x1c",
+            BusCommand.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
         }
         return [None] * (len(packets) - 1) + [Packet(1, command, replies[command])]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim2real.hardware.lx import Command, Packet, load, move, signed_word, supply_V
+from sim2real.hardware.lx import BusCommand, Packet, load, move, signed_word, supply_V
 from sim2real.hardware.virtual_servo import VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 
@@ -19,13 +19,13 @@ def read(servo, command, now):
 
 
 def test_it_tells_what_it_is_asked(servo):
-    assert signed_word(read(servo, Command.POS_READ, 0.0)) == 500
-    assert supply_V(read(servo, Command.VIN_READ, 0.0)) == 7.5
-    assert read(servo, Command.TEMP_READ, 5.0).parameters == b"\x32"
-    assert read(servo, Command.LOAD_READ, 5.0).parameters == b"\x00"
-    limits = Packet(3, Command.ANGLE_LIMIT_WRITE, b"\x64\x00\x84\x03")
+    assert signed_word(read(servo, BusCommand.POS_READ, 0.0)) == 500
+    assert supply_V(read(servo, BusCommand.VIN_READ, 0.0)) == 7.5
+    assert read(servo, BusCommand.TEMP_READ, 5.0).parameters == b"\x32"
+    assert read(servo, BusCommand.LOAD_READ, 5.0).parameters == b"\x00"
+    limits = Packet(3, BusCommand.ANGLE_LIMIT_WRITE, b"\x64\x00\x84\x03")
     assert servo.handle(limits, 5.0) is None
-    assert read(servo, Command.ANGLE_LIMIT_READ, 5.0).parameters == limits.parameters
+    assert read(servo, BusCommand.ANGLE_LIMIT_READ, 5.0).parameters == limits.parameters
 
 
 def test_it_moves_only_with_its_torque_on(servo):
@@ -42,17 +42,17 @@ def test_it_moves_only_with_its_torque_on(servo):
 
 def test_a_waiting_move_starts_with_all_others(servo):
     servo.handle(load(3, True), 0.0)
-    servo.handle(Packet(3, Command.MOVE_TIME_WAIT_WRITE, b"\x26\x02\x00\x00"), 0.0)
+    servo.handle(Packet(3, BusCommand.MOVE_TIME_WAIT_WRITE, b"\x26\x02\x00\x00"), 0.0)
     assert servo.ticks(1.0) == 500
-    servo.handle(Packet(254, Command.MOVE_START), 1.0)
+    servo.handle(Packet(254, BusCommand.MOVE_START), 1.0)
     assert servo.ticks(3.0) == 550
 
 
 def test_it_minds_its_own_business(servo):
-    assert servo.handle(Packet(4, Command.POS_READ), 0.0) is None
-    assert servo.handle(Packet(254, Command.POS_READ), 0.0) is None
-    assert servo.handle(Packet(254, Command.ID_READ), 0.0) == Packet(3, 14, b"\x03")
+    assert servo.handle(Packet(4, BusCommand.POS_READ), 0.0) is None
+    assert servo.handle(Packet(254, BusCommand.POS_READ), 0.0) is None
+    assert servo.handle(Packet(254, BusCommand.ID_READ), 0.0) == Packet(3, 14, b"\x03")
     assert servo.handle(Packet(3, 13, b"\x09"), 0.0) is None
     assert servo.servo_id == 3
     servo.connected = False
-    assert read(servo, Command.POS_READ, 0.0) is None
+    assert read(servo, BusCommand.POS_READ, 0.0) is None

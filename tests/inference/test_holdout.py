@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim2real.inference.holdout import each_in_turn, rms, until
+from sim2real.inference.folds import each_in_turn, rms, until
 
 
 def test_each_is_held_out_once():

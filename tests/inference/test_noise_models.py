@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.signal import lfilter
 
-from sim2real.inference import noise
-from sim2real.inference.noise import (
+from sim2real.inference import correlated_noise as noise
+from sim2real.inference.correlated_noise import (
     Wander,
     autocorrelation_times,
     autoregression,

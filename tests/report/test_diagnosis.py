@@ -10,8 +10,8 @@ from sim2real.diagnose.result import (
     DetectionLimit,
     Diagnosis,
     Estimate,
-    Evidence,
     Experiment,
+    JointSeries,
     Ladder,
     Mismatch,
     NamedEffect,
@@ -48,7 +48,9 @@ def evidence(recording, *, samples=1500, helps=True, seed=0):
     torque = lacking + rng.normal(0, 0.004, t.size)
     enriched = true if helps else command
     spread = np.full(t.size, 0.004)
-    return Evidence("j2", recording, t, command, position, command, enriched, speed, torque, spread)
+    return JointSeries(
+        "j2", recording, t, command, position, command, enriched, speed, torque, spread
+    )
 
 
 MISMATCH = Mismatch(

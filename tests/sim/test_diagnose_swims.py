@@ -9,14 +9,14 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
+from sim.calibration.swim_parameters import candidates
+from sim.calibration.swim_problem import seen
 from sim.inference import law_error, twin_search
 from sim.inference.blocks import Blocks, bounds, spectrum
 from sim.inference.coordinates import RESISTS, Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import LAW_ERROR, read_law_error
-from sim.inference.parameters import candidates
-from sim.inference.problem import seen
 from sim.inference.searched import learned, searched
 from sim.inference.swim_decision import decide
 from sim.inference.swims import by_twin, swim_of, with_values

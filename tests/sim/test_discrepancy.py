@@ -8,11 +8,11 @@ from swimming_robots import FISH, servos
 from test_diagnose_swims import IN_WATER, swum
 
 import sim.inference.coordinates as places
+from sim.calibration.swim_parameters import candidates
 from sim.inference import discrepancy
 from sim.inference.coordinates import Coordinates, seen_as
 from sim.inference.coordinates import swum as signals_of
 from sim.inference.followed import by_followed_twin
-from sim.inference.parameters import candidates
 from sim.inference.searched import learned, searched
 from sim.inference.twin_search import TwinSwims
 from sim2real.model import read_model, write_model

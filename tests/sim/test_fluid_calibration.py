@@ -10,9 +10,9 @@ import pytest
 from swimming_robots import FISH, servos
 from test_calibrate import SENT, TIMES, swum
 
-from sim.inference.emulator import Batch, Emulator, rollouts
-from sim.inference.fluid_calibration import calibrate_in_fluid
-from sim.inference.parameters import effect_parameters, servo_parameters, water_parameters
+from sim.calibration.emulator import Batch, Emulator, rollouts
+from sim.calibration.fluid_calibration import calibrate_in_fluid
+from sim.calibration.swim_parameters import effect_parameters, servo_parameters, water_parameters
 from sim.inference.swims import Swim, by_twin, simulated, swim_of, values_of, with_values
 from sim.robot.swimmer import Swimmer, least_viscosity
 from sim2real.errors import InputError

@@ -8,8 +8,8 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT
 from test_diagnose_swims import swum
 
+from sim.calibration.emulator import steps_of
 from sim.inference.coordinates import WATER, Coordinates
-from sim.inference.emulator import steps_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     InWater,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from drag_fish import PERIOD_S, ROBOT, angles, swum
 
-from sim.inference.parameters import effect_parameters
+from sim.calibration.swim_parameters import effect_parameters
 from sim.inference.swims import Swim, simulated, with_values
 from sim.twin.prescribed import by_film, follower
 from sim.twin.twin import Coefficients

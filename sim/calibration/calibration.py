@@ -1,0 +1,224 @@
+"""A body calibrated to swims, in the reduced-order twin and then in the fluid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim.calibration.fluid_calibration import InFluid, calibrate_in_fluid
+from sim.calibration.swim_parameters import law_parameters, servo_parameters
+from sim.calibration.twin_fit import Calibrated, calibrate
+from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, with_values
+from sim2real.display import NotebookDisplay
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.progress import progress_bar
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Section, Table
+from sim2real.report.quantity import change_text
+from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+THREADS = 2
+"""CPU threads of the fluid."""
+
+
+@dataclass(frozen=True)
+class FluidSettings:
+    """How the fluid is simulated: side of a cell in m, Warp device, rollouts of a batch."""
+
+    cell_m: float = 0.02
+    device: str = "cpu"
+    rollouts: int = 48
+
+
+@dataclass(frozen=True)
+class Calibration(NotebookDisplay):
+    """A body fitted to swims.
+
+    Attributes:
+        model: The calibrated model, with intervals (``body``) and errors (``fit``).
+        before: The model that the fit started from.
+        robot: The robot.
+        swims: The fitted swims, whose last parts were held out.
+        twin: Parameters, standard deviations and errors of the fit in the twin.
+        in_fluid: Those of the fit in the fluid, where that was asked for.
+        fluid: How the fluid was simulated.
+    """
+
+    model: Model
+    before: Model
+    robot: Robot
+    swims: tuple[Swim, ...]
+    twin: Calibrated
+    in_fluid: InFluid | None = None
+    fluid: FluidSettings = FluidSettings()
+
+    @property
+    def fitted(self) -> Calibrated | InFluid:
+        """The last fit."""
+        return self.in_fluid or self.twin
+
+    def __str__(self) -> str:
+        """Parameters with 90 % intervals, and held-out errors, of each fit."""
+        text = _table(self.twin, "twin", self.robot)
+        if self.in_fluid is not None:
+            title = f"fluid, cells of {self.fluid.cell_m:g} m"
+            text += "\n" + _table(self.in_fluid, title, self.robot)
+        return text
+
+    def plot(self, swim: int = 0) -> Figure:
+        """One swim as measured, and simulated before and after the calibration."""
+        from sim.view.calibration_plot import comparison
+
+        shown = self.swims[swim]
+        return comparison(shown, self.before, self.fitted.model, self._simulator, self.robot)
+
+    @property
+    def _simulator(self) -> Simulator:
+        if self.in_fluid is None:
+            return by_twin(self.robot)
+        return _by_fluid(self.robot, self.fluid)
+
+
+def calibrate_body(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    *,
+    fit_gains: bool,
+    held_out: float,
+    fluid: FluidSettings | None = None,
+    seed: int = 0,
+) -> Calibration:
+    """Fit the body to swims in the twin and, if asked, from there in the fluid.
+
+    Args:
+        swims: Recordings.
+        model: The servos, and a body to start from.
+        robot: The robot.
+        fit_gains: Whether to fit the servos' gains too, and not only their latencies.
+        held_out: Share of each swim, at its end, that is scored and not fitted.
+        fluid: How to simulate the fluid; None for the twin alone.
+        seed: Seed of the designs of the fluid's batches.
+
+    Raises:
+        InputError: If the fluid stops most of a batch, or the calibrated robot.
+    """
+    free = [*law_parameters(), *servo_parameters(model, robot, gains=fit_gains)]
+    with progress_bar("calibrate, twin") as progress:
+        twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out, progress=progress)
+    result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), twin)
+    if fluid is None:
+        return result
+    latencies = {
+        p.name: value for p, value in zip(twin.free, twin.best, strict=True) if "latency" in p.name
+    }
+    start = with_values(model, latencies)
+    start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
+    with progress_bar("calibrate, fluid") as progress:
+        found = calibrate_in_fluid(
+            swims,
+            start,
+            robot,
+            _by_fluid(robot, fluid),
+            cell_m=fluid.cell_m,
+            coarser=_by_fluid(robot, replace(fluid, cell_m=2 * fluid.cell_m)),
+            gains=fit_gains,
+            count=fluid.rollouts,
+            held_out=held_out,
+            uncalibrated=model,
+            seed=seed,
+            progress=progress,
+        )
+    calibrated = _with_errors(found, robot, fluid.cell_m)
+    return replace(result, model=calibrated, in_fluid=found, fluid=fluid)
+
+
+def _by_fluid(robot: Robot, fluid: FluidSettings) -> Simulator:
+    return by_fluid(robot, cell_m=fluid.cell_m, device=fluid.device, threads=THREADS)
+
+
+def _table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
+    """Parameters with intervals, and held-out errors before and after.
+
+    Where the noise of the recordings is known, the change of the error beyond it is shown as well.
+    """
+    lines = [f"in the {where}:"]
+    ends = found.interval()
+    for p, best, (low, high) in zip(found.free, found.best, ends, strict=True):
+        lines.append(f"  {p.name:34s} {best:10.4g}   90 % {low:.4g} to {high:.4g}")
+    if isinstance(found, InFluid) and found.grid is None:
+        lines.append(
+            "  the intervals do not include the discretisation error: cells of twice the size stop "
+            "the robot"
+        )
+    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
+    units = [*UNITS, *("rad" for _ in robot.joints)]
+    noise = found.noise if isinstance(found, InFluid) else np.zeros(len(names))
+    beyond = np.sqrt(np.maximum(found.rmse**2 - noise**2, 0.0))
+    lines.append("  held-out error            before     after")
+    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+        before, after = found.rmse[:, k]
+        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {change_text(before, after)}"
+        if noise[k] > 0:
+            line += f"; beyond the noise of {noise[k]:.4f} {change_text(*beyond[:, k])}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+@result_section.register
+def _calibration(calibration: Calibration) -> Section:
+    fit = calibration.fitted
+    values = [
+        (p.name, f"{best:.4g}", f"{low:.4g} to {high:.4g}")
+        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    names = [*SIGNALS, *(joint.name for joint in calibration.robot.joints)]
+    units = [*UNITS, *("rad" for _ in calibration.robot.joints)]
+    errors = [
+        (name, f"{before:.4f}", f"{after:.4f}", unit)
+        for name, unit, (before, after) in zip(names, units, fit.rmse.T, strict=True)
+    ]
+    blocks = (
+        Table(("parameter", "value", "90 % interval"), values),
+        Table(("signal", "held-out RMSE before", "after", "unit"), errors),
+    )
+    return Section("Calibration", "", blocks)
+
+
+def _with_errors(found: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:
+    """The calibrated model with the intervals of its parameters and its errors."""
+    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    errors = {
+        name: {
+            "train": float(found.train[1, k]),
+            "heldout": float(found.rmse[1, k]),
+            "heldout_before": float(found.rmse[0, k]),
+        }
+        for k, name in enumerate(names)
+    }
+    interval = {
+        p.name: [float(low), float(high)]
+        for p, (low, high) in zip(found.free, found.interval(), strict=True)
+    }
+    body = {**found.model.body, "interval": interval}
+    if isinstance(found, InFluid):
+        body["posterior"] = {
+            "cell_m": cell_m,
+            "names": list(interval),
+            "mean": [float(x) for x in found.best],
+            "covariance": [[float(x) for x in row] for row in found.fitted.covariance],
+        }
+    if not np.all(np.isfinite(found.best)):
+        raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
+    return replace(found.model, body=body, fit={**found.model.fit, **errors})
+
+
+__all__ = ["Calibration", "FluidSettings", "calibrate_body"]

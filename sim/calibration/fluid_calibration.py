@@ -1,0 +1,142 @@
+"""Calibration in the fluid: fitted on an emulator, checked where it lands, with the cells' share.
+
+Another fit, in cells of twice the size, is what fluid dynamics calls a grid study: were errors of
+the first order in the size of a cell, a parameter would move as far from coarse to fine as it still
+is from where no cells would put it (Roache, J. Fluids Eng. 116 (1994) 405). The order cannot be
+read off here (``reports/resolution``), so the whole shift goes into the intervals, beside the fit's
+own spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from sim.calibration.emulator import ROLLOUTS, Emulator, rollouts
+from sim.calibration.fluid_fit import Fitted, fit, rmse
+from sim.calibration.swim_parameters import body_parameters, servo_parameters, water_parameters
+from sim.calibration.swim_problem import HELD_OUT_SHARE
+from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter
+from sim2real.model import Model
+from sim2real.robot import Robot
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class InFluid:
+    """What a calibration in the fluid found.
+
+    Attributes:
+        fitted: The fit.
+        grid: How far each parameter moves from cells of twice the size, shape (F,); None where
+            that was not asked, or the robot does not hold in such cells.
+        rmse: Root mean square errors of the fluid's own rollouts on what was held out, before and
+            after, shape (2, 3 + J).
+        train: Likewise on what was fitted.
+        noise: Of the recordings, shape (3 + J,).
+    """
+
+    fitted: Fitted
+    grid: Array | None
+    rmse: Array
+    train: Array
+    noise: Array
+
+    @property
+    def model(self) -> Model:
+        """The calibrated model."""
+        return self.fitted.model
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """What was fitted."""
+        return self.fitted.free
+
+    @property
+    def best(self) -> Array:
+        """Its values, shape (F,)."""
+        return self.fitted.best
+
+    def interval(self, level: float = 0.9) -> Array:
+        """Central intervals of fit and cells together, shape (F, 2)."""
+        sd = self.fitted.sd if self.grid is None else np.hypot(self.fitted.sd, self.grid)
+        reach = float(norm.ppf(0.5 + level / 2)) * sd
+        return np.stack([self.best - reach, self.best + reach], axis=1)
+
+
+def calibrate_in_fluid(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    fluid: Simulator,
+    *,
+    cell_m: float,
+    coarser: Simulator | None = None,
+    gains: bool = False,
+    count: int = ROLLOUTS,
+    held_out: float = HELD_OUT_SHARE,
+    uncalibrated: Model | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> InFluid:
+    """Fit water, centre of mass and servos to swims in the fluid.
+
+    Args:
+        swims: Recordings.
+        model: Where to start.
+        robot: The robot.
+        fluid: The fluid.
+        cell_m: Side of its cells.
+        coarser: The fluid in cells of twice the size.
+        gains: Fit the servos' gains, and not their latencies alone.
+        count: Rollouts of a batch.
+        held_out: Share of each swim at its end that the fit does not see.
+        uncalibrated: What errors are compared with; ``model`` where None.
+        seed: Of the batches' designs.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: If the fluid stops most of a batch, or the calibrated robot.
+    """
+    water = water_parameters(robot, cell_m)
+    viscosity = water[-1]
+    model = with_values(model, {viscosity.name: viscosity.nominal})
+    offset = [p for p in body_parameters(robot) if p.name.startswith("com_offset")]
+    free = [*servo_parameters(model, robot, gains=gains), *water, *offset]
+
+    def fitted(by: Simulator, start: Model, seed: int) -> Fitted:
+        batches = [rollouts(by, swim, start, free, count=count, seed=seed) for swim in swims]
+        return fit(swims, start, free, Emulator(batches), held_out=held_out)
+
+    found = fitted(fluid, model, seed)
+    for done in range(1, _ROUNDS):
+        progress(done / (_ROUNDS + 1))
+        found = fitted(fluid, found.model, seed + done)
+    progress(_ROUNDS / (_ROUNDS + 1))
+    grid = None
+    if coarser is not None:
+        with suppress(InputError):
+            grid = np.abs(fitted(coarser, found.model, seed).best - found.best)
+    errors, noise = [], []
+    for swim in swims:
+        said = simulated(swim, [uncalibrated or model, found.model], fluid)
+        errors.append(rmse(swim, said, held_out=held_out) ** 2)
+        noise.append(np.broadcast_to(swim.noise, swim.signals.shape[1]) ** 2)
+    train, held = np.sqrt(np.mean(errors, axis=0))
+    if not np.isfinite(held).all():
+        raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
+    progress(1.0)
+    return InFluid(found, grid, held, train, np.sqrt(np.mean(noise, axis=0)))
+
+
+__all__ = ["InFluid", "calibrate_in_fluid"]

@@ -1,0 +1,160 @@
+"""Against references: the question is what has changed since, not what a servo lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import expit
+
+from sim2real.diagnose.case import Case, JointCase, prepared
+from sim2real.diagnose.changed.change import what_changed
+from sim2real.diagnose.changed.regression import way_of
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
+from sim2real.diagnose.missing.investigate import ROUNDING, Finding
+from sim2real.diagnose.result import Experiment
+from sim2real.identification.fit import best_of, gains
+from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.servo_problem import Hypothesis, minimise
+from sim2real.model import JointModel, Model
+from sim2real.noise import quantization_step
+from sim2real.robot import Servo
+from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import joint_row, stated
+from sim2real.servo.trace import Trace, sensor_noise, traces
+
+
+def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
+    """Cases whose model is the law of the servos that made their references, where none is given.
+
+    Args:
+        cases: The cases.
+        rng: For the scan for a start.
+
+    Raises:
+        InputError: If references and robot do not agree, or no joint moves in them.
+    """
+    known = list(cases)
+    for k, case in enumerate(cases):
+        if case.references:
+            prepared(replace(case, recordings=case.references, references=()))
+            if case.model is None:
+                known[k] = replace(case, model=_law_of_references(case, rng))
+    return known
+
+
+def _law_of_references(case: Case, rng: np.random.Generator) -> Model:
+    found = {}
+    for joint in case.robot.joints:
+        before, now = (traces(some, joint.name) for some in (case.references, case.recordings))
+        if before and now:
+            found[joint.name] = law_of(before, now, joint.servo, rng)
+    return Model(joints=found)
+
+
+def law_of(
+    references: Sequence[Trace], case: Sequence[Trace], servo: Servo, rng: np.random.Generator
+) -> JointModel:
+    """The law of the servo that made the references.
+
+    The motor's, where what it leaves decides; the linear one where repeats or rests explain more.
+
+    Args:
+        references: The joint's references.
+        case: Its recordings in question.
+        servo: Its data sheet.
+        rng: For the scan for a start.
+    """
+    given = list(references)
+    start, others = first_guess(given, rng)
+    names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
+    plain, _ = best_of(given, [start, *others], names)
+    row = plain.row
+    if way_of(references, case) == "law":
+        noise = sensor_noise(given)
+        row = choose_motor(given, plain, servo, noise, rng).fit.row
+    return stated(row, given[0].load)
+
+
+def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
+    """The finding in which only what differs from the joint's references is named.
+
+    Args:
+        batch: The recordings that it is of.
+        joint: The joint; one without references keeps its finding.
+        finding: What is missing.
+    """
+    before = joint.before
+    if not before or joint.given is None or joint.servo is None:
+        return finding
+    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in before)
+    coarser = _coarser(joint, grid)
+    row = joint_row(joint.given, before[0].load, joint.name)
+    found = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    tried, plain = finding.tried, finding.tried.plain.fit.servos
+    named = [group for group in found.groups if group.probability >= DECISION.named]
+    link = found.link.effect if found.link is not None else ""
+    rich = tried.base | {group.members[0] for group in named} - {link}
+    if rich != tried.base:
+        # As fitted beside the servo of the references: the case alone says less of its servo.
+        kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
+        one = replace(with_effects(plain, rich, found.row, kp, inertia), theta=found.row[None])
+        fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
+        tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
+    coarse = tuple(
+        replace(g, probability=min(g.probability, coarser))
+        for g in finding.groups
+        if g.members == (ROUNDING,) and coarser >= DECISION.named
+    )
+    nameless = found.nameless > DECISION.named
+    return replace(
+        finding,
+        mismatch=bool(named or nameless or coarse),
+        best=tried.tried.get(rich, tried.plain),
+        posterior=found.posterior(tried.base),
+        groups=(*coarse, *found.groups),
+        left=nameless,
+        unknown=found.nameless,
+        unmodelled=replace(finding.unmodelled, windows=found.windows),
+        link=found.link,
+        place=0,
+    )
+
+
+def _coarser(joint: JointCase, grid: float) -> float:
+    """Probability that a joint's sensor is coarser than a grid of that step in rad by no chance.
+
+    Of all angles on a finer grid one in so many lies on the coarser one.
+    """
+    if joint.step_rad is None or joint.step_rad <= DECISION.coarser * grid:
+        return 0.0
+    levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
+    gaps = sum(max(one.size - 1, 0) for one in levels)
+    return float(expit(gaps * np.log(joint.step_rad / max(grid, 1e-12)) + LOG_PRIOR))
+
+
+def repeat(joints: Sequence[JointCase]) -> Experiment | None:
+    """The command to send again, where it would tell more than the references can: the case's own.
+
+    A recording of the same command as before knows of no missing physics that is in both.
+    """
+    for joint in joints:
+        if joint.before and way_of(joint.before, joint.traces) == "law":
+            one = max(joint.traces, key=Trace.activity)
+            return Experiment(
+                component=joint.name,
+                separates=(),
+                command=f"the command of {one.name}",
+                context="none",
+                separation=0.0,
+                duration_s=float(one.t[-1] - one.t[0]),
+                statement=f"Repeat the command of {one.name} on {joint.name} in the state of the "
+                "references: beside a repeat what the model lacks cancels, and far smaller "
+                "changes show.",
+                t=one.t - one.t[0],
+                signal=one.command,
+            )
+    return None

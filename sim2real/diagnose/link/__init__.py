@@ -1,0 +1,1 @@
+"""Do set-points reach the servos late, irregularly, or not at all?"""

@@ -1,0 +1,290 @@
+"""The noise of an angle, under which single set-points are looked for.
+
+Autoregressive, its innovations normal, of one size in motion and of another at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
+from sim2real.servo.linearised import Residual, SetPoints, set_points
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RATIOS = (0.1, 10.0)
+"""Smallest and largest noise at rest, relative to that in motion."""
+_NEGLIGIBLE = 1e-5
+"""Share of the squares of all responses that may be left where they are cut off."""
+_LEAST_SD_RAD = 1e-9
+_REST_SHARES = np.linspace(0.1, 0.8, 8)
+"""Shares of the samples, the slowest, that may be called at rest."""
+_FEWEST, _ITERATIONS = 100, 20
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One recording of one joint: its residual in rad, the samples that count and those at rest."""
+
+    response: SetPoints
+    residual: Array
+    counts: Mask
+    rests: Mask
+
+    def weight(self, ratio: float) -> Array:
+        """One over the size of the noise relative to that in motion, 0 where not counted, (T,)."""
+        return np.where(self.counts, np.where(self.rests, 1 / ratio, 1.0), 0.0)
+
+    def left(self, refit: Array) -> Array:
+        """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
+        return self.residual - self.response.refit @ refit
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Autoregressive noise with innovations of two sizes.
+
+    Attributes:
+        model: Coefficients, shape (p,).
+        ratio: Standard deviation of the innovations at rest, relative to those in motion.
+        variance: Of the innovations in motion, in rad2.
+        refit: How far the latency in s and the logarithms of kd and kp are too large, shape (3,).
+    """
+
+    model: Array
+    ratio: float
+    variance: float
+    refit: Array
+
+
+@dataclass(frozen=True)
+class NoisyJoint:
+    """All recordings of one joint, and the noise that best explains what a fit leaves of them.
+
+    Attributes:
+        segments: The recordings.
+        noise: The noise.
+        least_gain: Least gain of the whitening filter at frequency 0.
+    """
+
+    segments: tuple[Segment, ...]
+    noise: Noise
+    least_gain: float
+
+    @cached_property
+    def counts(self) -> tuple[int, int]:
+        """Samples that count, and those of them at rest."""
+        every = sum(int(s.counts.sum()) for s in self.segments)
+        return every, sum(int((s.counts & s.rests).sum()) for s in self.segments)
+
+    def by_recording(self, values: Array) -> list[Array]:
+        """One number a set-point (K,), cut into recordings."""
+        return np.split(values, np.cumsum([s.residual.size for s in self.segments])[:-1])
+
+    def variance(self, error2: float) -> float:
+        """Likeliest variance of the innovations in motion, in rad2."""
+        return max(error2 / self.counts[0], _LEAST_SD_RAD**2)
+
+    def loglikelihood(self, error2: float, ratio: float) -> float:
+        """Gaussian log-likelihood of a weighted sum of squared innovations, up to a constant."""
+        every, rest = self.counts
+        return -0.5 * every * float(np.log(self.variance(error2))) - rest * float(np.log(ratio))
+
+    def alone(self, noise: Noise) -> float:
+        """Log-likelihood of the residual as noise, its variance and ``refit`` at their best."""
+        return self.loglikelihood(self._refitted(noise)[1], noise.ratio)
+
+    def settled(self, noise: Noise) -> tuple[Noise, float]:
+        """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
+        ratio = self.ratio([whitened(s.left(noise.refit), noise.model) for s in self.segments])
+        refit, error2 = self._refitted(replace(noise, ratio=ratio))
+        best = Noise(noise.model, ratio, self.variance(error2), refit)
+        return best, self.loglikelihood(error2, ratio)
+
+    def ratio(self, innovations: Sequence[Array]) -> float:
+        """Size of innovations (T,) at rest relative to those in motion."""
+        pairs = list(zip(self.segments, innovations, strict=True))
+        rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
+        moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
+        if not rest.size or not moving.any():
+            return 1.0
+        return float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
+
+    def remodelled(self, noise: Noise, series: Sequence[Sequence[Array]]) -> Noise:
+        """The noise with its autoregression refitted to noises (T,), some for each recording."""
+        p = noise.model.size
+        products = np.zeros((p + 1, p + 1))
+        for segment, some in zip(self.segments, series, strict=True):
+            for mask, size in ((~segment.rests, 1.0), (segment.rests, noise.ratio)):
+                counts = segment.counts & mask
+                each = sum(lag_products(one, counts, p) for one in some)
+                products += np.asarray(each) / (len(some) * size**2)
+        return replace(noise, model=autoregression(products[None], self.least_gain)[0])
+
+    def _refitted(self, noise: Noise) -> tuple[Array, float]:
+        products = np.zeros((4, 4))
+        for s in self.segments:
+            columns = np.column_stack([s.residual, s.response.refit])
+            columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
+            products += columns.T @ columns
+        return regress(products)
+
+
+def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> NoisyJoint:
+    """Fit the noise of one joint by maximum likelihood, with nothing random on its set-points.
+
+    Innovations are smaller at rest where the sensor is coarser than its noise. Were that not
+    allowed for, larger innovations in motion would be taken for set-points that come unevenly.
+
+    Args:
+        given: Its recordings.
+        lags: Order p of the autoregression.
+        least_gain: Least gain of the whitening filter at frequency 0.
+
+    Raises:
+        ValueError: If no more samples count than the autoregression has coefficients.
+    """
+    segments = tuple(
+        Segment(
+            set_points(one),
+            np.where(one.used, one.residual, 0.0),
+            counting(one.used, lags),
+            np.zeros(one.used.size, dtype=bool),
+        )
+        for one in given
+    )
+    noise = Noise(np.zeros(lags), 1.0, 1.0, np.zeros(3))
+    joint = NoisyJoint(segments, noise, least_gain)
+    if joint.counts[0] <= lags:
+        raise ValueError(f"{joint.counts[0]} samples count; {lags} lags take more")
+    noise = joint.remodelled(noise, [[s.residual] for s in segments])
+    joint = NoisyJoint(_with_rest(segments, noise.model), noise, least_gain)
+    before = -np.inf
+    for _ in range(_ITERATIONS):
+        noise, value = joint.settled(noise)
+        if value < before + 0.01:
+            break
+        before = value
+        noise = joint.remodelled(noise, [[s.left(noise.refit)] for s in joint.segments])
+    return replace(joint, noise=noise)
+
+
+def _with_rest(segments: Sequence[Segment], model: Array) -> tuple[Segment, ...]:
+    """The recordings with the speed below which a sample rests at its likeliest."""
+    square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
+    speeds = [np.abs(s.response.refit[:, 0]) for s in segments]
+    speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
+    best, limit = square.size * np.log(square.mean() + 1e-300), -1.0
+    for trial in np.quantile(speed, _REST_SHARES):
+        rests = speed <= trial
+        if min(rests.sum(), (~rests).sum()) < _FEWEST:
+            continue
+        moving = square[~rests].mean() + 1e-300
+        rest = np.clip(square[rests].mean() / moving, RATIOS[0] ** 2, RATIOS[1] ** 2) * moving
+        excess = rests.sum() * (square[rests].mean() / rest - 1)
+        value = rests.sum() * np.log(rest) + (~rests).sum() * np.log(moving) + excess
+        if value < best:
+            best, limit = value, float(trial)
+    return tuple(replace(s, rests=v <= limit) for s, v in zip(segments, speeds, strict=True))
+
+
+def regress(products: Array) -> tuple[Array, float]:
+    """Best ``refit`` (3,) and what it leaves of the first variable's square.
+
+    Args:
+        products: Inner products of the residual and the columns of ``refit``, shape (4, 4).
+    """
+    normal = products[1:, 1:]
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
+    refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
+    return refit, float(products[0, 0] - products[0, 1:] @ refit)
+
+
+@dataclass(frozen=True)
+class WhitenedRegression:
+    """Inner products of whitened responses and of what they are to explain.
+
+    Set-points of all recordings stand one after another; only neighbours overlap.
+
+    Attributes:
+        gram: Of the responses; row d holds those of set-points k and k + d, shape (W, K).
+        cross: Of the responses with the residual and the columns of ``SetPoints.refit``, (K, 4).
+        square: Of the latter among themselves, shape (4, 4).
+    """
+
+    gram: Array
+    cross: Array
+    square: Array
+
+    def plus(self, other: WhitenedRegression, weight: float) -> WhitenedRegression:
+        """The sum with ``weight`` times another."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return WhitenedRegression(*(mine + weight * its for mine, its in pairs))
+
+    def times(self, amount: Array) -> Array:
+        """Product of ``gram`` and a vector (K,)."""
+        out = self.gram[0] * amount
+        for d in range(1, min(len(self.gram), amount.size)):
+            band = self.gram[d, :-d]
+            out[d:] += band * amount[:-d]
+            out[:-d] += band * amount[d:]
+        return np.asarray(out)
+
+
+def normals(
+    joint: NoisyJoint, noise: Noise, tables: Sequence[Array]
+) -> tuple[WhitenedRegression, WhitenedRegression]:
+    """Normal equations of the samples in motion and of those at rest.
+
+    Args:
+        joint: The joint.
+        noise: Whose autoregression whitens.
+        tables: For each recording its responses, laid out as in ``SetPoints``, shape (K, W).
+    """
+    p = noise.model.size
+    longest = max(table.shape[1] for table in tables) + p
+    wide = [np.pad(table, ((0, 0), (0, longest - table.shape[1]))) for table in tables]
+    white = [whitened(table, noise.model, axis=1) for table in wide]
+    after = np.cumsum(sum(np.sum(table**2, axis=0) for table in white)[::-1])[::-1]
+    kept = max(int(np.sum(after > _NEGLIGIBLE * after[0])), 1)
+    parts: tuple[list[WhitenedRegression], list[WhitenedRegression]] = ([], [])
+    for table, s in zip(white, joint.segments, strict=True):
+        columns = np.column_stack([s.residual, s.response.refit])
+        columns = whitened(columns, noise.model, axis=0)
+        for resting, some in enumerate(parts):
+            mask = s.counts & (s.rests == bool(resting))
+            some.append(_normal(table[:, :kept], columns, mask, s.response.first))
+    moving, rest = (
+        WhitenedRegression(
+            np.concatenate([x.gram for x in some], axis=1),
+            np.concatenate([x.cross for x in some]),
+            np.sum([x.square for x in some], axis=0),
+        )
+        for some in parts
+    )
+    return moving, rest
+
+
+def _normal(table: Array, columns: Array, part: Mask, first: int) -> WhitenedRegression:
+    K, W = table.shape
+    gram, cross = np.zeros((W, K)), np.zeros((K, 4))
+    if not part.any():
+        return WhitenedRegression(gram, cross, np.zeros((4, 4)))
+    padded = np.zeros((K + first + W, 5))
+    padded[:K, :4] = columns * part[:, None]
+    padded[:K, 4] = part
+    cut = np.empty_like(table)
+    for m in range(W):
+        there = padded[first + m : first + m + K]
+        cut[:, m] = table[:, m] * there[:, 4]
+        cross += cut[:, m, None] * there[:, :4]
+    for d in range(min(W, K)):
+        gram[d, : K - d] = np.einsum("km,km->k", cut[: K - d, d:], cut[d:, : W - d])
+    return WhitenedRegression(gram, cross, padded[:, :4].T @ padded[:, :4])

@@ -1,0 +1,154 @@
+"""The plain servo of every joint of a batch, and the servo that has effects besides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from sim2real.diagnose.missing.screening import NUISANCES, candidate
+from sim2real.effects import named
+from sim2real.identification.initial_guess import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
+from sim2real.identification.servo_problem import (
+    Fits,
+    Servos,
+    Set,
+    Tried,
+    minimise,
+    plain_servos,
+    stacked,
+)
+from sim2real.model import JointModel
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
+
+Array = NDArray[np.float64]
+
+BLOCKS = 20
+"""Blocks of each recording for bootstraps."""
+_CANDIDATES = 256
+_REFINED = 3
+_SENSOR = ("sensor_gain", "sensor_offset")
+_ERRORS = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
+_WAVES = [
+    (COLUMNS.index(f"{e.name}.period_rad"), COLUMNS.index(f"{e.name}.phase_rad")) for e in NUISANCES
+]
+"""Columns of the waves of the angle that every servo has."""
+
+
+def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
+    """Fit the plain servo to every joint of a batch, with no guess by hand.
+
+    Args:
+        batch: The recordings.
+        given: Models to start from as well, one a joint, where there are any.
+    """
+    J = batch.recordings.size
+    points = qmc.Sobol(3, seed=0).random(_CANDIDATES)
+    ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
+    scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
+    frequency, damping = np.exp(scaled[:, :2]).T
+    inertia = batch.load[batch.first_signal, 0]
+    theta = np.zeros((J, _CANDIDATES, len(COLUMNS)))
+    theta[:, :, 0] = inertia[:, None] * frequency**2
+    theta[:, :, 1] = inertia[:, None] * 2 * damping * frequency
+    theta[:, :, 2] = scaled[:, 2]
+    joint = np.repeat(np.arange(J, dtype=np.int32), _CANDIDATES)
+    rows = theta.reshape(-1, 1, len(COLUMNS))
+    white = np.zeros((joint.size, batch.lags))
+    seen = batch.evaluate(Problems(joint, rows, np.zeros(rows.shape[:2])), autoregression=white)
+    error2 = seen.square[:, 0].reshape(J, _CANDIDATES)
+    best = np.argsort(error2, axis=1)[:, :6]
+    starts = np.take_along_axis(theta, best[:, :, None], axis=1)
+    if any(given):
+        known = starts[:, :1].copy()
+        for j, model in enumerate(given):
+            if model is not None:
+                known[j] = joint_row(model, None)
+        starts = np.concatenate([starts, known], axis=1)
+        starts[:, :, len(BASE) :] = known[:, :, len(BASE) :]
+    K = starts.shape[1]
+    starting = np.repeat(np.arange(J), K)
+    begin = starts.reshape(J * K, -1)
+    many = plain_servos(starting, begin, inertia[starting], batch.period, free_line=True)
+    rough = minimise(batch, many, iterations=12, white=True)
+    order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :_REFINED]
+    pick = (np.arange(J)[:, None] * K + order).ravel()
+    fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
+    best = fine.error2.reshape(J, -1).argmin(axis=1)
+    return fine[np.arange(J) * order.shape[1] + best]
+
+
+def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> Fits:
+    """Fit the plain servos that are known of such a batch to this one.
+
+    Args:
+        batch: The recordings.
+        known: What was tried on each joint.
+        bases: Effects that each joint's given model has.
+    """
+    servos = []
+    for j, (one, base) in enumerate(zip(known, bases, strict=True)):
+        theta = one.plain.fit.servos.theta[0]
+        inertia = float(batch.load[batch.first_signal[j], 0])
+        plain = with_effects(one.plain.fit.servos, base, theta, float(theta[0]), inertia, base)
+        servos.append(replace(plain, joint=np.array([j], dtype=np.int32)))
+    return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
+
+
+def with_effects(
+    plain: Servos,
+    effects: Set,
+    theta: Array,
+    kp: float,
+    inertia: float,
+    held: Set = frozenset(),
+) -> Servos:
+    """A servo whose gains, latency and parameters of effects are free.
+
+    Args:
+        plain: The plain servo, of one row; its gains, latency and line are free.
+        effects: Effects whose parameters are free; others of ``theta`` are dropped.
+        theta: Where to start, shape (P,).
+        kp: Gain that the effects are scaled to, N m/rad.
+        inertia: Inertia that they are scaled to, kg m2.
+        held: Those of the effects that stay as they are in ``theta``.
+    """
+    given = [candidate(named(name), kp, inertia) for name in sorted(effects) if named(name).fitted]
+    row = np.zeros_like(theta)
+    row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
+    for option in given:
+        row[option.columns] = theta[option.columns]
+    given = [option for option in given if option.effect.name not in held]
+    own = own_parameters(plain)
+    free = (
+        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in given)])[None]
+        for field in ("columns", "unit", "low", "high")
+    )
+    return Servos(plain.joint, row[None], *free)
+
+
+def own_parameters(servos: Servos) -> NDArray[np.bool_]:
+    """Which of one servo's free parameters are no effect's, shape (F,)."""
+    columns = servos.columns[0]
+    return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))
+
+
+def as_read(theta: Array, members: Set) -> Array:
+    """A row (P,) whose waves of the angle are as the sensor shows them, where its errors leave.
+
+    Where a gain or an offset of the sensor is not among the members, what stands for it bends the
+    servo as much; so waves stay where they were seen. No fit mends a period that is off by some of
+    its waves.
+    """
+    gain, offset = np.where([name in members for name in _SENSOR], 0.0, theta[_ERRORS])
+    row = theta.copy()
+    for period, phase in _WAVES:
+        if row[period] > 0 and (gain or offset):
+            row[period] *= 1 + gain
+            turned = row[phase] - 2 * np.pi * offset / row[period]
+            row[phase] = (turned + np.pi) % (2 * np.pi) - np.pi
+    return row

@@ -1,0 +1,218 @@
+"""What every servo has a little of: part of the plain servo, before anything is looked for.
+
+Cogging and the sensor's eccentricity are common to all recordings, and nobody acts on a little of
+them. Left out, their waves pass for anything. They are fitted beside whatever else explains most,
+so that they do not stand in for it, and kept while they are small in noises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim2real.diagnose.missing.screening import NUISANCES, candidate
+from sim2real.effects import named
+from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
+from sim2real.identification.servo_problem import Hypothesis, Set, Tried
+from sim2real.servo.parameters import COLUMNS
+
+if TYPE_CHECKING:
+    from sim2real.diagnose.missing.effect_search import Job, ServoSearch
+
+NAMES = frozenset(e.name for e in NUISANCES)
+_BENT = "sensor_eccentricity"
+_CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
+_BESIDE = 4
+"""Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
+_STARTS = 2
+_WORTH = 5.0
+"""Evidence that nuisances must earn."""
+_RIVALS = 8
+"""Sets of effects that nuisances are looked for beside in the end."""
+_PROMISE = 2.0
+"""Times the gain at first sight that a fit may make."""
+
+
+def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
+    """An effect's size as the angle that it turns the servo by, in noises of the sensor.
+
+    Of an error of the sensor it is what a straight line leaves of it where sensors are calibrated.
+    """
+    theta = best.fit.servos.theta[0]
+    first = named(effect).parameters[0].name
+    size = theta[COLUMNS.index(f"{effect}.{first}")]
+    if effect == _BENT:
+        period, phase = (theta[COLUMNS.index(f"{effect}.{n}_rad")] for n in ("period", "phase"))
+        wave = np.sin(2 * np.pi * _CALIBRATED / max(period, 1e-9) + phase)
+        line = np.polynomial.Polynomial.fit(_CALIBRATED, wave, 1)
+        size *= float(np.sqrt(2 * np.mean((wave - line(_CALIBRATED)) ** 2)))
+    return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
+
+
+def first_look(problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float]) -> None:
+    """Try what explains each joint best at first sight, with the small nuisances that show beside.
+
+    Args:
+        problem: The search to come.
+        ledgers: One a joint, of plain servos.
+        large: Angle from which a joint's nuisance is a finding, rad.
+    """
+    problem.look([(one, one.base) for one in ledgers])
+    jobs = [
+        (one, one.base | {name}, start)
+        for one in ledgers
+        for name, start in problem.additions(one, one.base, _BESIDE)
+    ]
+    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+        one.keep(found)
+    beside = {one.case: one.best for one in ledgers}
+    wanted = [one for one in ledgers if _missing(beside[one.case].members)]
+    if not wanted:
+        return
+    pairs = [(one, beside[one.case]) for one in wanted]
+    jobs = [job for some in _jobs(problem, pairs) for job in some]
+    tried: dict[int, list[Hypothesis]] = {one.case: [] for one in wanted}
+    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
+        tried[one.case].append(found)
+    for one in wanted:
+        one.keep(_best(beside[one.case], tried[one.case], large[one.case]))
+
+
+def with_nuisances(
+    problem: ServoSearch,
+    ledgers: Sequence[Tried],
+    large: Sequence[float],
+    best: Sequence[Hypothesis],
+) -> list[Tried]:
+    """The ledgers, each plain servo with the nuisances that are small.
+
+    Args:
+        problem: The search to come.
+        ledgers: One a joint, of plain servos.
+        large: Angle from which a joint's nuisance is a finding, rad.
+        best: What explained each best before, of these recordings or of such a batch: the nuisances
+            are fitted beside it.
+    """
+    small = [
+        _small(h, angle) - one.base for one, h, angle in zip(ledgers, best, large, strict=True)
+    ]
+    wanted = [k for k, some in enumerate(small) if some]
+    if not wanted:
+        return list(ledgers)
+    jobs = [
+        (ledgers[k], best[k].members | ledgers[k].base, np.array(best[k].fit.servos.theta[0]))
+        for k in wanted
+    ]
+    beside = problem.refit(jobs)
+    jobs = [
+        # Fitted to these recordings, a small one may be a large one after all.
+        (ledgers[k], ledgers[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
+        for k, h in zip(wanted, beside, strict=True)
+    ]
+    for one, members, _ in jobs:
+        # As fitted beside what explains most, and so they stay.
+        problem.held[one.case] = members - one.base
+    based = list(ledgers)
+    for k, (one, members, _), found in zip(wanted, jobs, problem.refit(jobs), strict=True):
+        based[k] = Tried(one.case, members)
+        based[k].keep(found)
+    return based
+
+
+def beside_rivals(
+    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], surely: float
+) -> list[Tried]:
+    """Try small nuisances beside the likeliest sets of each joint, too.
+
+    One that was not seen beside the first explanation speaks for what happens to be shaped like it.
+
+    Args:
+        problem: The search that was.
+        ledgers: What it tried.
+        large: Angle from which a joint's nuisance is a finding, rad.
+        surely: Evidence that a sensor bent by more than that must earn.
+
+    Returns:
+        Those in which other effects are likeliest now.
+    """
+    before = {one.case: one.best for one in ledgers}
+    largest = {one.case: angle for one, angle in zip(ledgers, large, strict=True)}
+    pairs = [
+        (one, h)
+        for one in ledgers
+        for h in sorted(one.tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
+        if _missing(h.members)
+    ]
+    behind = [before[one.case].evidence - h.evidence for one, h in pairs]
+    jobs = _jobs(problem, pairs, [max(x / _PROMISE, _WORTH) for x in behind])
+    found = iter(problem.refit([job for some in jobs for job in some]))
+    for (one, h), some in zip(pairs, jobs, strict=True):
+        tried = [next(found) for _ in some]
+        if not tried:
+            continue
+        one.keep(_best(h, tried, largest[one.case]))
+        # Bent more than any sensor that is in order: no nuisance, and it has no name.
+        bent = [t for t in tried if _BENT in t.members - _small(t, largest[one.case])]
+        top = max(bent, key=lambda t: t.evidence, default=h)
+        if top.evidence > before[one.case].evidence + surely:
+            one.keep(top)
+    return [one for one in ledgers if one.best.members - NAMES != before[one.case].members - NAMES]
+
+
+def _missing(members: Set) -> list[str]:
+    return sorted(NAMES - members)
+
+
+def _jobs(
+    problem: ServoSearch,
+    pairs: Sequence[tuple[Tried, Hypothesis]],
+    worth: Sequence[float] | None = None,
+) -> list[list[Job]]:
+    """For each hypothesis every set of nuisances beside it, from the likeliest waves.
+
+    Args:
+        problem: The search.
+        pairs: Hypotheses, each with what was tried on its joint.
+        worth: Gain at first sight below which a nuisance is not tried.
+    """
+    lists = [
+        [candidate(named(n), *problem.strength(one)) for n in _missing(h.members)]
+        for one, h in pairs
+    ]
+    jobs: list[list[Job]] = [[] for _ in pairs]
+    for n, (given, seen) in enumerate(zip(lists, problem.screened(pairs, lists), strict=True)):
+        one, base = pairs[n]
+        starts: dict[str, list[np.ndarray]] = {}
+        for k, option in enumerate(given):
+            mine = np.flatnonzero(seen.candidate == k)
+            best = mine[np.argsort(-seen.gain[mine])][:_STARTS]
+            if worth is None or seen.gain[best[0]] > worth[n]:
+                starts[option.effect.name] = [option.starts[seen.start[i]] for i in best]
+        columns = {option.effect.name: option.columns for option in given}
+        for count in range(1, len(starts) + 1):
+            for names in combinations(starts, count):
+                for turn in range(_STARTS):
+                    theta = np.array(base.fit.servos.theta[0])
+                    for name in names:
+                        theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
+                    jobs[n].append((one, base.members | set(names), theta))
+    return jobs
+
+
+def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
+    """The likeliest set with those nuisances that are small where all are tried, if worth it."""
+    top = max(tried, key=lambda h: h.evidence)
+    # Where a large wave is likeliest, a small one in its place only stands in for it.
+    small = beside.members | _small(top, large_rad)
+    sets = [h for h in tried if h.members <= small and _small(h, large_rad) >= h.members & NAMES]
+    best = max([beside, *sets], key=lambda h: h.evidence)
+    return best if best.evidence > beside.evidence + _WORTH else beside
+
+
+def _small(found: Hypothesis, large_rad: float) -> Set:
+    """Those of its nuisances that are small."""
+    given = NAMES & found.members
+    return frozenset(name for name in given if size_in_noise(found, name, large_rad) < 1)

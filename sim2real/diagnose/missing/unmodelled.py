@@ -1,0 +1,220 @@
+"""Where and when something is missing, and whether it is in the catalogue at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.smooth_function import (
+    JointMotion,
+    ServoMotion,
+    Smooth,
+    smooth_function_of,
+)
+from sim2real.identification.servo_problem import Fits, minimise, residual_angles
+from sim2real.inference.correlated_noise import RESIDUAL_WANDER
+from sim2real.inference.segments import Window, inside, robust_sd, windows
+from sim2real.processes import shared
+from sim2real.servo.batch import Batch
+from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 3
+_BREAKDOWN = 0.5
+"""Share of the time that may differ before a median tells nothing of the rest."""
+
+
+@dataclass(frozen=True)
+class Unmodelled:
+    """What could be missing, without a name.
+
+    Attributes:
+        excess: Energy of the plain fit's residual that is neither noise nor slow wander, in
+            variances of the noise; about 1 where nothing is missing.
+        smooth: The best smooth function of one state.
+        windows: Segments outside which the plain servo fits, for each recording; None if there
+            are none.
+        windows_evidence: Evidence, against the plain servo's, of something of its own in these
+            segments; -inf without them.
+    """
+
+    excess: float
+    smooth: Smooth
+    windows: tuple[tuple[Window, ...], ...] | None
+    windows_evidence: float
+
+
+def unmodelled(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    robots: Sequence[Sequence[int]],
+    plain: Fits,
+) -> list[Unmodelled]:
+    """Look for physics without a name in every joint of a batch.
+
+    Args:
+        batch: The recordings.
+        joints: The same, as traces.
+        robots: Which joints belong together.
+        plain: The fit of the plain servo, one a joint.
+    """
+    residuals, excesses = beyond_noise(batch, joints, plain)
+    suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
+    separate = intermittent(batch, joints, plain, residuals, suspects)
+    siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
+    given = [
+        (_motions(batch, joints, residuals, j, siblings[j]), _servo(batch, plain, j), j in suspects)
+        for j in range(len(joints))
+    ]
+    smooth = shared(smooth_function_of, given)
+    nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
+    return [
+        Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
+    ]
+
+
+def beyond_noise(
+    batch: Batch, joints: Sequence[Sequence[Trace]], fits: Fits
+) -> tuple[Array, list[float]]:
+    """What one fit a joint leaves, shape (J, R, T), and the ``excess`` of each."""
+    residuals, noise = residual_angles(batch, fits), np.sqrt(fits.error2 / fits.count)
+    return residuals, [
+        excess(residuals[j], traces, batch, float(noise[j])) for j, traces in enumerate(joints)
+    ]
+
+
+def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
+    """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
+
+    The residual is whitened for white noise and ``RESIDUAL_WANDER``.
+    """
+    energy, count = 0.0, 0
+    for row, trace in zip(residual, traces, strict=False):
+        numerator, denominator, spread = RESIDUAL_WANDER.filter(float(np.median(np.diff(trace.t))))
+        innovation = lfilter(numerator, denominator, row[: trace.t.size])
+        used = trace.used.copy()
+        used[: batch.lags] = False
+        energy += float(np.sum(innovation[used] ** 2)) / (1 + spread)
+        count += int(used.sum())
+    scale = noise_rad**2 / (1 + spread)
+    return energy / count / scale
+
+
+def intermittent(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    plain: Fits,
+    residuals: Array,
+    suspects: Sequence[int],
+) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
+    """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
+    found: dict[int, tuple[tuple[Window, ...], ...]] = {}
+    now = {j: residuals[j] for j in suspects}
+    scores: dict[int, float] = {}
+    for _ in range(_ROUNDS):
+        found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
+        length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
+        inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
+        short = {j for j in found if inside_s[j] < _BREAKDOWN * length[j]}
+        found = {j: w for j, w in found.items() if any(w) and j in short}
+        if not found:
+            return {}
+        order = list(found)
+        outside = Batch(
+            [[_without(t, w) for t, w in zip(joints[j], found[j], strict=True)] for j in order],
+            batch.device,
+            batch.threads,
+        )
+        start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
+        fits = minimise(
+            outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
+        )
+        # Windows that leave too few samples outside them explain nothing.
+        found = {j: found[j] for k, j in enumerate(order) if fits.count[k] > outside.lags}
+        square = fits.error2 / np.maximum(fits.count, 1)
+        level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
+        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
+        seen = residual_angles(batch, whole)
+        now = {j: seen[k] for k, j in enumerate(order) if j in found}
+        before = plain.loglikelihood
+        scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
+        if not found:
+            return {}
+    # Each segment must earn as much as is never left to chance, and so must each second of it.
+    costs = {
+        j: DECISION.surely * sum(1 + b - a for some in w for a, b in some) for j, w in found.items()
+    }
+    return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
+
+
+def _windows(
+    residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
+) -> tuple[tuple[Window, ...], ...]:
+    rows = measured_only(residual, traces)
+    masks = [
+        inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
+        for k, t in enumerate(traces)
+    ]
+    sd = robust_sd(np.concatenate(rows), np.concatenate(masks))
+    return tuple(windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True))
+
+
+def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
+    """The residual (R, T) of each recording, NaN where nothing was measured, (T,) each."""
+    return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
+
+
+def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
+    wider = tuple((a - 0.1, b + 0.3) for a, b in given)
+    return replace(trace, used=trace.used & ~inside(trace.t, wider))
+
+
+def _motions(
+    batch: Batch,
+    joints: Sequence[Sequence[Trace]],
+    residuals: Array,
+    joint: int,
+    siblings: Sequence[int],
+) -> list[JointMotion]:
+    motions = []
+    for r, trace in enumerate(joints[joint]):
+        counts = trace.used.copy()
+        counts[: batch.lags] = False
+        others = [
+            _angle(residuals[i], joints[i], k)
+            for i in siblings
+            for k, same in enumerate(joints[i])
+            if same.file == trace.file and same.t.size == trace.t.size
+        ]
+        motions.append(
+            JointMotion(
+                trace.t,
+                trace.command,
+                _angle(residuals[joint], joints[joint], r),
+                residuals[joint][r, : trace.t.size],
+                counts,
+                np.array(others).reshape(len(others), trace.t.size),
+            )
+        )
+    return motions
+
+
+def _angle(residual: Array, traces: Sequence[Trace], r: int) -> Array:
+    """Simulated angles of a recording; where none was measured, between its neighbours."""
+    trace = traces[r]
+    used = np.flatnonzero(trace.used)
+    angle = residual[r, used] + trace.position[used]
+    return np.asarray(np.interp(trace.t, trace.t[used], angle))
+
+
+def _servo(batch: Batch, plain: Fits, joint: int) -> ServoMotion:
+    kp, kd, latency = (float(x) for x in plain.servos.theta[joint, :3])
+    first = batch.first_signal[joint]
+    load = batch.load[first : first + batch.recordings[joint]]
+    return ServoMotion(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)

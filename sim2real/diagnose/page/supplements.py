@@ -1,0 +1,199 @@
+"""What a person wants to see besides the findings: figures, floors, limits, the next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.case import Case, gate
+from sim2real.diagnose.changed.references import repeat
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.missing.screening import Candidate, Screen
+from sim2real.diagnose.page.black_box import black_box
+from sim2real.diagnose.page.formula import formula, what_is_left
+from sim2real.diagnose.page.next_experiment import next_experiment
+from sim2real.diagnose.page.servo_knockoffs import best_knockoff, changes
+from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
+from sim2real.identification.held_out import splits
+from sim2real.recording import PER_INERTIA
+from sim2real.robot import Robot
+from sim2real.servo.linearised import residual_torque, smooth_speed
+
+Array = NDArray[np.float64]
+
+_NINE_IN_TEN = 1.28
+_MOST_RIVALS = 3
+
+
+def with_checks(
+    found: Diagnosis, case: Case, joints: Sequence[JointFindings], rng: np.random.Generator
+) -> Diagnosis:
+    """The diagnosis of one robot with all that its report shows.
+
+    Args:
+        found: The diagnosis.
+        case: The robot.
+        joints: What is known of its joints.
+        rng: For knockoffs and black boxes.
+    """
+    return replace(
+        found,
+        gate=gate(case),
+        evidence=tuple(e for one in joints for e in _evidence(one)),
+        detection_limits=tuple(limit for one in joints for limit in _limits(one)),
+        ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
+        hypothesis=_guesses(joints),
+        next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
+    )
+
+
+def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | None:
+    """The next experiment for the first group of several members."""
+    for one in joints:
+        for group in one.finding.groups:
+            rest = one.finding.best.members - {group.members[0]}
+            tried = one.finding.tried.tried
+            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
+            limits = robot.joint(one.name)
+            if len(known) > 1 and limits is not None:
+                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
+                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
+                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
+    return None
+
+
+def _guesses(joints: Sequence[JointFindings]) -> Mapping[str, str]:
+    """Formulas by joint, for those that miss something that no effect explains and have one."""
+    found = {}
+    for one in joints:
+        if not one.finding.left:
+            continue
+        given = one.joint.traces
+        moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
+        # The same terms for every recording.
+        always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
+        theta = one.offered.fit.servos.theta[0]
+        left = [
+            what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
+            for trace, row in zip(given, one.after, strict=False)
+        ]
+        unit = "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m"
+        # The square of what is left, where an effect of a negligible share is taken away.
+        text = formula(left, unit, 1 - (1 - DECISION.negligible) ** 2)
+        if text:
+            found[one.name] = f"missing torque ≈ {text}"
+    return found
+
+
+def _limits(one: JointFindings) -> list[DetectionLimit]:
+    tried = one.finding.tried
+    members = one.rich.members if one.rich.members in tried.tried else tried.base
+    return detection_limits(*one.finding.search.seen(tried, members), one.name)
+
+
+def _ladder(one: JointFindings, rng: np.random.Generator) -> Ladder | None:
+    """Held-out errors of ever better informed predictors; None where nothing is held out."""
+    unseen = one.unseen_plain
+    before, after = (one.fit(enriched=enriched)["heldout"] for enriched in (False, True))
+    if unseen is None or before is None or after is None:
+        return None
+    finding, traces = one.finding, one.joint.traces
+    servo = finding.tried.plain.fit.servos
+    options = finding.search.seen(finding.tried, finding.tried.base)[1]
+    _, moved = changes(traces, servo, [c for c in options if not c.effect.everywhere])
+    folds = splits(traces, unseen)
+    return Ladder(
+        baseline=before,
+        enriched=after,
+        best_knockoff=best_knockoff(traces, servo, moved, folds, rng),
+        black_box=black_box(folds, rng),
+        noise=one.joint.noise,
+    )
+
+
+def _evidence(one: JointFindings) -> list[JointSeries]:
+    theta = one.finding.tried.plain.fit.servos.theta[0]
+    found = []
+    for trace, before, after in zip(one.joint.traces, one.before, one.after, strict=False):
+        known = np.flatnonzero(trace.used)
+        plain, rich = (
+            np.interp(trace.t, trace.t[known], residual[known] + trace.position[known])
+            for residual in (before, after)
+        )
+        position = np.where(trace.used, trace.position, np.nan)
+        stiffness = float(theta[0]) + trace.load.gravity_Nm
+        torque, sd = residual_torque(
+            trace.t,
+            np.where(trace.used, plain - position, np.nan),
+            (trace.load.inertia_kgm2, float(theta[1]), stiffness),
+            one.joint.noise,
+        )
+        found.append(
+            JointSeries(
+                joint=one.name,
+                recording=trace.name,
+                t=trace.t,
+                command=trace.command,
+                position=position,
+                baseline=plain,
+                enriched=rich,
+                speed=smooth_speed(trace.t, position),
+                torque=torque,
+                torque_sd=sd,
+            )
+        )
+    return found
+
+
+def detection_limits(
+    seen: Screen, candidates: Sequence[Candidate], component: str
+) -> list[DetectionLimit]:
+    """The smallest strength of each effect that could be noticed.
+
+    The score of an effect grows with its strength; between the strengths that were simulated it is
+    interpolated, both on logarithmic scales.
+
+    Args:
+        seen: What every start of every candidate would leave in the innovations.
+        candidates: The candidates, as the screen counts them.
+        component: The joint.
+    """
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + _NINE_IN_TEN
+    limits = []
+    for k, option in enumerate(candidates):
+        mine = seen.candidate == k
+        strength = np.abs(option.starts[seen.start[mine], 0])
+        visible = seen.visible[mine]
+        name = option.effect.parameters[0].name
+        limits.append(
+            DetectionLimit(
+                option.effect.name, component, {name: _crossing(strength, visible, needed)}
+            )
+        )
+    return limits
+
+
+def _crossing(strength: Array, visible: Array, needed: float) -> float | None:
+    """Strength at which the score reaches what is needed; None where no start does."""
+    levels = np.unique(strength)
+    score = np.array([np.median(visible[strength == level]) for level in levels])
+    shown = np.flatnonzero(score >= needed)
+    if not shown.size:
+        return None
+    weaker_is_larger = score[0] > score[-1]
+    at = int(shown[-1] if weaker_is_larger else shown[0])
+    beyond = at + 1 if weaker_is_larger else at - 1
+    if not 0 <= beyond < levels.size or score[beyond] <= 0:
+        # Beyond the strengths tried the score is taken as proportional.
+        ratio = needed / score[at]
+        return float(levels[at] / ratio if weaker_is_larger else levels[at] * ratio)
+    place = np.interp(
+        np.log(needed),
+        np.sort(np.log(score[[at, beyond]])),
+        np.log(levels[[at, beyond]])[np.argsort(score[[at, beyond]])],
+    )
+    return float(np.exp(place))

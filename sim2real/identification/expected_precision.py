@@ -1,0 +1,68 @@
+"""How well a recording could pin a servo down, said before it is fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.identification.fit import fit, gains, inertia_left_out
+from sim2real.identification.initial_guess import first_guess
+from sim2real.inference.parameters import column
+from sim2real.noise import noise_floor
+from sim2real.recording import PER_INERTIA, Recording
+from sim2real.servo.trace import traces
+
+Array = NDArray[np.float64]
+
+_Z90 = 1.645
+_NAMES = ("kp", "kd", "latency", "inertia left out")
+
+
+def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tuple[str, ...]:
+    """What the recording can and cannot identify of one joint, a sentence each.
+
+    From the Fisher information of a PD servo that roughly fits: with independent noise and nothing
+    but a PD servo in the recording, these are the half-widths of 90 % intervals.
+
+    Args:
+        recording: The recording.
+        joint: The joint.
+        seed: Seed of the scan for a servo that fits.
+    """
+    given = traces([recording], joint)
+    if not given:
+        return ("nothing can be identified: the joint does not move under command",)
+    trace = given[0]
+    start, _ = first_guess(given, np.random.default_rng(seed))
+    pendulum = trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0
+    inertia = trace.load.inertia_kgm2
+    every = (*gains(start, inertia), inertia_left_out(start, inertia))
+    free = range(4 if pendulum else 3)
+    slopes = fit(given, start, [every[k] for k in free], rounds=0, evaluations=1).jacobians[0]
+    unit = column([every[k] for k in free], "typical")
+    noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
+    scaled = slopes * unit / noise
+    level, directions = np.linalg.eigh(scaled.T @ scaled)
+    variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
+    half = _Z90 * np.sqrt(variance) * unit
+    seen = np.sqrt(variance) < 1
+    can = [_precision(k, half[i], start) for i, k in enumerate(free) if seen[i]]
+    cannot = [_NAMES[k] for i, k in enumerate(free) if not seen[i]]
+    per = " per unit of inertia" if trace.load is PER_INERTIA else ""
+    sentences = []
+    if can:
+        sentences.append(f"can identify{per}: {', '.join(can)}")
+    if cannot:
+        sentences.append(f"cannot identify: {', '.join(cannot)}")
+    return tuple(sentences)
+
+
+def _precision(index: int, half: float, start: Array) -> str:
+    if index == 2:
+        return f"latency to {1e3 * half:.2g} ms"
+    if index == 3:
+        return f"inertia left out to {half:.2g} kg m2"
+    share = 100 * half / start[index] if start[index] > 0 else np.inf
+    if share < 100:
+        return f"{_NAMES[index]} to {share:.2g} %"
+    return f"{_NAMES[index]} to {half:.2g} {('N m/rad', 'N m s/rad')[index]}"

@@ -1,0 +1,160 @@
+"""Errors on data that a fit has not seen: every recording held out in turn, or the last quarter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.identification.servo_problem import Servos, minimise, stacked
+from sim2real.inference.folds import each_in_turn, rms
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
+from sim2real.servo.trace import Trace, split
+
+Array = NDArray[np.float64]
+
+_STEPS_PER_RADIAN = 16.0
+_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
+_MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Simulated minus measured angles where the fit did not look.
+
+    Attributes:
+        residuals: One array a fold, of its held-out samples, rad.
+        theta: Parameters fitted to the rest of each fold, shape (folds, P).
+    """
+
+    residuals: tuple[Array, ...]
+    theta: Array
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error in rad."""
+        return rms(self.residuals)
+
+
+def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
+    """Pairs of traces to fit and to score: each recording in turn, or the end of a lone one."""
+    if len(traces) > 1:
+        return [(rest, [one]) for rest, one in each_in_turn(traces)]
+    fitted, scored, _ = split(traces, None)
+    return [(fitted, scored)] if scored else []
+
+
+def held_out(
+    joints: Sequence[Sequence[Trace]],
+    servos: Sequence[Servos],
+    *,
+    white: bool = True,
+    device: str = "cpu",
+) -> list[Unseen | None]:
+    """Refit each servo without each fold and score it there.
+
+    Args:
+        joints: Traces of each servo's joint.
+        servos: Servos with the parameters fitted to everything, each of one row.
+        white: Whether the refits take the noise for white, which is best for predictions where
+            something stays missing.
+        device: Warp device.
+
+    Returns:
+        One entry a servo; None where nothing can be held out.
+    """
+    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
+    if not pairs:
+        return [None for _ in joints]
+    training = Batch([fitted for _, (fitted, _) in pairs], device, bounded=False)
+    scoring = Batch([scored for _, (_, scored) in pairs], device)
+    results: dict[int, tuple[list[Array], list[Array]]] = {}
+    for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
+        some = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
+        start = stacked([servos[pairs[k][0]] for k in some])
+        start = replace(start, joint=np.array(some, dtype=np.int32))
+        fits = minimise(training, start, iterations=10, white=white)
+        scored = scoring.evaluate(
+            Problems(start.joint, fits.servos.theta[:, None], np.zeros((len(some), 1))),
+            keep=True,
+        )
+        assert scored.residual is not None
+        for k, residual, theta in zip(some, scored.residual, fits.servos.theta, strict=True):
+            used = pairs[k][1][1][0].used
+            errors, thetas = results.setdefault(pairs[k][0], ([], []))
+            errors.append(residual[0, : used.size][used])
+            thetas.append(theta)
+    return [
+        Unseen(tuple(results[n][0]), np.array(results[n][1])) if n in results else None
+        for n in range(len(joints))
+    ]
+
+
+@dataclass(frozen=True)
+class Side:
+    """A servo on one recording of one side of a fold.
+
+    Attributes:
+        recording: Index of the recording among the joint's.
+        trace: The recording; ``used`` tells which samples belong to this side of the split.
+        angle: Simulated angle in rad, shape (T,).
+    """
+
+    recording: int
+    trace: Trace
+    angle: Array
+
+    @property
+    def residual(self) -> Array:
+        """Simulated minus measured angle in rad where used, shape (used,)."""
+        used = self.trace.used
+        return np.asarray(self.angle[used] - self.trace.position[used])
+
+
+@dataclass(frozen=True)
+class Split:
+    """A fold: the servo fitted to one side of it, on both sides.
+
+    Attributes:
+        theta: Its parameters, shape (P,).
+        fitted: The side that was fitted.
+        scored: The side that the fit has not seen.
+    """
+
+    theta: Array
+    fitted: tuple[Side, ...]
+    scored: tuple[Side, ...]
+
+
+def splits(traces: Sequence[Trace], unseen: Unseen) -> list[Split]:
+    """The folds of ``held_out`` with simulations of both sides."""
+    place = {id(trace): k for k, trace in enumerate(traces)}
+
+    def side(given: Sequence[Trace], theta: Array) -> tuple[Side, ...]:
+        return tuple(
+            # Of a lone recording there are two copies, one a side.
+            Side(place.get(id(one), 0), one, simulated(one, theta[None])[0])
+            for one in given
+        )
+
+    return [
+        Split(theta, side(fitted, theta), side(scored, theta))
+        for (fitted, scored), theta in zip(folds(traces), unseen.theta, strict=True)
+    ]
+
+
+def simulated(trace: Trace, theta: Array) -> Array:
+    """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
+    rows = np.array(theta)
+    rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    kp, kd = rows[0, :2]
+    inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
+    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
+    # One length for all, or differences between them would be of the integration.
+    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
+    angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
+    return np.ascontiguousarray(angle[:, :, 0])

@@ -1,0 +1,98 @@
+"""Predictive check: does what the posterior predicts hold on a recording that it never saw?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.inference.folds import rms
+from sim2real.model import JointModel
+from sim2real.posterior.likelihood import loaded
+from sim2real.posterior.servo import ServoPosterior
+from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
+
+LEVELS = (0.5, 0.8, 0.95)
+TOO_NARROW = 0.85
+"""Share of samples within the 95 % band below which the posterior is too sure of itself."""
+DRAWS = 200
+
+
+@dataclass(frozen=True)
+class PredictiveCheck:
+    """What a posterior predicts of one recording, and what was measured.
+
+    Attributes:
+        recording: Its name.
+        t: Times in s, shape (T,).
+        measured: Angles in rad, shape (T,), NaN where the sample was not held out.
+        median: Of the predictions, shape (T,).
+        band: Ends of their central 95 %, noise included, shape (2, T).
+        covered: Share of measured angles within the central band of each of ``LEVELS``.
+        rmse: Of the median, in rad.
+    """
+
+    recording: str
+    t: Array
+    measured: Array
+    median: Array
+    band: Array
+    covered: Mapping[float, float]
+    rmse: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bands are wide enough."""
+        return self.covered[LEVELS[-1]] >= TOO_NARROW
+
+
+def predictive_check(
+    found: ServoPosterior, joint: JointModel, held_out: Trace, rng: np.random.Generator
+) -> PredictiveCheck:
+    """Predict a recording with draws of the posterior and set it beside what was measured.
+
+    Noise of the size that the fitted recordings leave at the optimum is added to every prediction.
+    Source: Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
+
+    Args:
+        found: The posterior.
+        joint: Its model.
+        held_out: A recording of which no sample that is ``used`` was fitted.
+        rng: For draws and noise.
+    """
+    trace = loaded(held_out, joint)
+    values = found.values[rng.choice(found.values.shape[0], DRAWS, replace=True)]
+    left = [
+        (_angles(found, one, found.optimum[None])[0] - one.position)[one.used]
+        for one in found.data.traces
+    ]
+    angles = _angles(found, trace, values)
+    noisy = angles + rng.normal(0.0, rms(left), angles.shape)
+    measured = np.where(trace.used, trace.position, np.nan)
+    seen = np.isfinite(measured)
+    covered = {}
+    for level in LEVELS:
+        low, high = np.quantile(noisy, [0.5 - level / 2, 0.5 + level / 2], axis=0)
+        covered[level] = float(((measured >= low) & (measured <= high))[seen].mean())
+    median = np.median(angles, axis=0)
+    return PredictiveCheck(
+        recording=held_out.name,
+        t=trace.t,
+        measured=measured,
+        median=median,
+        band=np.quantile(noisy, [0.025, 0.975], axis=0),
+        covered=covered,
+        rmse=rms([(median - measured)[seen]]),
+    )
+
+
+def _angles(found: ServoPosterior, trace: Trace, values: Array) -> Array:
+    """Angles in rad (B, T) of servos with ``values`` (B, F) on the commands of one recording."""
+    theta = found.data.theta(values)
+    theta[:, 3], theta[:, 4] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    return rollout(theta, trace.t, trace.command[:, None])[:, :, 0]
