@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from sim2real.identification.fit import plain_row
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.rollout import Simulator, rollout
+from sim2real.servo.rollout import Simulator, longest_substep, rollout
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -22,6 +22,8 @@ NARROWER = (0.1, 0.04, 0.015)
 NEARLY, FAR, MOST_RIVALS = 1.03, 0.08, 4
 """A rival's error, relative to the least; how far its gain must be, as a share of the range."""
 WINDOW_S = 8.0
+_STEPS_PER_RADIAN, _SHORTEST_SUBSTEP_S = 6.0, 0.5e-3
+"""Sub-steps of the candidates. What a strongly damped one does in less time is over at once."""
 FREQUENCY_RAD_S = (2.0, 300.0)
 DAMPING_RATIO = (0.05, 4.0)
 LATENCY_S = (0.0, 0.3)
@@ -71,9 +73,10 @@ def _errors(points: Array, trace: Trace) -> Array:
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        angle = rollout(theta, trace.t, trace.command[:, None], steps_per_radian=6.0, threads=2)[
-            :, :, 0
-        ]
+        substep = longest_substep(theta, theta[:, 3], _STEPS_PER_RADIAN)
+        substep = np.maximum(substep, _SHORTEST_SUBSTEP_S)
+        command = trace.command[:, None]
+        angle = rollout(theta, trace.t, command, substep_s=substep, threads=2)[:, :, 0]
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 

@@ -22,6 +22,9 @@ Whole = NDArray[np.int32]
 
 STEPS_PER_RADIAN = 16.0
 """Sub-steps per radian of the fastest mode: an error of 1e-4 rad, mostly taken up by the gains."""
+_MOST_SUBSTEPS = 64
+"""Sub-steps between two samples, however strongly a servo is damped: its faster mode has decayed
+by then, and the trapezoidal rule for the damping stays stable."""
 _BYTES = {"cpu": 100e6, "cuda": 16e9}
 """Angles held at once by one thread of the processor or by the device."""
 _INERTIA = BASE.index("inertia_kgm2")
@@ -276,7 +279,8 @@ class Batch:
         recording = np.minimum(np.arange(self.recordings.max()), self.recordings.max() - 1)
         signal = self.first_signal[problems.joint][:, None] + recording
         inertia = self.load[np.minimum(signal, len(self.load) - 1), 0]
-        return longest_substep(problems.theta[:, :1], inertia, STEPS_PER_RADIAN)
+        longest = longest_substep(problems.theta[:, :1], inertia, STEPS_PER_RADIAN)
+        return np.maximum(longest, self.period / _MOST_SUBSTEPS)
 
 
 def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs

@@ -39,7 +39,7 @@ def rollout(
     command: Array,
     *,
     steps_per_radian: float = STEPS_PER_RADIAN,
-    substep_s: float | None = None,
+    substep_s: float | Array | None = None,
     device: str = "cpu",
     threads: int = 1,
 ) -> Array:
@@ -54,7 +54,7 @@ def rollout(
         command: Set-points in rad sent at ``t``, shape (T, J); NaN where the torque is off.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
         substep_s: Longest sub-step in s; by ``steps_per_radian``, and at most 2 ms, where None. One
-            length for all rows makes differences between them smooth.
+            length for all rows makes differences between them smooth; else one a row, (B * J,).
         device: Warp device.
         threads: CPU threads to share the batch.
 

@@ -102,17 +102,19 @@ def test_the_plain_servo_does_not_ring_faster_than_samples_can_tell():
     assert np.sqrt(kp / INERTIA) < np.pi / PERIOD
 
 
-def test_a_search_out_of_budget_tries_no_combinations_and_says_so(rubbing, monkeypatch):
+def test_a_search_out_of_budget_tries_no_combinations_and_says_so(monkeypatch):
+    two = {"coulomb_friction": {"torque_Nm": 0.05}, "command_filter": {"time_constant_s": 0.06}}
+    given = [traced(1, "a", **two), traced(2, "b", **two)]
+    plain = baselines(Batch([given]))
+
     def tried(most):
-        decision = replace(DECISION, search_substeps=most)
-        monkeypatch.setattr(searching, "DECISION", decision)
-        batch = Batch([rubbing.traces])
-        rng = np.random.default_rng(0)
-        (found,), problem = search(batch, rubbing.plain, level=0.01, rng=rng)
+        monkeypatch.setattr(searching, "DECISION", replace(DECISION, search_substeps=most))
+        batch = Batch([given])
+        (found,), problem = search(batch, plain, level=0.01, rng=np.random.default_rng(0))
         return found, problem.unfinished, batch.substeps[0]
 
     short, ended, spent = tried(1.0)
     assert ended == {0} and max(map(len, short.tried)) == 1
-    assert short.best.members == {"coulomb_friction"}
     whole, ended, more = tried(100 * spent)
-    assert ended == set() and max(map(len, whole.tried)) > 1 and more > spent
+    assert ended == set() and more > spent
+    assert "coulomb_friction" in whole.best.members and len(whole.best.members) > 1
