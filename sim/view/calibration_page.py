@@ -76,11 +76,15 @@ class SignalError:
 
     @property
     def _kind(self) -> str:
+        """Whether the error is an offset or varies."""
         share = (self.offset / self.held_out[1]) ** 2
-        part = f"A constant offset of {self.offset:+.3f} {self.unit} is {100 * share:.0f} % of it"
+        offset = (
+            f"A constant offset of {self.offset:+.3f} {self.unit} accounts for {100 * share:.0f} % "
+            "of the mean square error"
+        )
         if share >= _OFFSET:
-            return f"{part} (of the mean square): a slow drift, not the beat of the tail."
-        return f"{part} (of the mean square): most of it varies with the motion."
+            return f"{offset}: a slow drift, not the beat of the tail."
+        return f"{offset}: most of it varies with the motion."
 
 
 def signal_errors(

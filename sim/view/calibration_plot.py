@@ -49,5 +49,5 @@ def comparison(
                 axis.axvspan(swim.t[-1] * (1 - held_out), swim.t[-1], color=FAINT, alpha=0.15)
             axis.set_ylabel(name)
         axes[-1].set_xlabel("time (s); shaded: held out" if held_out else "time (s)")
-        axes[0].legend(ncols=3, loc="upper left")
+        figure.legend(*axes[0].get_legend_handles_labels(), ncols=3, loc="outside upper right")
     return figure

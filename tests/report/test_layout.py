@@ -42,9 +42,11 @@ def _check():
 def _comparison():
     names = [SimpleNamespace(name="j1")]
     swim = SimpleNamespace(t=T, signals=np.sin(T)[:, None] * np.ones(4), name="p1")
-    return comparison(
-        swim, None, None, lambda *_: np.zeros((2, T.size, 4)), SimpleNamespace(joints=names)
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "sim.view.calibration_plot.simulated", lambda *_: np.zeros((2, *swim.signals.shape))
+        )
+        return comparison(swim, None, None, None, SimpleNamespace(joints=names))
 
 
 def _returns():

@@ -234,7 +234,14 @@ def test_a_table_too_wide_for_a_phone_is_stacked_there_with_every_title():
     small = Table(("recording", "rate\nHz"), [("steps", "50.0")])
     wide = Table(
         ("parameter", "range", "drawn", "from"),
-        [("command_latency_s", "0.0676 to 0.0679\ns", "uniform\nper episode", "15 windows")],
+        [
+            (
+                "command_latency_s",
+                "0.0676 to 0.0679\ns",
+                "uniform\nper episode",
+                "each of 15 windows",
+            )
+        ],
     )
     assert not small.stacked and wide.stacked
     page = Page(render_page("t", "", [Section("s", "", [small, wide])], {}))
