@@ -122,8 +122,6 @@ def by_command(what: str, case: Path) -> None:
 
 def in_process(what: str, case: Path) -> None:
     """The function that the command calls."""
-    from sim2real.commands.diagnose import write
-
     from sim2real.diagnose.diagnose import diagnose
     from sim2real.identification.identify import identify
     from sim2real.recording import read_recording
@@ -134,7 +132,7 @@ def in_process(what: str, case: Path) -> None:
     if what == "identify":
         identify(recordings, robot)
     else:
-        write(diagnose(recordings, robot), case / "diagnose.json")
+        write_all(diagnose(recordings, robot), case / "diagnose.json")
 
 
 def verdict(case: Path) -> str:

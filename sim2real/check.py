@@ -85,7 +85,7 @@ def check(
             mistake of unit or column (``validate_recording``).
     """
     validate_recording(recording, robot)
-    clock = timing(recording)
+    clock = timing(recording.t, recording.position)
     findings = list(clock_findings(recording.t, clock))
     if np.isnan(recording.command).all():
         findings.append("No command was recorded: no servo can be identified from it.")

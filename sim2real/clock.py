@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
-
-if TYPE_CHECKING:
-    from sim2real.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -45,16 +41,21 @@ class Timing:
     missing_cells: int
 
 
-def timing(recording: Recording) -> Timing:
-    """Measure the clock of ``recording``."""
-    t, steps = recording.t, np.diff(recording.t)
+def timing(t: Array, position: Array) -> Timing:
+    """Measure the clock of a recording.
+
+    Args:
+        t: Times in s, shape (T,).
+        position: Measured angles, NaN where missing, shape (T, J).
+    """
+    steps = np.diff(t)
     usual = float(np.median(steps))
     long = steps > GAP * usual
     return Timing(
         rate_hz=1 / usual,
         jitter_s=float(steps[~long].std()),
         gaps=tuple((float(t[k]), float(steps[k])) for k in np.flatnonzero(long)),
-        missing_cells=int(np.isnan(recording.position).sum()),
+        missing_cells=int(np.isnan(position).sum()),
     )
 
 

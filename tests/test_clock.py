@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sim2real.clock import Timing, clock_findings, timing
-from sim2real.recording import Recording
 
 T = np.arange(0, 10, 0.02)
 
@@ -12,7 +11,7 @@ T = np.arange(0, 10, 0.02)
 def measure(t: np.ndarray, missing: int = 0) -> Timing:
     position = np.zeros((t.size, 2))
     position[:missing, 1] = np.nan
-    return timing(Recording("bench", "servo", ("j1", "j2"), t, 0 * position, position))
+    return timing(t, position)
 
 
 def bunched() -> np.ndarray:

@@ -17,10 +17,10 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
 from sim2real.diagnose.missing.calibrated_odds import judged
-from sim2real.diagnose.missing.effect_search import ServoSearch, ledgers_of
 from sim2real.diagnose.missing.investigate import Finding, investigate, placed
 from sim2real.diagnose.missing.nuisances import first_look
 from sim2real.diagnose.missing.offer import offer, simpler
+from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis

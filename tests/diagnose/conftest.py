@@ -11,7 +11,8 @@ from strange import position_damping, strange
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, examined
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.effect_search import ServoSearch, search
+from sim2real.diagnose.missing.effect_search import search
+from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.result import Diagnosis
 from sim2real.identification.servo_problem import Fits, Tried
 from sim2real.recording import Recording

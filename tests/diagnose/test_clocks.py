@@ -7,7 +7,7 @@ from simulated import traced
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.effect_search import ledgers_of
+from sim2real.diagnose.missing.servo_search import ledgers_of
 from sim2real.servo.batch import Batch
 
 QUIET = 1e-5

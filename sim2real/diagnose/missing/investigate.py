@@ -13,8 +13,9 @@ from sim2real.diagnose.link.link_effect import LinkData, links
 from sim2real.diagnose.link.lost_packets import Uneven
 from sim2real.diagnose.missing.baseline import baselines, plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
-from sim2real.diagnose.missing.effect_search import ServoSearch, search
+from sim2real.diagnose.missing.effect_search import search
 from sim2real.diagnose.missing.nuisances import size_in_noise
+from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.identification.held_out import Unseen

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
+from sim2real.diagnose.missing.servo_search import Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 from sim2real.servo.parameters import COLUMNS
-
-if TYPE_CHECKING:
-    from sim2real.diagnose.missing.effect_search import Job, ServoSearch
 
 NAMES = frozenset(e.name for e in NUISANCES)
 _BENT = "sensor_eccentricity"

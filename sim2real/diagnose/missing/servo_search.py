@@ -1,0 +1,280 @@
+"""What a search for missing effects asks of the servos of a batch: starts, refits, evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.missing.baseline import BLOCKS, as_read, own_parameters, with_effects
+from sim2real.diagnose.missing.screening import Candidate, Screen, candidates, screen
+from sim2real.identification.servo_problem import (
+    Fits,
+    Hypothesis,
+    Set,
+    Tried,
+    descended,
+    joined,
+    stacked,
+)
+from sim2real.inference.evidence import occam_factor
+from sim2real.servo.batch import Batch
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Job = tuple[Tried, Set, Array]
+"""What was tried on a joint, the set of effects to refit, and the parameters to start from."""
+
+_BETTER = 1.0
+_RIVALS, _NEAR = 10, 80.0
+"""Sets that are refitted with nothing held, and how far their evidence may be behind."""
+_SINGLES, _HOPELESS = 24, 1.0
+"""Starts of single effects that are followed, and the gain at first sight below which none is."""
+_PROMISE = 3.0
+"""Times the gain that a fit's quadratic model promises, which it may still make."""
+_GAIN = "sensor_gain"
+
+
+def ledgers_of(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
+    """What was tried on each joint before a search: its plain servo.
+
+    Args:
+        plain: The fits, one a joint.
+        bases: Effects that each joint's given model has.
+    """
+    ledgers = []
+    for j in range(plain.count.size):
+        base: Set = bases[j] if bases else frozenset()
+        fit = plain.one(j)
+        ledgers.append(Tried(j, base))
+        ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
+    return ledgers
+
+
+class ServoSearch:
+    """What the search asks of the servos of a batch: see ``selection.Problem``.
+
+    Args:
+        batch: The recordings.
+        level: Share of joints with nothing missing that may be searched beyond single effects.
+        rng: For the bootstrap.
+    """
+
+    def __init__(self, batch: Batch, level: float, rng: np.random.Generator) -> None:
+        self.batch, self.level, self.rng = batch, level, rng
+        self.held: dict[int, Set] = {}
+        """Effects of each case that stay as they are."""
+        self.singles = True
+        """Whether every effect by itself is still to be tried."""
+        self.unfinished: set[int] = set()
+        """Cases whose search was ended by its budget, ``DECISION.search_substeps``."""
+        self._spent_before = batch.substeps.copy()
+        self._seen: dict[tuple[int, Set], tuple[Screen, list[Candidate]]] = {}
+
+    def seen(self, ledger: Tried, members: Set) -> tuple[Screen, list[Candidate]]:
+        """What every effect that may join a set would explain of what it leaves."""
+        self.look([(ledger, members)])
+        return self._seen[ledger.case, members]
+
+    def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
+        """Screen all other effects from each of these sets; sets of one size share a launch."""
+        new = {(one.case, s): (one, s) for one, s in pairs if (one.case, s) not in self._seen}
+        lists = [candidates(s, *self.strength(one)) for one, s in new.values()]
+        seen = self.screened([(one, one.tried[s]) for one, s in new.values()], lists)
+        self._seen.update(zip(new, zip(seen, lists, strict=True), strict=True))
+
+    def screened(
+        self, places: Sequence[tuple[Tried, Hypothesis]], lists: Sequence[list[Candidate]]
+    ) -> list[Screen]:
+        """What these candidates would explain of what each hypothesis leaves."""
+        found: dict[int, Screen] = {}
+        widths = [h.fit.servos.columns.shape[1] for _, h in places]
+        for width in sorted(set(widths)):
+            some = [k for k, w in enumerate(widths) if w == width]
+            fits = joined([places[k][1].fit for k in some])
+            # A finding may have been moved to a place in another batch.
+            joint = np.array([places[k][0].case for k in some], dtype=np.int32)
+            fits = replace(fits, servos=replace(fits.servos, joint=joint))
+            seen = screen(self.batch, fits, [lists[k] for k in some], blocks=BLOCKS)
+            found.update(zip(some, seen, strict=True))
+        return [found[k] for k in range(len(places))]
+
+    def additions(self, ledger: Tried, members: Set, most: int | None) -> list[tuple[str, Array]]:
+        """The effects that explain most from a set, each with a parameter row to start from."""
+        if most is None and not self.singles:
+            return []
+        seen, given = self.seen(ledger, members)
+        gain, each = seen.gain, 2 if most is None else 1
+        chosen: list[tuple[float, str, Array]] = []
+        for k, option in enumerate(given):
+            mine = np.flatnonzero(seen.candidate == k)
+            for index in mine[np.argsort(-gain[mine])][:each]:
+                theta = self.start(ledger, members, members)
+                theta[option.columns] = option.starts[seen.start[index]]
+                chosen.append((float(gain[index]), option.effect.name, theta))
+        chosen.sort(key=lambda entry: -entry[0])
+        if most is None:
+            chosen = [entry for entry in chosen if entry[0] > _HOPELESS][:_SINGLES]
+        return [(name, theta) for _, name, theta in chosen[:most]]
+
+    def start(self, ledger: Tried, members: Set, of: Set | None = None) -> Array:
+        """The parameter row of a set, or of the best one."""
+        known = ledger.best if of is None else ledger.tried[of]
+        return np.array(known.fit.servos.theta[0])
+
+    def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
+        """Refit sets of effects from parameter rows; the best of several starts stands for all."""
+        if not jobs:
+            return []
+        servos = [
+            with_effects(
+                one.plain.fit.servos,
+                members,
+                as_read(theta, members),
+                *self.strength(one),
+                self.held.get(one.case, frozenset()),
+            )
+            for one, members, theta in jobs
+        ]
+        rough, settled = descended(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
+        best: dict[tuple[int, Set], int] = {}
+        for k, (ledger, members, _) in enumerate(jobs):
+            key = (ledger.case, members)
+            if key not in best or rough.error2[k] < rough.error2[best[key]]:
+                best[key] = k
+        fits = {key: rough.one(k) for key, k in best.items()}
+        keys = [key for key, k in best.items() if not settled[k]]
+        goal = self._goals(jobs, fits)
+        promised = {key: _promised(fits[key]) for key in keys}
+        keys = [
+            key
+            for key in keys
+            if float(fits[key].loglikelihood[0]) + _PROMISE * promised[key] > goal[key]
+        ]
+        if keys:
+            index = np.array([best[key] for key in keys])
+            goals = np.array([goal[key] for key in keys])
+
+            def hopeless(places: Index, loss: Array, promised: Array) -> NDArray[np.bool_]:
+                return np.asarray(_PROMISE * promised - loss < goals[places])
+
+            fine, _ = descended(
+                self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
+            )
+            fits.update((key, fine.one(n)) for n, key in enumerate(keys))
+        return [
+            Hypothesis(s, fits[one.case, s], _evidence(fits[one.case, s], s - one.base))
+            for one, s, _ in jobs
+        ]
+
+    def _goals(
+        self, jobs: Sequence[Job], fits: Mapping[tuple[int, Set], Fits]
+    ) -> dict[tuple[int, Set], float]:
+        """Log-likelihood from which each set matters, among those of its case.
+
+        Sets with another gain of the sensor are compared however far behind they are.
+        """
+        top: dict[int, float] = {}
+        for ledger, members, _ in jobs:
+            here = float(fits[ledger.case, members].loglikelihood[0])
+            known = float(ledger.best.fit.loglikelihood[0])
+            top[ledger.case] = max(here, known, top.get(ledger.case, -np.inf))
+        return {
+            (ledger.case, members): -np.inf if _GAIN in members else top[ledger.case] - _NEAR
+            for ledger, members, _ in jobs
+        }
+
+    def release(self, ledgers: Sequence[Tried]) -> None:
+        """Refit the likeliest sets of each case, and the plain one, with nothing held.
+
+        What was held was fitted beside what was likeliest then, and speaks for that.
+        """
+        held = [(one, h) for one in ledgers if self.held.get(one.case) for h in _likely(one)]
+        self.held.clear()
+        jobs = [(one, h.members, h.fit.servos.theta[0]) for one, h in held]
+        for (one, h), found in zip(held, self.refit(jobs), strict=True):
+            more = float(found.fit.loglikelihood[0] - h.fit.loglikelihood[0])
+            # All are as free: what freedom costs is the same for each.
+            if more > 0:
+                one.tried[h.members] = replace(found, evidence=h.evidence + more)
+
+    def remains(self, ledger: Tried, members: Set) -> bool:
+        """Whether some effect would still explain more than chance.
+
+        What every servo has a little of must explain as much as is never left to chance.
+        """
+        gain, limit = self.left(ledger, members)
+        return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
+
+    def exhausted(self, ledger: Tried) -> bool:
+        """Whether a case that would be searched further has spent its budget; noted down if so.
+
+        The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
+        """
+        spent = self.batch.substeps[ledger.case] - self._spent_before[ledger.case]
+        if spent > DECISION.search_substeps:
+            self.unfinished.add(ledger.case)
+        return ledger.case in self.unfinished
+
+    def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
+        """Largest gain that an effect would still make, and what chance would make.
+
+        What every servo has a little of does not count: it is named only where it is large.
+        """
+        seen, given = self.seen(ledger, members)
+        counted = seen.of(np.array([not c.effect.everywhere for c in given]))
+        limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
+        return float(counted.gain.max()), limit
+
+    def rebased(self, ledgers: Sequence[Tried]) -> list[Tried]:
+        """Those whose plain servo fits better with the gains that the best single effect found."""
+        before = [one.plain.evidence for one in ledgers]
+        jobs = [(one, one.base, self.start(one, one.base)) for one in ledgers]
+        better = []
+        for one, found, old in zip(ledgers, self.refit(jobs), before, strict=True):
+            one.keep(found)
+            if one.plain.evidence > old + _BETTER:
+                better.append(one)
+                del self._seen[one.case, one.base]
+        return better
+
+    def strength(self, ledger: Tried) -> tuple[float, float]:
+        """The plain servo's gain and inertia."""
+        first = self.batch.first_signal[ledger.case]
+        return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
+
+
+def _likely(one: Tried) -> list[Hypothesis]:
+    """The sets that what is said rests on: the best, what it is without each effect, its rivals.
+
+    What was held fits none with another gain of the sensor, however far behind they are.
+    """
+    best, tried = one.best, one.tried
+    near = sorted(tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
+    scaled = _GAIN in best.members
+    sets = [
+        h.members
+        for h in near
+        if h.evidence > best.evidence - _NEAR or (_GAIN in h.members) != scaled
+    ]
+    sets += [one.base, *(best.members - {e} for e in best.members - one.base)]
+    return [tried[s] for s in dict.fromkeys(sets) if s in tried]
+
+
+def _promised(fit: Fits) -> float:
+    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    total = fit.gram[0].sum(axis=0)
+    inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
+    share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
+    return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
+
+
+def _evidence(fit: Fits, added: Set) -> float:
+    """Laplace's approximation of the evidence of effects, with their prior."""
+    information = fit.gram.sum(axis=1)[:, 1:, 1:] / (fit.error2 / fit.count)[:, None, None]
+    nuisance = int(own_parameters(fit.servos).sum())
+    occam = occam_factor(information, DECISION.prior_sd, nuisance=nuisance)
+    return float(fit.loglikelihood[0] - occam[0]) + len(added) * LOG_PRIOR
