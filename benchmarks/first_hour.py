@@ -122,6 +122,7 @@ def by_command(what: str, case: Path) -> None:
 
 def in_process(what: str, case: Path) -> None:
     """The function that the command calls."""
+    from sim.commands.diagnose import write_all
     from sim2real.diagnose.diagnose import diagnose
     from sim2real.identification.identify import identify
     from sim2real.recording import read_recording
