@@ -104,7 +104,8 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """The parser; the options of all commands, or of these only."""
     whole = argparse.ArgumentParser(
         prog="sim2real",
-        description="Identify a robot's servos, diagnose missing physics, generate randomization ranges.",
+        description="Identify a robot's servos, diagnose missing physics, "
+        "generate randomization ranges.",
         epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
