@@ -383,7 +383,9 @@ def _worth_following(
         normal: Half the second derivatives of its loss, shape (S, F, F).
         slope: Half the first derivatives, shape (S, F).
     """
-    going, kept, before = set(active.tolist()), [], []
+    going = set(active.tolist())
+    kept: list[int] = []
+    before: list[int] = []
     order = np.argsort(loss, kind="stable").tolist()
     for s in order:
         twin = any(np.abs(at[k] - at[s]).max() < _SAME for k in before)
