@@ -142,8 +142,8 @@ def _trials(answers: Answers) -> str:
     return (
         f"{'; '.join(rows)} (its default: 100,000). One trial takes its own code "
         f"{1e3 * np.mean(own):.0f} ms of CPU, so its default takes "
-        f"{100_000 * np.mean(own) / 3600:.1f} hours; the CPU seconds here are those of the compiled "
-        f"loop, which agrees with its own to {max(far):.0e} rad."
+        f"{100_000 * np.mean(own) / 3600:.1f} hours; the CPU seconds here are those of the "
+        f"compiled loop, which agrees with its own to {max(far):.0e} rad."
     )
 
 
