@@ -104,7 +104,7 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """The parser; the options of all commands, or of these only."""
     whole = argparse.ArgumentParser(
         prog="sim2real",
-        description="Make a robot's simulator tell the truth.",
+        description="Identify a robot's servos, diagnose missing physics, generate randomization ranges.",
         epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
