@@ -182,8 +182,9 @@ def _identified(fold: Fold, options: Options) -> dict[str, Any]:
     out = options.work / f"{fold.name}-model.json"
     given = [*fold.fit, fold.score[0]]
     robot = given[0].parent / "robot.toml"
-    command = [sys.executable, "-m", "sim2real", "identify", *given, "--robot", robot, "--out", out]
-    _run([*command, "--held-out", fold.score[0].stem, "--no-plots"])
+    identify = (sys.executable, "-m", "sim2real", "identify", "--no-plots")
+    options_given = ("--robot", robot, "--out", out, "--held-out", fold.score[0].stem)
+    _run([*identify, *options_given, *given])
     model = _at_gain(read_model(out), fold.kp_ratio)
     predictions: dict[str, dict[str, list[float]]] = {joint: {} for joint in model.joints}
     for recording in map(read_recording, fold.score):

@@ -63,26 +63,34 @@ def write_report(work: Path, folds: Sequence[Fold]) -> None:
 def errors_table(answers: Answers, folds: Sequence[Fold]) -> str:
     """Mean errors in mrad and mean seconds of one fit, by method; then each fold's mean error.
 
-    Columns are the folds that ``sim2real`` has answered; a mean is over a method's own folds, whose
-    number is given where some are missing.
+    A method that has not answered all folds is averaged over those that it has, beside
+    ``sim2real`` on the same ones.
     """
     columns = [fold for fold in folds if (fold.name, "sim2real") in answers]
-    head = ["method", "mean absolute error", "RMSE", "CPU s a fit", "wall s a fit"]
+    head = ["method", "folds", "mean absolute error", "sim2real, same folds", "RMSE", "CPU s a fit"]
     rows = [[*head, *(fold.name.replace("_", " ") for fold in columns)]]
     for method in METHODS:
-        done = {f.name: answers[f.name, method] for f in columns if (f.name, method) in answers}
+        done = [fold.name for fold in columns if (fold.name, method) in answers]
         if not done:
             continue
-        mae = {name: 1e3 * np.mean(list(one["mae_rad"].values())) for name, one in done.items()}
-        rmse = [1e3 * np.mean(list(one["rmse_rad"].values())) for one in done.values()]
-        cpu, wall = (np.mean([one[key] for one in done.values()]) for key in ("cpu_s", "wall_s"))
-        missing = "" if len(done) == len(columns) else f" ({len(done)} of {len(columns)})"
-        means = [f"{np.mean(list(mae.values())):.1f}{missing}", f"{np.mean(rmse):.1f}"]
-        fits = [f"{mae[f.name]:.1f}" if f.name in mae else "" for f in columns]
-        mark = "\\*" if any("machine" in one for one in done.values()) else ""
-        spent = ["", ""] if method == BAM_OWN else [f"{cpu:.0f}{mark}", f"{wall:.0f}{mark}"]
-        rows.append([TITLES[method], *means, *spent, *fits])
+        seconds = np.mean([answers[name, method]["cpu_s"] for name in done])
+        elsewhere = any("machine" in answers[name, method] for name in done)
+        spent = "" if method == BAM_OWN else f"{seconds:.0f}" + ("\\*" if elsewhere else "")
+        means = [
+            f"{np.mean([_mrad(answers[name, who], which) for name in done]):.1f}"
+            for who, which in ((method, "mae"), ("sim2real", "mae"), (method, "rmse"))
+        ]
+        found = [
+            f"{_mrad(answers[f.name, method], 'mae'):.1f}" if f.name in done else ""
+            for f in columns
+        ]
+        rows.append([TITLES[method], f"{len(done)} of {len(columns)}", *means, spent, *found])
     return _table(rows)
+
+
+def _mrad(answer: Mapping[str, Any], which: str) -> float:
+    """An answer's mean error over its recordings and joints."""
+    return 1e3 * float(np.mean(list(answer[f"{which}_rad"].values())))
 
 
 def recovery_table(answers: Answers, folds: Sequence[Fold]) -> str:
@@ -181,7 +189,7 @@ def draw(fold: Fold, answers: Answers) -> None:
         below.set_xlabel("time (s)", color=MUTED)
         above.legend(loc="upper center", ncols=3, bbox_to_anchor=(0.5, 1.04))
         above.set_ymargin(0.12)
-        figure.get_layout_engine().set(w_pad=MARGIN_INCHES, h_pad=MARGIN_INCHES)
+        figure.set_layout_engine("constrained", w_pad=MARGIN_INCHES, h_pad=MARGIN_INCHES)
         figure.savefig(REPORT / "xl330.png", dpi=DPI, metadata={"Software": None})
 
 
