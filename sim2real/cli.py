@@ -54,6 +54,10 @@ COMMANDS = {
 }
 """Each command's options and what it does in a line, in the order in which help lists them."""
 
+_SMALL_MATRICES = ("check", "identify", "diagnose", "ranges")
+"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
+linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
+
 _COMMON = argparse.ArgumentParser(add_help=False)
 _COMMON.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
 _COMMON.add_argument(
@@ -69,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = parser(only=given[:1]).parse_args(given)
+    if options.command in _SMALL_MATRICES:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
     try:
         run = importlib.import_module(options.module).run
         if options.json:
