@@ -54,7 +54,10 @@ COMMANDS = {
 }
 """Each command's options and what it does in a line, in the order in which help lists them."""
 
-<<<<<<< HEAD
+_SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
+"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
+linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
+
 
 def _natural(text: str) -> int:
     """A whole number that is not negative, as a seed is."""
@@ -62,11 +65,6 @@ def _natural(text: str) -> int:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number of at least 0")
     return int(text)
 
-=======
-_SMALL_MATRICES = ("check", "identify", "diagnose", "ranges")
-"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
-linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
->>>>>>> h/speed
 
 _COMMON = argparse.ArgumentParser(add_help=False)
 _COMMON.add_argument(
