@@ -11,7 +11,7 @@ import torch
 from rl.decisions import Decisions
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, write_policy
-from rl.deploy.forward import Policy, read_npz
+from rl.deploy.forward import read_npz
 from rl.deploy.header import c_header
 from rl.observer import PAPER, Observer, View
 from rl.randomize import Noise
