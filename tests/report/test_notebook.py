@@ -8,16 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.verbs import Calibration, Simulated
+from sim.calibration.calibration import Calibration
+from sim.simulation import Simulated
 from sim2real import Model, Recording, read_robot
 from sim2real.check import check
 from sim2real.density import Density
 from sim2real.diagnose.result import Diagnosis, Mismatch
 from sim2real.model import JointModel
+from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.ranges.gather import Gathered
 from sim2real.report.notebook import result_html
-from sim2real.verbs import Posterior, Prediction
+from sim2real.servo.prediction import Prediction
 
 EVIL = "<script>alert('&')</script>"
 VOID = {"br"}
@@ -66,7 +68,7 @@ def posterior_of(name):
         priors=SimpleNamespace(each=each),
         quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
-    return Posterior({"j1": servo}, {})
+    return Posteriors({"j1": servo}, {})
 
 
 def calibration_of(robot):
