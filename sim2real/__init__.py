@@ -1,7 +1,7 @@
-"""sim2real: make a robot's simulator tell the truth.
+"""sim2real: identify servos, diagnose missing physics, generate randomization ranges.
 
-The verbs are called alike, ``verb(recordings, robot, model)``, and their results print as tables
-and have ``plot()``. All names below are loaded when they are first used.
+The functions (verbs) have the same arguments, ``verb(recordings, robot, model)``; their results
+print as tables and have a method ``plot()``. All names below are imported when first used.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ _HOMES = {
     "write_model": "sim2real.model",
     "write_recording": "sim2real.recording",
 }
-"""Where each name lives. Three verbs need the water, a floor up, and are loaded from there only
-when a program asks for them: beside the command line the one place that reaches up."""
+"""Module of each name. Three verbs need the fluid, in the package ``sim`` one layer up; they are
+imported when a program uses them. Besides the command line, only this module imports upwards."""
 
 __all__ = sorted(name for name in _HOMES if not name.startswith("_"))
 
@@ -70,10 +70,10 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """This package: a verb is not hidden by the folder of the same name when that is imported.
+    """This package, in which importing a subpackage does not replace the verb of the same name.
 
-    Importing ``sim2real.ranges.entry`` would make ``sim2real.ranges`` the folder; ``from
-    sim2real.ranges.entry import ...`` does not need that, and the name stays the verb's.
+    Importing ``sim2real.ranges.entry`` would set ``sim2real.ranges`` to the subpackage; ``from
+    sim2real.ranges.entry import ...`` does not need this, and the name remains that of the verb.
     """
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -1,7 +1,7 @@
-"""The body's and the camera's effects in a model file.
+"""Effects of the body and the camera in a model file.
 
-A model lists those it has under ``body.effects``; one that belongs to a material names it as
-``component``. What they are stands in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
+They are listed under ``body.effects``; an effect of a material names it as ``component``. The
+effects are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEf
     """The effect with this identifier.
 
     Raises:
-        InputError: If there is none; ``where`` says who asked.
+        InputError: If there is none; ``where`` is the place in the message.
     """
     every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
     for effect in every:
@@ -32,12 +32,12 @@ def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEf
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:
-    """Parameters of the body's and the camera's effects by ``effect.parameter``.
+    """Parameters of the effects of body and camera by ``effect.parameter``.
 
-    One that belongs to a material is called ``effect.material.parameter``.
+    Parameters of a material are named ``effect.material.parameter``.
 
     Raises:
-        InputError: If an effect or a parameter does not exist, or is no finite number.
+        InputError: If an effect or a parameter does not exist, or a value is not a number.
     """
     out: dict[str, float] = {}
     listed: list[Mapping[str, Any]] = list(model.body.get("effects", ()))

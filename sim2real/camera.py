@@ -1,4 +1,4 @@
-"""What a camera above the pool makes of the true poses: the catalogue's camera effects."""
+"""Measured poses of a camera above the pool, with the camera effects of the catalogue."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 
 def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them.
+    """Poses as measured by the camera.
 
     Args:
-        t: Times in s, shape (T,), increasing and even.
+        t: Times in s, shape (T,), increasing and evenly spaced.
         pose: x, y in m and heading in rad of the head's centre of mass, shape (T, 3).
-        parameters: Of camera effects by ``effect.parameter``; others are ignored.
+        parameters: Parameters of camera effects by ``effect.parameter``; others are ignored.
 
     Returns:
         Poses, shape (T, 3).

@@ -1,4 +1,4 @@
-"""A recording looked over before anyone fits: its clock, its joints and what is odd about them."""
+"""Check of a recording before a fit: clock, joints, findings and identifiable parameters."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ class JointCheck:
     """One joint of a recording.
 
     Attributes:
-        joint: Its name.
+        joint: Name of the joint.
         range_rad: Largest minus smallest position; 0 if there is none.
         command_range_rad: Largest minus smallest command; 0 if there is none.
-        moves: Number of movements of the command; a pause or a reversal begins a new one.
-        noise_rad: Standard deviation of the measurement noise, quantization included.
-        step_rad: Quantization step; 0 if none shows.
+        moves: Number of movements of the command, separated by pauses or reversals.
+        noise_rad: Standard deviation of the measurement noise, including quantization.
+        step_rad: Quantization step; 0 if none is visible.
         missing: Number of missing positions.
-        load: The load in words.
-        findings: What is odd, one sentence each.
-        identifiable: What can and can't be identified from it, one sentence each.
+        load: Description of the load.
+        findings: Findings, one sentence each.
+        identifiable: Which parameters can and cannot be identified, one sentence each.
     """
 
     joint: str
@@ -51,7 +51,7 @@ class JointCheck:
 
 @dataclass(frozen=True)
 class Check(NotebookDisplay):
-    """What a recording is like: ``findings`` concern all of it, each joint has its own."""
+    """Result of a check; ``findings`` concern the whole recording, each joint has its own."""
 
     recording: str
     kind: str
@@ -72,25 +72,26 @@ def check(
     seed: int = 0,
     identifiable: bool = True,
 ) -> Check:
-    """Look a recording over; with ``robot``, against its limits and data sheets too.
+    """Check a recording; with ``robot``, also against its limits and data sheets.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded.
-        seed: Seed of the search for a servo that roughly fits, which says what can be identified.
-        identifiable: Whether to work that out; it takes most of the time.
+        seed: Seed of the search for an approximate servo, which predicts the precision.
+        identifiable: Whether to predict which parameters can be identified, which takes most of
+            the time.
 
     Raises:
-        InputError: If the robot lacks a joint of the recording, or the recording can only be a
-            mistake of unit or column (``validate_recording``).
+        InputError: If the robot lacks a joint of the recording, or a unit or a column must be in
+            error (``validate_recording``).
     """
     validate_recording(recording, robot)
     clock = timing(recording.t, recording.position)
     findings = list(clock_findings(recording.t, clock))
     if np.isnan(recording.command).all():
-        findings.append("No command was recorded: no servo can be identified from it.")
+        findings.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and "body.x_m" not in recording.columns:
-        findings.append("The body was not tracked: nothing about the water can be calibrated.")
+        findings.append("The body was not tracked: body and fluid cannot be calibrated.")
     every = range(len(recording.joints))
     joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in every)
     return Check(
@@ -99,7 +100,7 @@ def check(
 
 
 def all_findings(check: Check) -> list[str]:
-    """What is odd, one sentence each; what several joints share is said once."""
+    """All findings, one sentence each; findings that joints share are listed once."""
     shared: dict[str, list[tuple[str, str]]] = {}
     for row in check.joints:
         for finding in row.findings:

@@ -1,4 +1,4 @@
-"""The clock of a recording: its rate, its gaps and what is odd about its times."""
+"""The clock of a recording: sampling rate, gaps and findings about its times."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from sim2real.errors import InputError
 
 Array = NDArray[np.float64]
 
-GAP = 2.5  # usual steps
+GAP = 2.5  # median steps
 SLOWEST_RATE_HZ = 20.0
 SHORTEST_PERIOD_S = 20e-6
-"""50 kHz: the current loops of motor drives run no faster, and buses of servos a tenth of it."""
+"""50 kHz: current loops of motor drives are not faster, and servo buses run at a tenth of it."""
 LONGEST_PERIOD_S = 0.5
-"""A servo is through with a motion in less: nothing of one shows at a slower rate."""
+"""Servos complete a motion in less time: their dynamics are not visible at a slower rate."""
 LONGEST_COMMAND_PERIOD_S = 10.0
-"""Set-points may be way points that are held for seconds."""
+"""Set-points may be waypoints that are held for seconds."""
 UNITS = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
 
 
@@ -30,9 +30,9 @@ class Timing:
 
     Attributes:
         rate_hz: One over the median step between samples.
-        jitter_s: Standard deviation of the steps, gaps left out.
-        gaps: Start and length in s of every pause of more than 2.5 usual steps.
-        missing_cells: Number of missing positions, all joints together.
+        jitter_s: Standard deviation of the steps without gaps.
+        gaps: Start and length in s of every pause of more than 2.5 median steps.
+        missing_cells: Number of missing positions of all joints.
     """
 
     rate_hz: float
@@ -42,7 +42,7 @@ class Timing:
 
 
 def timing(t: Array, position: Array) -> Timing:
-    """Measure the clock of a recording.
+    """Measure the sampling rate, jitter and gaps of a recording.
 
     Args:
         t: Times in s, shape (T,).
@@ -62,11 +62,11 @@ def timing(t: Array, position: Array) -> Timing:
 def check_sampling(
     file: str | PathLike[str], t: Array, longest_s: float = LONGEST_PERIOD_S
 ) -> None:
-    """Make sure that the times ``t`` (T,) are as far apart as those of a servo's samples.
+    """Check that the intervals of the times ``t`` (T,) are plausible for samples of a servo.
 
     Raises:
-        InputError: If their median step is below 20 us or above ``longest_s``; it names the unit
-            in which the times are plausible.
+        InputError: If the median step is below 20 us or above ``longest_s``; the message names the
+            unit in which the times would be plausible.
     """
     if t.size < 2:
         raise InputError(file, "t_s", f"{t.size} sample", "at least two")
@@ -81,16 +81,16 @@ def check_sampling(
 
 
 def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
-    """What is odd about the times ``t`` (T,), measured as ``clock``."""
+    """Findings about the times ``t`` (T,), whose statistics are ``clock``."""
     steps, usual = np.diff(t), 1 / clock.rate_hz
     doubled, short = int(np.sum(steps < 0.01 * usual)), int(np.sum(steps < 0.2 * usual))
     if doubled:
         often = "Once" if doubled == 1 else f"{doubled} times"
-        yield f"{often} a sample comes at almost the time of the one before: doubled?"
+        yield f"{often} a sample has almost the time of the previous one: it may be a duplicate."
     if short - doubled > max(1, steps.size // 200):
         yield (
-            f"{short - doubled} samples come within a fifth of the usual step of the one before: "
-            "the times look like those of arrival, in bunches, not of measurement."
+            f"{short - doubled} samples follow the previous one within a fifth of the median step: "
+            "the times are probably those of arrival, in bunches, and not of measurement."
         )
     quarter = max(1, steps.size // 4)
     first, last = (float(np.median(part)) for part in (steps[:quarter], steps[-quarter:]))
@@ -102,9 +102,9 @@ def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
     if clock.rate_hz < SLOWEST_RATE_HZ:
         yield (
             f"At {clock.rate_hz:.3g} Hz a servo's latency and damping (tens of milliseconds) "
-            "hardly show."
+            "are hardly identifiable."
         )
     if clock.gaps:
         start, longest = max(clock.gaps, key=lambda gap: gap[1])
         number = "A gap" if len(clock.gaps) == 1 else f"{len(clock.gaps)} gaps, the longest"
-        yield f"{number} of {longest:.3g} s, from {start:.4g} s on."
+        yield f"{number} of {longest:.3g} s, starting at {start:.4g} s."

@@ -1,4 +1,4 @@
-"""How a robot's mass is spread along it: the normalised density of each link."""
+"""Distribution of mass along a robot: the normalised density of each link."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Z90 = 1.645
 
 @dataclass(frozen=True)
 class Density(NotebookDisplay):
-    """Normalised density of L links, 1 where mass per length is the robot's own.
+    """Normalised density of L links, 1 where mass per length equals that of the robot.
 
     Attributes:
-        links: Their names.
-        value: Densities, shape (L,).
-        sd: What scale and ruler leave open, shape (L,); None where no link says how sure it is.
-        mass_kg, length_m: As weighed and measured, shape (L,).
+        links: Names of the links.
+        value: Normalised densities, shape (L,).
+        sd: Their standard deviations, shape (L,); None if no link states one.
+        mass_kg, length_m: Measured masses and lengths, shape (L,).
     """
 
     links: tuple[str, ...]
@@ -39,7 +39,7 @@ class Density(NotebookDisplay):
 
     @property
     def interval(self) -> Array | None:
-        """Ends of 90 % intervals, shape (2, L)."""
+        """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
 
     def __str__(self) -> str:
@@ -58,7 +58,7 @@ class Density(NotebookDisplay):
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        """Each link as a block, as high as its normalised density."""
+        """Bar chart of the normalised density of each link."""
         figure: Figure = from_report("range_plots.density_figure")(self)
         return figure
 
@@ -66,8 +66,8 @@ class Density(NotebookDisplay):
 def normalised_density(robot: Robot) -> Density:
     """Mass per length of each link over that of the robot: rho_i = (m_i / l_i) sum(l) / sum(m).
 
-    Source: Lin, Liu, Wang (2024), Sec. III-B.1. Errors of masses and lengths are taken for
-    independent and small: their standard deviations go through the derivatives of the logarithm,
+    Source: Lin, Liu, Wang (2024), Sec. III-B.1. Errors of masses and lengths are assumed to be
+    independent and small, and are propagated linearly through the logarithm:
 
         d log rho_i = dm_i / m_i - dl_i / l_i + sum(dl) / sum(l) - sum(dm) / sum(m).
     """
@@ -90,7 +90,7 @@ def normalised_density(robot: Robot) -> Density:
 
 
 def with_density(model: Model, density: Density) -> Model:
-    """The model with ``body.normalised_density``, and ``normalised_density_sd`` where known."""
+    """Model with ``body.normalised_density``, and ``normalised_density_sd`` if known."""
     body = dict(model.body) | {"normalised_density": [float(x) for x in density.value]}
     body.pop("normalised_density_sd", None)
     if density.sd is not None:

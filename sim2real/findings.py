@@ -1,4 +1,4 @@
-"""What a roboticist would remark on seeing one joint of a recording, a plain sentence each."""
+"""Findings about one joint of a recording, one sentence each."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Seen:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
         noise_rad: Standard deviation of the measurement noise.
         step_rad: Quantization step; 0 if there is none.
-        off_s: Time from which on the torque is off; None if it never is.
-        bench: A known load is expected, as in a ``servo`` recording.
-        load: That load.
-        sheet: What the robot's description says of the joint.
+        off_s: Time from which the torque is off; None if it never is.
+        bench: Whether a known load is expected, as in a ``servo`` recording.
+        load: The known load.
+        sheet: The joint in the robot's description.
     """
 
     joint: str
@@ -49,7 +49,7 @@ class Seen:
 
 
 def moves(t: Array, command: Array) -> int:
-    """Movements of ``command`` (T,): it starts after a pause of 0.1 s or more, or turns back."""
+    """Number of movements of ``command`` (T,): reversals, and starts after 0.1 s or more."""
     changed = np.flatnonzero(np.diff(command)) + 1
     if not changed.size:
         return 0
@@ -59,10 +59,10 @@ def moves(t: Array, command: Array) -> int:
 
 
 def joint_findings(seen: Seen) -> Iterator[str]:
-    """What is odd about one joint, and what its load leaves open."""
+    """Findings about one joint, and what its load leaves unidentifiable."""
     finite = np.isfinite(seen.position)
     if not finite.any():
-        yield f"{seen.joint} has no position at all."
+        yield f"{seen.joint} has no measured positions."
         return
     missing = float(np.mean(~finite))
     if missing > 0.01:
@@ -71,7 +71,7 @@ def joint_findings(seen: Seen) -> Iterator[str]:
     if span <= max(2 * seen.step_rad, 1e-4):
         yield f"{seen.joint} is never commanded to move: nothing can be fitted to it."
     elif float(np.ptp(seen.position[finite])) <= min(least, 0.5 * span):
-        yield f"{seen.joint} never moves, although its command spans {span:.3g} rad."
+        yield f"{seen.joint} does not move, although its command spans {span:.3g} rad."
     else:
         yield from _motion(seen, finite)
     yield from _start(seen, finite)
@@ -81,11 +81,11 @@ def joint_findings(seen: Seen) -> Iterator[str]:
     if seen.off_s is not None:
         yield f"{seen.joint}'s torque is off from {seen.off_s:.4g} s on."
     if seen.bench and seen.load is None:
-        yield f"{seen.joint} has no load given: its gains come per unit of inertia."
+        yield f"{seen.joint} has no stated load: its gains are identified per unit of inertia."
     elif seen.bench and seen.load is not None and not seen.load.gravity_Nm:
         yield (
-            f"{seen.joint}'s load has no pendulum: only kp/inertia and kd/inertia show, so the "
-            "inertia given can't be checked."
+            f"{seen.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
+            "identifiable, so the stated inertia cannot be checked."
         )
 
 
@@ -93,13 +93,14 @@ def _motion(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
     t, command, position = seen.t[finite], seen.command[finite], seen.position[finite]
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
-        # What was commanded at the end of the run has had no time to show.
+        # Commands at the end of the interval have not taken effect yet.
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
         if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * seen.step_rad):
             yield (
                 f"{seen.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
-                f"while its command moves by {moved:.2g} rad: stuck by friction, gears or sensor?"
+                f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
+                "stuck."
             )
             return
     largest = max(1, int(LONGEST_LATENCY_S / np.median(np.diff(t)))) if t.size > 2 else 0
@@ -108,7 +109,7 @@ def _motion(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
     if match and max(match) < 0 and min(match) < -0.5:
         yield (
             f"{seen.joint} moves against its command (correlation {min(match):.2f}): the sign of "
-            "the one or the other is reversed."
+            "one of them is reversed."
         )
 
 
@@ -126,14 +127,14 @@ def _start(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
         return
     offset = float(np.median(seen.position[early] - seen.command[0]))
     if float(np.ptp(seen.position[early])) > max(5 * seen.step_rad, 9 * seen.noise_rad, 0.01):
-        yield f"{seen.joint} still moves when the recording starts: it should start at rest."
+        yield f"{seen.joint} is moving at the start of the recording: it should be at rest."
     elif abs(offset) > 0.1:
-        yield f"{seen.joint} starts {abs(offset):.2g} rad off its first command, not at rest on it."
+        yield f"{seen.joint} starts {abs(offset):.2g} rad away from its first command."
     elif abs(offset) > max(3 * seen.step_rad, 4 * seen.noise_rad, 0.005):
         side = "above" if offset > 0 else "below"
         yield (
-            f"{seen.joint} starts at rest {abs(offset):.2g} rad {side} its command: an offset, "
-            "a load or a dead band."
+            f"{seen.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
+            "be an offset, a load or a dead band."
         )
 
 
@@ -143,7 +144,10 @@ def _excitation(seen: Seen) -> Iterator[str]:
         return
     if count < FEWEST_MOVES:
         times = ("once", "twice", "three times")[count - 1]
-        yield f"{seen.joint} is commanded to move only {times}: little to hold out for a check."
+        yield (
+            f"{seen.joint} is commanded to move only {times}: too little to hold out for "
+            "validation."
+        )
     step = np.diff(seen.t)
     spread = float(np.average((seen.command[1:] - seen.command.mean()) ** 2, weights=step))
     speed = float(np.average((np.diff(seen.command) / step) ** 2, weights=step))
@@ -151,7 +155,7 @@ def _excitation(seen: Seen) -> Iterator[str]:
     if frequency < SLOWEST_EXCITATION_HZ:
         yield (
             f"{seen.joint} is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
-            "inertia hardly show."
+            "inertia are hardly identifiable."
         )
 
 
@@ -166,14 +170,14 @@ def _data_sheet(seen: Seen, sheet: Joint) -> Iterator[str]:
     if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
         yield (
             f"{seen.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
-            f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: its rate limit will show."
+            f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: the response will be limited by it."
         )
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
     counts = seen.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
         yield (
-            f"{seen.joint} is read in steps of {seen.step_rad:.3g} rad, where the data sheet says "
-            f"{stated:.3g} rad."
+            f"{seen.joint} is measured in steps of {seen.step_rad:.3g} rad, but the data sheet "
+            f"states {stated:.3g} rad."
         )
 
 

@@ -1,4 +1,4 @@
-"""The fitted simulator: what every other part takes, as ``MODEL.json`` or as a value."""
+"""The fitted model of a robot, and its file ``MODEL.json``."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ SCHEMA = "sim2real.model/1"
 
 Law = Literal["pd", "motor"]
 LAWS: tuple[Law, ...] = get_args(Law)
-"""Laws of a servo that a model may name; a file that names none means the first."""
+"""Laws of a servo; the first is the default of files that name none."""
 
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect of the catalogue that the model has beside the plain PD servo."""
+    """An effect of the catalogue in a model, with the values of its parameters."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -33,22 +33,22 @@ class FittedEffect:
 
 @dataclass(frozen=True)
 class JointModel:
-    """One servo: torque = kp (command(t - latency) - position) - kd velocity, within what it can.
+    """One servo: torque = kp (command(t - latency) - position) - kd velocity, within its limits.
 
     Attributes:
-        law: ``"pd"``, that and nothing else, or ``"motor"``: a motor that obeys a torque-speed line
-            behind gears with friction (``servo.motor``).
+        law: ``"pd"``, the linear law above, or ``"motor"``, which adds a motor with a torque-speed
+            line and gears with friction (``servo.motor``).
         motor: Parameters of the motor's law, by name; empty for ``"pd"``.
-        kp_Nm_per_rad: Proportional gain; per kg m2 (rad/s2 per rad) where ``per_inertia``.
-        kd_Nms_per_rad: Derivative gain; per kg m2 (1/s) where ``per_inertia``.
-        latency_s: Time from sending a set-point to its taking effect.
-        inertia_kgm2: Moment of inertia on the output shaft; 1 where ``per_inertia``.
-        per_inertia: The load was not known, so gains are per unit of inertia.
+        kp_Nm_per_rad: Proportional gain; in 1/s2, per kg m2, if ``per_inertia``.
+        kd_Nms_per_rad: Derivative gain; in 1/s, per kg m2, if ``per_inertia``.
+        latency_s: Time from sending a set-point to its effect.
+        inertia_kgm2: Moment of inertia on the output shaft; 1 if ``per_inertia``.
+        per_inertia: Whether gains are per unit of inertia, because the load is not known.
         load: The load stated by the recordings, if any.
-        interval: 90 % interval by parameter; an infinite end where the data set no bound.
+        interval: 90 % interval by parameter; an end is infinite where the data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
-        effects: Effects beyond the PD servo.
-        notes: What a user must know about these numbers, one sentence each.
+        effects: Effects in addition to the law.
+        notes: Remarks on these values, one sentence each.
     """
 
     kp_Nm_per_rad: float
@@ -67,15 +67,15 @@ class JointModel:
 
 @dataclass(frozen=True)
 class Model(NotebookDisplay):
-    """The fitted robot.
+    """The fitted model of a robot.
 
     Attributes:
-        joints: Servo of each joint, by name.
+        joints: Servos by joint name.
         body: Fitted body: ``normalised_density`` and ``effects``; empty before calibration.
-        effects: Effects on the supply or the link, shared by the joints.
-        fit: For each signal (``j1.position_rad``) its figures: ``train`` and ``heldout`` root mean
-            square error, ``noise`` and so on, in the signal's unit.
-        notes: What a user must know about the whole, one sentence each.
+        effects: Effects of the supply or the link, shared by all joints.
+        fit: Statistics of each signal (``j1.position_rad``): ``train`` and ``heldout`` root mean
+            square error, ``noise`` and others, in the unit of the signal.
+        notes: Remarks on the whole model, one sentence each.
         provenance: Command line, versions, seed and SHA-256 of the inputs.
     """
 
@@ -87,7 +87,7 @@ class Model(NotebookDisplay):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """The fitted parameters of every joint, how well they are known and how well they fit."""
+        """Table of the fitted parameters of every joint, with intervals and errors."""
         text: str = from_report("table.fit_report")(self)
         return text
 
@@ -101,7 +101,7 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     """Write ``MODEL.json``; an infinite end of an interval is written as null.
 
     Raises:
-        InputError: If the folder can't be written.
+        InputError: If the folder cannot be written.
     """
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -119,7 +119,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     """Read ``MODEL.json``.
 
     Raises:
-        InputError: If the file or one of its fields is not as the format says.
+        InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")

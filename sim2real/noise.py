@@ -1,4 +1,4 @@
-"""What the sensor adds to a measured angle: its step and the floor of its noise."""
+"""Quantization step and noise standard deviation of a measured angle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.special import chdtri, logsumexp, ndtr
 
 Array = NDArray[np.float64]
 
-FINEST_STEP_RAD = 5e-6  # below it a step can't be told from printing with six decimals
+FINEST_STEP_RAD = 5e-6  # smaller steps cannot be distinguished from printing with six decimals
 COARSEST_STEP_RAD = 0.05  # 126 counts a turn
 BLOCK = 10  # samples over which a joint at rest may drift along a line
 FEWEST_BLOCKS = 4  # 32 degrees of freedom: the standard deviation is good to 12 %
@@ -23,15 +23,15 @@ DIFFERENCES = 20  # in a block
 def quantization_step(position: Array) -> float:
     """Step of the grid on which all positions lie.
 
-    The step is the greatest common divisor of the gaps between the levels visited, up to the
-    rounding of the file. It is believed if the gaps would not fit such a grid by chance, or if
-    most levels are visited repeatedly, which a continuous signal doesn't do.
+    The step is the greatest common divisor of the gaps between the visited levels, up to the
+    rounding of the file. It is accepted if the gaps would not fit such a grid by chance, or if
+    most levels are visited repeatedly, which does not happen for a continuous signal.
 
     Args:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
 
     Returns:
-        The step in rad; 0.0 if the positions show none between 5e-6 and 0.05 rad.
+        The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
     """
     levels, visits = np.unique(np.round(position[np.isfinite(position)], 9), return_counts=True)
     apart = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
@@ -54,7 +54,7 @@ def quantization_step(position: Array) -> float:
 
 
 def _printed_step(values: Array) -> float:
-    """Power of ten to which ``values`` (N,) were printed; 1e-6 at the finest."""
+    """Power of ten to which ``values`` (N,) were printed, at least 1e-6."""
     for decimals in range(2, 6):
         if np.allclose(values, np.round(values, decimals), rtol=0, atol=1e-9):
             return float(10.0**-decimals)
@@ -62,7 +62,7 @@ def _printed_step(values: Array) -> float:
 
 
 def _refined(gaps: Array, step: float) -> float:
-    """``step`` made exact on ever longer ``gaps`` (N,), so that counts are never off by one."""
+    """``step`` refined on increasingly long ``gaps`` (N,), so that counts are exact."""
     for reach in (1.5, 4.5, 16.5, 64.5, np.inf):
         near = gaps[gaps < reach * step]
         counts = np.round(near / step).sum()
@@ -72,15 +72,15 @@ def _refined(gaps: Array, step: float) -> float:
 
 
 def noise_floor(t: Array, command: Array, position: Array) -> float:
-    """Standard deviation of the measurement noise, quantization included.
+    """Standard deviation of the measurement noise, including quantization.
 
-    From segments where the command is constant and the joint has settled: variance about a line
-    over every 10 samples, so that slow drift (and noise slower than that) doesn't count. Where it
-    is below about half a step, the samples of a resting joint say little of the quantization
-    error, which is then constant; the noise before quantization is estimated by maximum
-    likelihood instead and ``step**2 / 12`` added (the variance of a uniform error: B. Widrow,
-    I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such segments see
-    ``difference_noise``.
+    It is estimated from segments where the command is constant and the joint has settled: variance
+    about a line over every 10 samples, which excludes slow drift and slower noise. If it is below
+    about half a step, the quantization error of a joint at rest is constant and its samples carry
+    little information on it; the noise before quantization is then estimated by maximum
+    likelihood and ``step**2 / 12`` added (the variance of a uniform error: B. Widrow,
+    I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such segments,
+    ``difference_noise`` is used.
 
     Args:
         t: Times in s, shape (T,), increasing.
@@ -88,7 +88,7 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
 
     Returns:
-        The standard deviation in rad, never below ``step / sqrt(12)``; 0.0 if nothing is known.
+        The standard deviation in rad, at least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
     """
     step = quantization_step(position)
     given = np.isfinite(position)
@@ -99,7 +99,7 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
         at_rest = float(np.sqrt(variance.mean()))
         if at_rest < 0.6 * step:
             sd = float(np.hypot(_noise_before_rounding(blocks / step) * step, step / np.sqrt(12)))
-        elif sd < 0.6 * step or at_rest < 2 * sd:  # else something moves it at constant command
+        elif sd < 0.6 * step or at_rest < 2 * sd:  # otherwise it moves at constant command
             sd = at_rest
     return max(sd, step / float(np.sqrt(12)))
 
@@ -110,8 +110,8 @@ def difference_noise(t: Array, position: Array) -> float:
     Each ``order + 1`` neighbouring samples are combined with the weights of the divided
     difference, scaled to unit norm: they cancel polynomial motion of degree below ``order`` and
     keep the variance of white noise (difference-based estimation: P. Hall, J. W. Kay, D. M.
-    Titterington, Biometrika 77, 1990, pp. 521-528). Motion can only add, so the smallest estimate
-    of orders 2 to 5 counts, each from the quietest fifth of blocks of 20.
+    Titterington, Biometrika 77, 1990, pp. 521-528). Motion can only increase the estimate, so the
+    smallest one of orders 2 to 5 is used, each from the fifth of blocks of 20 with least variance.
 
     Args:
         t: Times in s, shape (T,), increasing.
@@ -140,7 +140,7 @@ def difference_noise(t: Array, position: Array) -> float:
 
 
 def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tuple[Array, Array]:
-    """Positions (N, BLOCK) of a joint at rest and their variances (N,) about a line each."""
+    """Positions (N, BLOCK) of a joint at rest and their variances (N,) about a line."""
     edges = _still_edges(command)
     ends = [np.arange(b, a + BLOCK - 1, -BLOCK) for a, b in pairwise(edges)]  # latest, most settled
     index = np.concatenate(ends)[:, None] + np.arange(-BLOCK, 0)
@@ -160,9 +160,9 @@ def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tup
 
 
 def _quietest(variance: Array, freedom: float) -> float:
-    """Usual variance of blocks (N,) of noise, some of them raised by motion, from the lowest fifth.
+    """Variance of blocks (N,) of noise, some of them with motion, from the lowest fifth.
 
-    ``freedom``: degrees of freedom of one block's variance, taken to be chi-square.
+    ``freedom``: degrees of freedom of the variance of a block, assumed to be chi-square.
     """
     if variance.size < 5:
         return float(variance.min())
@@ -170,7 +170,7 @@ def _quietest(variance: Array, freedom: float) -> float:
 
 
 def _still_edges(command: Array) -> list[int]:
-    """Where segments of constant command begin, and the end of the last."""
+    """Starts of the segments of constant command, and the end of the last."""
     edges = [0]
     for k in np.flatnonzero(np.diff(command)) + 1:
         if abs(command[k] - command[edges[-1]]) > STILL_COMMAND_RAD:
@@ -179,9 +179,9 @@ def _still_edges(command: Array) -> list[int]:
 
 
 def _noise_before_rounding(blocks: Array) -> float:
-    """Likeliest standard deviation of Gaussian noise before rounding, all in steps.
+    """Maximum-likelihood standard deviation of Gaussian noise before rounding, in steps.
 
-    Each of ``blocks`` (N, BLOCK) rests at an unknown angle, anywhere between two levels.
+    Each of ``blocks`` (N, BLOCK) is at rest at an unknown angle between two levels.
     """
     sd = np.geomspace(0.03, 1, 36)[:, None, None]
     rest = np.arange(-0.5, 0.5, 0.05)[:, None]

@@ -1,4 +1,4 @@
-"""Result files: written whole or not at all, each saying where it came from."""
+"""Result files: written atomically, with their provenance."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ _LIBRARIES = ("numpy", "scipy", "warp-lang")
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Make sure, before any work, that a result can be written to ``path``.
+    """Check, before any computation, that a result can be written to ``path``.
 
     Raises:
-        InputError: If ``path`` is a folder, or the folder it would stand in is not one that
-            can be made and written.
+        InputError: If ``path`` is a folder, or its folder cannot be created or written.
     """
     target = Path(path)
     folder = target.absolute().parent
@@ -43,10 +42,10 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
-    """Write ``content`` to ``path`` through a neighbouring file that is renamed at the end.
+    """Write ``content`` to a temporary file in the same folder and rename it to ``path``.
 
     Raises:
-        InputError: If the folder can't be made or written.
+        InputError: If the folder cannot be created or written.
     """
     target = check_writable(path)
     data = content.encode() if isinstance(content, str) else content
@@ -68,15 +67,15 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
-    """Write ``content`` as indented JSON, its numbers as ``finite_json`` has them.
+    """Write ``content`` as indented JSON, with numbers converted by ``finite_json``.
 
-    An infinite end of an interval must have been made ``None``, which is written as null.
+    Infinite ends of intervals must be ``None``, which is written as null.
     """
     return write_whole(path, json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n")
 
 
 def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
-    """``value`` without numbers that JSON lacks: infinity is ``"inf"`` or ``"-inf"``, NaN null."""
+    """``value`` with infinities as ``"inf"`` or ``"-inf"`` and NaN as null, which JSON lacks."""
     if isinstance(value, Mapping):
         return {key: finite_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -87,7 +86,7 @@ def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
 
 
 def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> dict[str, Any]:
-    """Where a result came from: command line, versions, seed and SHA-256 of every input file."""
+    """Provenance of a result: command line, versions, seed and SHA-256 of every input file."""
     versions = {"python": platform.python_version(), "sim2real": __version__}
     versions |= {name: _version(name) for name in _LIBRARIES}
     return {
@@ -99,7 +98,7 @@ def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> di
 
 
 def provenance_of(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
-    """``provenance`` of values: of the file that each is, or was read from (``path``)."""
+    """``provenance`` of inputs that are file names or objects read from a file (``path``)."""
     files = [
         one if isinstance(one, str | os.PathLike) else getattr(one, "path", None) for one in inputs
     ]

@@ -1,4 +1,4 @@
-"""A recording: what was sent to each joint and what was measured, sample by sample."""
+"""A recording: commands and measured angles of each joint, sample by sample."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sim2real.structured import Fields, read_json
 SCHEMA = "sim2real.recording/1"
 GRAVITY_M_S2 = 9.80665
 FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
-"""Known fields of the sidecar; further ones are kept as ``metadata``."""
+"""Known fields of the JSON file; other fields are preserved as ``metadata``."""
 
 
 Array = NDArray[np.float64]
@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Load:
-    """What a bench servo turns: everything on the output shaft, and a pendulum if there is one.
+    """Load on the output shaft of a bench servo: inertia, and a pendulum if there is one.
 
     Attributes:
         inertia_kgm2: Moment of inertia about the shaft, pendulum included.
         pendulum_mass_kg: Mass of a point hanging straight down at position 0.
-        pendulum_length_m: Its distance from the shaft.
+        pendulum_length_m: Distance of that mass from the shaft.
     """
 
     inertia_kgm2: float
@@ -45,31 +45,31 @@ class Load:
 
     @property
     def gravity_Nm(self) -> float:
-        """Torque of the pendulum's weight when it is held level, in N m."""
+        """Torque in N m of the pendulum's weight in horizontal position."""
         return self.pendulum_mass_kg * GRAVITY_M_S2 * self.pendulum_length_m
 
 
 PER_INERTIA = Load(inertia_kgm2=1.0)
-"""Stands in for a load that is not known: gains then come per unit of inertia."""
+"""Placeholder for an unknown load: gains are then per unit of inertia."""
 
 
 @dataclass(frozen=True)
 class Recording(NotebookDisplay):
-    """One recording, as read.
+    """One recording.
 
     Attributes:
-        name: File name without its ending.
+        name: File name without extension.
         kind: ``"servo"`` (a bench) or ``"pool"`` (the robot swims).
         joints: Names of the J joints.
-        t: Times in s, shape (T,), increasing; jittered and with gaps as recorded.
+        t: Times in s, shape (T,), increasing, with jitter and gaps as recorded.
         command: Set-points in rad, shape (T, J). NaN only after the last command of a joint, where
-            its torque is off, or throughout where commands were not recorded (pool only).
+            its torque is off, or everywhere if commands were not recorded (pool only).
         position: Measured angles in rad, shape (T, J); NaN where a sample is missing.
         loads: Known loads by joint name.
         medium: ``"air"`` or ``"water"``.
-        source: Where the recording comes from.
-        columns: Every further column by its full name, each of shape (T,).
-        metadata: Every further field of the sidecar.
+        source: Origin of the recording.
+        columns: All other columns by their full name, each of shape (T,).
+        metadata: All other fields of the JSON file.
         path: The CSV file, if it was read from one.
     """
 
@@ -88,7 +88,7 @@ class Recording(NotebookDisplay):
 
     @property
     def file(self) -> str:
-        """The name to use in messages."""
+        """Name of the file, for messages."""
         return str(self.path or f"{self.name}.csv")
 
     @property
@@ -98,11 +98,11 @@ class Recording(NotebookDisplay):
 
     @property
     def rate_hz(self) -> float:
-        """One over the median time between samples; NaN where there are fewer than two."""
+        """Inverse of the median time between samples; NaN for fewer than two samples."""
         return 1 / float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
     def missing(self, joint: int) -> int:
-        """Number of samples in which the position of joint ``joint`` is missing."""
+        """Number of missing positions of joint number ``joint``."""
         return int(np.isnan(self.position[:, joint]).sum())
 
     @property
@@ -125,12 +125,12 @@ class Recording(NotebookDisplay):
         return text
 
     def powered(self, joint: int) -> int:
-        """Number of samples for which joint ``joint`` is under command (T unless torque-off)."""
+        """Number of samples before the torque of joint ``joint`` is switched off, at most T."""
         given = np.flatnonzero(np.isfinite(self.command[:, joint]))
         return int(given[-1]) + 1 if given.size else 0
 
     def between(self, start: int, stop: int) -> Recording:
-        """The samples ``start`` to ``stop`` (exclusive) as a recording of its own."""
+        """Recording of the samples ``start`` to ``stop`` (exclusive)."""
         part = slice(start, stop)
         return replace(
             self,
@@ -142,10 +142,10 @@ class Recording(NotebookDisplay):
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read ``NAME.csv`` and the ``NAME.json`` beside it, and check both.
+    """Read and validate ``NAME.csv`` and ``NAME.json`` in the same folder.
 
     Raises:
-        InputError: If a file can't be read or a row or field is not as the format says.
+        InputError: If a file cannot be read, or a row or field does not conform to the format.
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
@@ -186,7 +186,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 
 @dataclass(frozen=True)
 class Commands:
-    """What to send: times in s, shape (T,), and set-points in rad by joint, each of shape (T,)."""
+    """Commands: times in s, shape (T,), and set-points in rad by joint, each of shape (T,)."""
 
     t: Array
     by_joint: Mapping[str, Array]
@@ -194,10 +194,10 @@ class Commands:
 
 
 def read_commands(path: str | os.PathLike[str]) -> Commands:
-    """Read the commands of a CSV; measured columns are ignored, a sidecar is not needed.
+    """Read the commands of a CSV file; measured columns are ignored, no JSON file is needed.
 
     Raises:
-        InputError: If times or commands are not as the format says.
+        InputError: If times or commands do not conform to the format.
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
@@ -218,10 +218,10 @@ def read_commands(path: str | os.PathLike[str]) -> Commands:
 
 
 def read_commands_as_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read the commands of a CSV as a bench recording without measurements (positions are NaN).
+    """Read the commands of a CSV file as a bench recording whose positions are NaN.
 
     Raises:
-        InputError: If times or commands are not as the format says.
+        InputError: If times or commands do not conform to the format.
     """
     commands = read_commands(path)
     command = np.stack(list(commands.by_joint.values()), axis=1)
@@ -238,10 +238,10 @@ def read_commands_as_recording(path: str | os.PathLike[str]) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Write ``NAME.csv`` and ``NAME.json``; reading them gives the recording back.
+    """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
 
     Raises:
-        InputError: If the folder can't be written.
+        InputError: If the folder cannot be written.
     """
     csv = Path(path)
     table: dict[str, Array] = {"t_s": recording.t}
@@ -283,7 +283,7 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
 
 
 def read_load(fields: Fields) -> Load:
-    """A load from its table; the pendulum is optional."""
+    """Read a load from its table; the pendulum is optional."""
     fields.refuse_misspelt(field.name for field in dataclass_fields(Load))
     return Load(
         inertia_kgm2=fields.number("inertia_kgm2", above=0),

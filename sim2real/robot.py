@@ -1,6 +1,6 @@
-"""The robot as its owner knows it: links, joints and the data sheets of its servos.
+"""The description of a robot: links, joints and the data sheets of its servos.
 
-A file needs only what is used: a number that it leaves out is missed where something uses it.
+A file needs only the values that are used: a missing value is an error where it is used.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _APPENDAGE_KEYS = ("name", "shape", "size_m", "at_m", "submerged", "drag_coeffic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Link(Sheet):
-    """One rigid link, SI units; ``com_m`` is measured from its front end.
+    """One rigid link in SI units; ``com_m`` is measured from its front end.
 
-    ``mass_sd_kg`` and ``length_sd_m`` say how sure scale and ruler are (standard deviations). Using
-    a mass, a length, a width or a height that was left out raises an InputError.
+    ``mass_sd_kg`` and ``length_sd_m`` are standard deviations of the measured mass and length.
+    Using a mass, length, width or height that was not stated raises an InputError.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Link(Sheet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Servo(Sheet):
-    """What the maker says of a servo; never fitted. Using what was left out is an InputError."""
+    """Data sheet of a servo. Using a value that was not stated raises an InputError."""
 
     name: str
     max_torque_Nm: Stated[float] = Stated()
@@ -56,12 +56,12 @@ class Servo(Sheet):
     position_step_rad: Stated[float] = Stated("a number of at least 0")
     where: Place = ("robot", "servos")
     type: str = ""
-    """What other servos of the type have told: a name or a file, see ``servo_type``."""
+    """Prior from other servos of this type: a name or a file, see ``servo_type``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Joint(Sheet):
-    """Joint k joins links k and k + 1 and is turned by ``servo`` within ``limits_rad``."""
+    """Joint k connects links k and k + 1 and is driven by ``servo`` within ``limits_rad``."""
 
     name: str
     servo: Servo
@@ -71,9 +71,9 @@ class Joint(Sheet):
 
 @dataclass(frozen=True)
 class Robot(NotebookDisplay):
-    """A chain of links, one more than the joints, from head to tail.
+    """A chain of links, one more than joints, from head to tail.
 
-    Links of a file that has none are named after their number and state nothing.
+    If a file has no links, they are named by number and have no stated values.
     """
 
     name: str
@@ -88,15 +88,15 @@ class Robot(NotebookDisplay):
         return None not in stated
 
     def joint(self, name: str) -> Joint | None:
-        """The joint called ``name``, or None."""
+        """The joint with this name, or None."""
         return next((joint for joint in self.joints if joint.name == name), None)
 
 
 def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
-    """Make sure that the robot has every joint of the recordings, and that none is given twice.
+    """Check that the robot has all joints of the recordings, and that no recording is repeated.
 
     Raises:
-        InputError: If it lacks one, or one is.
+        InputError: If a joint is missing or a recording is repeated.
     """
     files: set[str] = set()
     for recording in recordings:
@@ -107,10 +107,10 @@ def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
 
 
 def match_joints(recording: Recording, robot: Robot) -> None:
-    """Make sure that the robot has every joint of the recording.
+    """Check that the robot has all joints of the recording.
 
     Raises:
-        InputError: If it lacks one.
+        InputError: If a joint is missing.
     """
     for joint in recording.joints:
         if robot.joint(joint) is None:
@@ -122,7 +122,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     """Read ``robot.toml``.
 
     Raises:
-        InputError: If the file or one of its fields is not as the format says.
+        InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_toml(path))
     top.refuse_unknown(("name", "links", "joints", "servos"))
@@ -145,7 +145,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
 
 
 def _keys(sheet: type) -> list[str]:
-    """The keys of a table of the file: the fields of the dataclass that it is read into."""
+    """Keys of a table of the file: the fields of the corresponding dataclass."""
     return [field.name for field in dataclass_fields(sheet) if field.name != "where"]
 
 
@@ -166,7 +166,7 @@ def _servo(name: str, fields: Fields) -> Servo:
 
 
 def _type(fields: Fields) -> str:
-    """The servo's type, a file beside ``robot.toml`` as a whole path."""
+    """The servo's type; a file name is relative to the folder of ``robot.toml``."""
     name = fields.text("type", "")
     return str(Path(fields.file).parent / name) if name.endswith(".json") else name
 

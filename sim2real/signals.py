@@ -1,4 +1,4 @@
-"""Excitation signals: set-points that bring out what a servo is, inside what it may do."""
+"""Excitation signals for identification, within the limits of joints and servos."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from sim2real.robot import Joint
 Array = NDArray[np.float64]
 
 REST_S = 0.5
-"""The first set-point is held this long before anything moves."""
+"""Time in s for which the first set-point is held before the motion starts."""
 SHORTEST_HOLD_S, LONGEST_HOLD_S = 0.4, 1.5  # of a level of ``steps``
 DEFAULT_REACH = 0.75  # amplitude as a share of half the joint's range
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What the unit signals are made from.
+    """Frequencies of the unit signals.
 
     Attributes:
         frequency_hz: Of ``sine`` and ``square``.
@@ -41,9 +41,9 @@ class Excitation:
 
     Attributes:
         joints: Names of the J joints.
-        t: Times in s, shape (T,), even.
+        t: Times in s, shape (T,), evenly spaced.
         command: Set-points in rad, shape (T, J).
-        notes: How limits changed what was asked for, one sentence each.
+        notes: How limits changed the requested signal, one sentence each.
     """
 
     joints: tuple[str, ...]
@@ -53,13 +53,13 @@ class Excitation:
 
     @property
     def largest_rate(self) -> Array:
-        """Largest speed of each joint's set-point in rad/s, shape (J,)."""
+        """Largest speed of the set-point of each joint in rad/s, shape (J,)."""
         rate: Array = np.abs(np.diff(self.command, axis=0)).max(axis=0) / self.t[1]
         return rate
 
 
 def steps(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """Random levels held for random times, from 0."""
+    """Random levels held for random times, starting at 0."""
     count = int(t[-1] / SHORTEST_HOLD_S) + 1
     changes = np.cumsum(rng.uniform(SHORTEST_HOLD_S, LONGEST_HOLD_S, count))
     levels = np.concatenate([[0.0], rng.uniform(-1, 1, count)])
@@ -67,7 +67,7 @@ def steps(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
 
 
 def sine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """A sine from 0."""
+    """A sine starting at 0."""
     return np.asarray(np.sin(2 * np.pi * shape.frequency_hz * t))
 
 
@@ -77,15 +77,16 @@ def square(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
 
 
 def chirp(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """A sine from 0 whose frequency rises evenly through the band."""
+    """A sine starting at 0 whose frequency rises linearly through the band."""
     low, high = shape.band_hz
     return np.asarray(waves.chirp(t, low, float(t[-1]), high, phi=-90))
 
 
 def multisine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """Equal sines on a grid through the band, with Schroeder's phases, which keep peaks low.
+    """Sines of equal amplitude on a grid of frequencies in the band, with low crest factor.
 
-    M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85. The phases start at a random place.
+    Schroeder's phases (M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85), with a random
+    offset.
     """
     low, high = shape.band_hz
     spacing = max(low, 1 / float(t[-1]), (high - low) / 64)
@@ -106,7 +107,7 @@ UNIT: Mapping[str, Callable[[Array, Shape, np.random.Generator], Array]] = {
 """Signals between -1 and 1 at the times ``t`` (T,), by name."""
 
 SMOOTH = ("sine", "chirp", "multisine")
-"""Signals that are made smaller where they are too fast; the others are slewed."""
+"""Signals whose amplitude is reduced if they are too fast; the others are rate-limited."""
 
 
 def excitation(
@@ -119,19 +120,19 @@ def excitation(
     amplitude_rad: float | None = None,
     shape: Shape | None = None,
 ) -> Excitation:
-    """A signal for each joint, about the middle of its limits and inside limits and speed.
+    """A signal for each joint, centred in its limits and within the limits of angle and speed.
 
     Args:
         name: One of ``UNIT``.
-        joints: The J joints; random signals are drawn for each anew.
-        seconds: Length, the rest at the beginning included.
-        rate_hz: Set-points a second.
-        rng: Source of chance.
-        amplitude_rad: Largest excursion; three quarters of what the limits allow where None.
+        joints: The J joints; random signals are independent.
+        seconds: Duration, including the rest at the beginning.
+        rate_hz: Set-points per second.
+        rng: Random number generator.
+        amplitude_rad: Largest deviation from the centre; by default three quarters of the range.
         shape: Frequencies.
 
     Raises:
-        InputError: If the length or a frequency makes no signal.
+        InputError: If the duration or a frequency is out of range.
     """
     shape = shape or Shape()
     _check_shape(name, shape, seconds, rate_hz)
@@ -155,7 +156,7 @@ def excitation(
 
 
 def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: float) -> Excitation:
-    """The commands of a CSV, each held until the next, after a rest on the first.
+    """The commands of a CSV file, each held until the next, after a rest at the first.
 
     Raises:
         InputError: If the file lacks a joint or switches its torque off.
@@ -182,9 +183,9 @@ def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: fl
 
 
 def limited(command: Array, joint: Joint, rate_hz: float) -> Array:
-    """Set-points (T,) held inside the joint's limits and no faster than its servo turns unloaded.
+    """Set-points (T,) within the joint's limits and no faster than the no-load speed of its servo.
 
-    The first set-point is where the rest begins, so it is only held inside the limits.
+    The rate of the first set-point is not limited.
     """
     inside = np.clip(command, *joint.limits_rad)
     most = joint.servo.no_load_speed_rad_s / rate_hz

@@ -1,4 +1,4 @@
-"""Read JSON and TOML files and their fields, each mistake told in one line."""
+"""Read JSON and TOML files and their fields, with error messages of one line."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sim2real.errors import InputError
 LARGEST_FILE_BYTES = 16 * 2**20
 LONGEST_SHOWN = 80  # characters of a value in a message
 _MISSPELT = 0.8
-"""Similarity from which on a further key counts as a misspelt known one."""
+"""Similarity above which an unknown key counts as a misspelling of a known one."""
 
 
 def shown(value: object) -> str:
-    """``repr(value)`` short enough for a message of one line."""
+    """``repr(value)``, shortened for a message of one line."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, a bottomless nest
@@ -29,10 +29,10 @@ def shown(value: object) -> str:
 
 
 def check_size(path: Path, largest: int, advice: str = "") -> None:
-    """Make sure, without reading it, that ``path`` is a file of at most ``largest`` bytes.
+    """Check, without reading it, that ``path`` is a file of at most ``largest`` bytes.
 
     Raises:
-        InputError: If it is missing, a folder, out of reach or too large.
+        InputError: If it is missing, a folder, inaccessible or too large.
     """
     try:
         if path.is_dir():
@@ -48,7 +48,7 @@ def check_size(path: Path, largest: int, advice: str = "") -> None:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Text of a small file.
+    """Read the text of a small file.
 
     Raises:
         InputError: If it is missing, a folder, unreadable, too large or not UTF-8.
@@ -64,10 +64,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[str, Any]:
-    """A JSON object, its ``schema`` field checked if ``schema`` is given.
+    """Read a JSON object, and check its ``schema`` field if ``schema`` is given.
 
     Raises:
-        InputError: If it does not parse, is no object or has another schema.
+        InputError: If it does not parse, is not an object or has a different schema.
     """
     try:
         content = json.loads(read_text(path))
@@ -84,7 +84,7 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """A TOML document.
+    """Read a TOML document.
 
     Raises:
         InputError: If it does not parse.
@@ -119,12 +119,12 @@ def number_or_infinity(value: object) -> float | None:
 
 
 def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
-    """The known name that is most like ``name``, upper and lower case alike; None if none is.
+    """The known name that is most similar to ``name``, ignoring case; None if none is similar.
 
     Args:
-        name: What was found.
-        known: The names that would be right.
-        similarity: Smallest similarity, 0 to 1, as ``difflib.SequenceMatcher.ratio`` measures it.
+        name: The name that was found.
+        known: The valid names.
+        similarity: Smallest similarity, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
     """
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
@@ -132,7 +132,9 @@ def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | N
 
 
 class Fields:
-    """The fields of one table of a structured file, read by name and type, errors located.
+    """The fields of one table of a structured file, read by name and type.
+
+    Errors name the file and the field.
 
     Args:
         file: The file, for messages.
@@ -149,19 +151,19 @@ class Fields:
         return name in self.content
 
     def path(self, name: str) -> str:
-        """Where field ``name`` stands, for messages."""
+        """Path of field ``name`` in the file, for messages."""
         return f"{self.where}.{name}" if self.where else name
 
     def error(self, name: str, expected: str) -> InputError:
-        """The error that says field ``name`` is not as ``expected``."""
+        """The error that field ``name`` is not as ``expected``."""
         found = shown(self.content[name]) if name in self.content else "nothing"
         return InputError(self.file, self.path(name), found, expected)
 
     def refuse_unknown(self, known: Iterable[str]) -> None:
-        """Make sure that the table has no other fields than the known ones.
+        """Check that the table has no fields other than the known ones.
 
         Raises:
-            InputError: If it has one; the message names the known field that is most like it.
+            InputError: If it has one; the message names the most similar known field.
         """
         names = list(known)
         for name in self.content:
@@ -172,7 +174,7 @@ class Fields:
                 raise InputError(self.file, self.path(name), "an unknown key", expected)
 
     def refuse_misspelt(self, known: Iterable[str]) -> None:
-        """Make sure that no further field looks like a known one that is missing.
+        """Check that no unknown field looks like a misspelling of a missing known field.
 
         Raises:
             InputError: If one does.
@@ -194,9 +196,9 @@ class Fields:
         above: float = -math.inf,
         infinite: bool = False,
     ) -> float:
-        """A number, ``>= low`` and ``> above``; ``default`` where it is absent.
+        """Read a number, ``>= low`` and ``> above``; ``default`` if it is absent.
 
-        It is finite unless ``infinite``, with which ``"inf"`` and ``"-inf"`` are numbers too.
+        The number must be finite unless ``infinite``, which also permits ``"inf"`` and ``"-inf"``.
         """
         if name not in self.content and default is not None:
             return default
@@ -212,18 +214,18 @@ class Fields:
         return value
 
     def text(self, name: str, default: str | None = None) -> str:
-        """A string; ``default`` where it is absent."""
+        """Read a string; ``default`` if it is absent."""
         value = self.content.get(name, default)
         if not isinstance(value, str):
             raise self.error(name, "text")
         return value
 
     def table(self, name: str) -> Fields:
-        """The table ``name``; an empty one where it is absent."""
+        """Read the table ``name``; an empty one if it is absent."""
         return Fields(self.file, self.path(name), self.content.get(name, {}))
 
     def tables(self, name: str) -> list[Fields]:
-        """The list of tables ``name``, at least one."""
+        """Read the list of tables ``name``, at least one."""
         value = self.content.get(name)
         if not isinstance(value, list) or not value:
             raise self.error(name, f"at least one [[{name}]]")
@@ -234,12 +236,12 @@ T = TypeVar("T")
 
 
 class Stated(Generic[T]):
-    """A value of a dataclass that may be missing; using it where it is says so in one line.
+    """A value of a dataclass that may be missing; using a missing value raises an InputError.
 
-    The dataclass has a field ``where``, the file and the table that the value would stand in.
+    The dataclass has a field ``where``: the file and the table in which the value is expected.
 
     Args:
-        expected: What should be there, for the message.
+        expected: Description of a valid value, for the message.
     """
 
     def __init__(self, expected: str = "a number above 0") -> None:
@@ -266,12 +268,12 @@ class Stated(Generic[T]):
 
 
 class Sheet:
-    """A dataclass with a name that is what it states, wherever it was read."""
+    """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
 
     name: str
 
     def states(self, *names: str) -> bool:
-        """Whether it states all of these values."""
+        """Whether all of these values are stated."""
         return all(vars(self)[name] is not None for name in names)
 
     def _stated(self) -> dict[str, Any]:

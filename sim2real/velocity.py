@@ -1,4 +1,4 @@
-"""The one estimator of body velocities from poses, for fits, figures and policies."""
+"""Estimators of body velocities from poses, for fits, figures and policies."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ WINDOW_S = 0.22
 
 
 def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array:
-    """Surge, sway and yaw rate from poses in the world.
+    """Surge, sway and yaw rate from poses in the world frame.
 
     The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964)
-    1627), turned by the smoothed heading. Missing poses are bridged by a line first.
+    1627), rotated by the smoothed heading. Missing poses are interpolated linearly first.
 
     Args:
-        t: Times in s, shape (T,), increasing; taken as even.
+        t: Times in s, shape (T,), increasing; assumed to be evenly spaced.
         pose: x, y in m and heading in rad, shape (..., T, 3), NaN where missing.
         window_s: Length of the window in s.
 
@@ -44,7 +44,7 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
 
 
 def _bridge(t: Array, pose: Array) -> None:
-    """Draw lines where poses (T, 3) are missing; the heading goes on past half a turn."""
+    """Interpolate missing poses (T, 3) linearly in place; headings are unwrapped."""
     for k in range(3):
         known = np.isfinite(pose[:, k])
         if known.sum() < 5:
@@ -54,20 +54,20 @@ def _bridge(t: Array, pose: Array) -> None:
 
 
 NEWEST = 5
-"""Samples behind the newest velocity: 0.08 s at 50 Hz, which make it 0.04 s late."""
+"""Samples in the newest velocity: 0.08 s at 50 Hz, a delay of 0.04 s."""
 
 
 def slope_weights(samples: int = NEWEST, period_s: float = 0.02) -> Array:
     """Weights of the last samples, oldest first, in the slope of the line through them.
 
-    What a controller can know while it swims: ``body_velocity`` looks ahead, this does not.
+    Causal, for use by a controller; ``body_velocity`` also uses later samples.
     """
     place = np.arange(samples) - (samples - 1) / 2
     return np.asarray(place / (place @ place) / period_s)
 
 
 def newest_velocity(pose: Array, period_s: float = 0.02) -> Array:
-    """Surge, sway and yaw rate from the last poses alone, as policies are trained with.
+    """Surge, sway and yaw rate from the last poses, as in the training of policies.
 
     Args:
         pose: The last x, y in m and headings in rad, oldest first, shape (n, 3).

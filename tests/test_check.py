@@ -121,25 +121,28 @@ SLOW = 0.4 * np.sin(2 * np.pi * 0.1 * T)
 @pytest.mark.parametrize(
     ("seen", "words"),
     [
-        (recording(SQUARE, np.full(T.size, np.nan)), "j1 has no position at all"),
+        (recording(SQUARE, np.full(T.size, np.nan)), "j1 has no measured positions"),
         (recording(SQUARE, missing()), "j1 lacks 10 % of its positions"),
         (recording(np.zeros(T.size)), "j1 is never commanded to move"),
-        (recording(SQUARE, follow(T, 0 * T)), "j1 never moves, although its command spans 0.5 rad"),
-        (recording(FAST, stuck()), "from 2 to 4 s while its command moves by 0.8 rad: stuck by"),
+        (
+            recording(SQUARE, follow(T, 0 * T)),
+            "j1 does not move, although its command spans 0.5 rad",
+        ),
+        (recording(FAST, stuck()), "from 2 to 4 s while its command moves by 0.8 rad: friction,"),
         (recording(FAST, -follow(T, FAST)), "moves against its command"),
         (recording(SQUARE, -follow(T, SQUARE)), "moves against its command"),
         (recording(SQUARE, follow(T, SQUARE) + 0.03), "starts at rest 0.03"),
         (recording(SQUARE, follow(T, SQUARE) - 0.03), "rad below its command"),
-        (recording(SQUARE, follow(T, SQUARE) - 0.3), "off its first command, not at rest on it"),
-        (recording(SQUARE, follow(T, SQUARE) + np.exp(-T / 0.2)), "j1 still moves when"),
+        (recording(SQUARE, follow(T, SQUARE) - 0.3), "rad away from its first command"),
+        (recording(SQUARE, follow(T, SQUARE) + np.exp(-T / 0.2)), "j1 is moving at the start"),
         (recording(SLOW), "moved very slowly (about 0.1 Hz)"),
         (recording(np.where(T < 5, 0, 0.5)), "commanded to move only once"),
         (recording(1.2 * SQUARE * 2), "commanded to 1.2 rad, beyond its limits of -0.8 to 0.8"),
         (recording(-2 * SQUARE), "commanded to -1 rad, beyond its limits"),
         (recording(3 * FAST), "at up to 7.52 rad/s, above its servo's no-load speed of 5.24"),
-        (recording(SQUARE, np.round(follow(T, SQUARE), 2)), "in steps of 0.01 rad, where the data"),
-        (recording(load=None), "no load given: its gains come per unit of inertia"),
-        (recording(load=Load(0.002)), "has no pendulum: only kp/inertia and kd/inertia show"),
+        (recording(SQUARE, np.round(follow(T, SQUARE), 2)), "in steps of 0.01 rad, but the data"),
+        (recording(load=None), "no stated load: its gains are identified per unit"),
+        (recording(load=Load(0.002)), "has no pendulum: only kp/inertia and kd/inertia are"),
         (recording(np.where(T < 7, SQUARE, np.nan), follow(T, SQUARE)), "torque is off from 7 s"),
         (recording(np.full(T.size, np.nan), FAST, kind="pool"), "No command was recorded"),
         (recording(kind="pool"), "The body was not tracked"),
@@ -227,7 +230,7 @@ def test_real_backlash_stand(realdata) -> None:
     for csv in sorted(folder.glob("*.csv")):
         recorded = read_recording(csv)
         checked = check(recorded, read_robot(folder / recorded.metadata["robot"]))
-        assert all("has no load given" in " ".join(j.findings) for j in checked.joints)
+        assert all("has no stated load" in " ".join(j.findings) for j in checked.joints)
         assert "At 9.9 Hz" in said(checked)
         assert "against" not in said(checked)
 

@@ -32,10 +32,10 @@ def test_an_even_clock() -> None:
 @pytest.mark.parametrize(
     ("t", "words"),
     [
-        (np.where(T < 4, T, T + 0.42), "A gap of 0.44 s, from 3.98 s on."),
+        (np.where(T < 4, T, T + 0.42), "A gap of 0.44 s, starting at 3.98 s."),
         (np.where(T < 4, T, T + 0.4) + np.where(T < 6, 0, 0.2), "2 gaps, the longest of 0.42 s"),
         (bunched(), "of arrival, in bunches"),
-        (np.where(np.arange(T.size) == 70, T - 0.0199, T), "Once a sample comes at almost the"),
+        (np.where(np.arange(T.size) == 70, T - 0.0199, T), "Once a sample has almost the time"),
         (np.cumsum(0.02 * np.where(np.arange(T.size) % 2, 0.6, 1.4)), "far from constant"),
         (np.where(T < 5, T, 5 + 0.8 * (T - 5)), "changes from 50 to 62.5 Hz"),
         (5 * T, "At 10 Hz a servo's latency"),

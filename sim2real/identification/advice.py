@@ -1,4 +1,4 @@
-"""What a user must know about a fit, each in one sentence."""
+"""Notes on a fit, one sentence each."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SHORT = {
     "unmodelled_inertia.inertia_kgm2": "inertia left out",
 }
 ABOVE_NOISE = 2.0
-"""Residuals above so many times the noise have something in them."""
+"""Multiple of the noise above which residuals are reported as a misfit."""
 _KEPT = 0.7
-"""Share of what was believed of a parameter's spread above which nothing was learned of it."""
+"""Ratio of posterior to prior standard deviation above which a parameter counts as undetermined."""
 _MATERIAL = 0.05
-"""Share of the stated inertia below which a difference is left to scales and rulers."""
+"""Share of the stated inertia below which a difference is attributed to measurement error."""
 
 
 def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tupl
     notes = [f"{joint} does not move in these recordings and is not identified" for joint in still]
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
-        notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass hide in the gains")
+        notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
     return tuple(notes)
 
 
@@ -49,7 +49,7 @@ def on_fit(
 ) -> list[str]:
     """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
     notes = [
-        f"{_short(name)} has no influence on these recordings; its value is only a start"
+        f"{_short(name)} has no influence on these recordings; its value is the starting value"
         for name in unseen
     ]
     for direction in dict.fromkeys(spread.open_directions):
@@ -57,23 +57,23 @@ def on_fit(
     named = {k for direction in spread.open_directions for k in direction}
     for k, name in enumerate(best.names):
         if k not in named and not np.isfinite(ends[name][1]):
-            notes.append(f"{_short(name)} cannot be told from above: these recordings set no bound")
+            notes.append(f"{_short(name)} has no upper bound: these recordings do not constrain it")
     for p in best.at_bound:
         if p.name.startswith("motor.") and p.low == 0:
-            continue  # a loss that is not there
+            continue  # the loss is absent
         value = best.values[best.names.index(p.name)]
         end = p.low if value - p.low < p.high - value else p.high
-        notes.append(f"{_short(p.name)} ended on its bound of {end:g}")
+        notes.append(f"{_short(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
     return notes + _on_misfit(figures)
 
 
 def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
-    """A note where inertia is to be fitted that no recording can show."""
+    """A note where the inertia is to be fitted but is not identifiable from the recordings."""
     if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
         return []
-    return ["unmodelled_inertia cannot show: it takes a pendulum or two known loads"]
+    return ["unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"]
 
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
@@ -83,13 +83,13 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
         return []
     missing = " and ".join(name for name in needed if not known.servo.states(name))
     return [
-        f"the linear law pd was fitted, as servo {known.servo.name} states no {missing}: from its "
-        "data sheet they would bound torque and speed in motions faster than the recorded ones"
+        f"the linear law pd was fitted, as servo {known.servo.name} states no {missing}; with "
+        "these values of the data sheet, the model also limits torque and speed in faster motions"
     ]
 
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
-    """What of the motor the recordings do not tell, and where they contradict the data sheet."""
+    """Motor parameters that the recordings do not determine or that contradict the data sheet."""
     values, log = motor.fit.values, motor.log
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [_words(name) for name in motor.fit.names]
@@ -97,15 +97,16 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     kept = [name for name, known in zip(names, told, strict=True) if not known]
     notes = []
     if kept:
-        notes.append(f"these recordings do not tell {', '.join(kept)}: they stay as believed")
+        notes.append(f"these recordings do not determine {', '.join(kept)}: the prior does")
     unseen = hidden(motor)
     if unseen is not None:
         kp, kd = (float(x) for x in motor.fit.row[:2])
         notes.append(
-            "these recordings do not tell a controller that looks in step with their samples from "
-            "one that looks all the time, as is believed: looking at "
-            f"{1 / unseen.period_s:.0f} Hz it would have kp {unseen.kp:.3g} and not {kp:.3g}, "
-            f"kd {unseen.kd:.3g} and not {kd:.3g}; set-points sent at odd times would tell"
+            "these recordings do not distinguish a control loop that is synchronous with their "
+            "samples from a continuous one, which is assumed: at "
+            f"{1 / unseen.period_s:.0f} Hz kp would be {unseen.kp:.3g} instead of {kp:.3g} and "
+            f"kd {unseen.kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
+            "distinguish them"
         )
     if motor.problem.traces[0].load is PER_INERTIA:
         return notes
@@ -117,8 +118,8 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
         away = abs(np.log(values[k] / stated))
         if away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
             notes.append(
-                f"{names[k]} is {values[k]:.3g} where the data sheet says {stated:.3g}: is it that "
-                "servo, and at that voltage?"
+                f"{names[k]} is {values[k]:.3g}, but the data sheet states {stated:.3g}: check the "
+                "type of the servo and the supply voltage"
             )
     return notes
 
@@ -130,9 +131,9 @@ def _words(name: str) -> str:
 
 
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
-    """A note where the data contradict the stated inertia, as a rotor behind gears makes them.
+    """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
-    It takes an inertia that is clearly not the stated one, and a better fit of held-out data too.
+    It requires an inertia that differs significantly, and a better fit of held-out data as well.
     """
     unit = np.array([*freed.row[:2], 0.05, freed.inertia])
     spread = uncertainty(freed, np.maximum(unit, 1e-9))
@@ -146,8 +147,8 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
     return [
         f"the data contradict the stated inertia of {stated.inertia_kgm2:.4g} kg m2: "
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
-        f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; is a rotor or arm "
-        "left out? --effects unmodelled_inertia fits it"
+        f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; a rotor or arm may "
+        "be missing from it, --effects unmodelled_inertia fits it"
     ]
 
 
@@ -157,8 +158,8 @@ def _short(name: str) -> str:
 
 def _open(names: list[str]) -> str:
     if len(names) == 1:
-        return f"{names[0]} cannot be told from these recordings"
-    return f"{' and '.join(names)} cannot be told apart by these recordings"
+        return f"{names[0]} cannot be determined from these recordings"
+    return f"{' and '.join(names)} cannot be determined separately from these recordings"
 
 
 def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
@@ -168,8 +169,8 @@ def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
         return []
     if train < ABOVE_NOISE * noise or white < 0.5:
         return []
-    times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise shows"
+    times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
     return [
-        f"the model leaves {1e3 * train:.1f} mrad, {times}, and "
-        f"what it leaves is correlated over {1e3 * time:.0f} ms: physics is missing from this model"
+        f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
+        f"{1e3 * time:.0f} ms: physics is missing from this model"
     ]

@@ -1,22 +1,22 @@
-"""One inference for servos and swims alike: it knows neither.
+"""Inference for servos and swims, independent of both.
 
-How the pieces go together::
+Modules::
 
-    parameters  ──> what may be fitted: Parameter (name, bounds, unit, nominal, prior), Priors,
-                    Gaussian
-    noise       ──> samples that count, whitening, autocorrelation times, Wander
-    segments    ──> when a residual is larger than noise
-    least_squares > minimise(expand, start, low, high): N problems in step; expand gives loss,
-                    slope and curvature at points (M, F) of any of them
-    evidence    ──> what a minimum is worth: profile likelihood, Laplace, probabilities
-    selection   ──> select(problem, ledgers): which candidates a problem needs, every set refitted
-    holdout     ──> what a fit does not see
+    parameters        Parameter (name, bounds, unit, nominal value, prior), Priors, Gaussian
+    correlated_noise  usable samples, whitening, autocorrelation times, slow drift (Wander)
+    segments          intervals in which a residual exceeds the noise
+    least_squares     minimise(expand, start, low, high): N problems at once; expand returns loss,
+                      gradient and curvature at points (M, F) of any of them
+    evidence          profile likelihood, Laplace approximation, probabilities of models
+    selection         select(problem, ledgers): the candidates that a problem needs, refitting
+                      every set
+    folds             hold-out splits
 
-A line through points, with the three lines that any problem needs::
+Example, a straight line through points::
 
-    def expand(x, index):                    # x (M, 2), in units, of the problems index (M,)
+    def expand(x, index):                    # x (M, 2), scaled, of the problems index (M,)
         return expansion(y - A @ x[0], -A)   # residuals and their derivatives
     found = minimise(expand, start, low, high)
 
-``sim2real.servo`` makes a problem of a servo's recordings, ``sim.inference`` of a robot's swims.
+``sim2real.servo`` defines the problem for a servo's recordings, ``sim.inference`` that for swims.
 """

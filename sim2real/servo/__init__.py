@@ -1,1 +1,1 @@
-"""The actuator as it is simulated: its law, its parameters, and batched rollouts."""
+"""Simulation of servos: law, parameters and batched rollouts."""

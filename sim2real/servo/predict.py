@@ -23,14 +23,14 @@ def predict(
     *,
     where: str = "commands",
 ) -> dict[str, Array]:
-    """Measured angles that the model expects.
+    """Measured angles predicted by the model.
 
     Args:
         model: The fitted model.
         t: Times in s, shape (T,).
         command: Set-points in rad by joint, each of shape (T,).
-        loads: Loads that the joints turn; the model's own where a joint has none here.
-        where: What the commands come from, for messages.
+        loads: Loads by joint; for other joints, the load in the model.
+        where: Origin of the commands, for messages.
 
     Returns:
         Angles in rad by joint, each of shape (T,).

@@ -1,4 +1,4 @@
-"""Set a fitted model beside what was recorded."""
+"""Compare a fitted model with recordings."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Replay:
-    """One joint of one recording and what the model makes of its commands.
+    """One joint of one recording and the model's prediction for its commands.
 
     Attributes:
         recording: The recording.
-        joint: The joint.
+        joint: Name of the joint.
         predicted: Predicted angles in rad, shape (T,).
-        held_out: Samples that the fit did not see, shape (T,).
+        held_out: Mask of the samples that the fit did not use, shape (T,).
     """
 
     recording: Recording
@@ -36,12 +36,12 @@ class Replay:
 def replay(
     model: Model, recordings: Sequence[Recording], held_out: str | None = None
 ) -> list[Replay]:
-    """Replay every recording of every joint of the model that moves in it.
+    """Predict every joint of the model in every recording that contains it.
 
     Args:
         model: The fitted model.
-        recordings: The recordings that it was identified from.
-        held_out: As given to ``identify``.
+        recordings: The recordings that the model was identified from.
+        held_out: Name of the held-out recording, as passed to ``identify``.
     """
     replays = []
     for joint in model.joints:

@@ -1,4 +1,4 @@
-"""One joint of one recording, ready to be fitted."""
+"""Traces: one joint of one recording, prepared for a fit."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ Array = NDArray[np.float64]
 
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
 _FEWEST, _PROPORTIONAL = 50, 0.02
-"""Fewest samples of a drive; the share of its power that may not be in proportion to the error."""
+"""Fewest samples of a drive; largest share of its power that is not proportional to the error."""
 
 FEWEST_SAMPLES = 20
-"""Fewest measured angles that a servo is fitted to."""
+"""Smallest number of measured angles for a fit."""
 FINEST_NOISE_RAD = 1e-6
-"""Noise where none shows: the sixth decimal, to which recordings are printed."""
+"""Smallest noise: recordings are printed to the sixth decimal."""
 
 HELD_OUT_SHARE = 0.25
-"""Share of a lone recording, at its end, that is held out."""
+"""Share of a single recording, at its end, that is held out."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What was sent to one joint and measured on it, while its torque was on.
+    """Commands and measured angles of one joint, while its torque was on.
 
     Attributes:
-        name: The recording's name.
-        file: The recording's file, which is unique.
+        name: Name of the recording.
+        file: File of the recording, which is unique.
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
         load: The stated load, or ``PER_INERTIA``.
-        used: Samples that the fit may see, shape (T,).
-        drive_per_rad: Share of the full drive that the servo reports for a radian of error, where
-            it reports its drive.
+        used: Mask of the samples that the fit may use, shape (T,).
+        drive_per_rad: Reported drive, as a share of the full drive, per radian of error; None if
+            the servo does not report its drive.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Trace:
     drive_per_rad: float | None = None
 
     def window(self, length_s: float) -> Trace:
-        """The first segment of at most ``length_s`` from just before the command first changes."""
+        """The first ``length_s`` at most, starting at the first change of the command."""
         moves = np.flatnonzero(np.diff(self.command))
         first = int(moves[0]) if moves.size else 0
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
@@ -69,7 +69,7 @@ class Trace:
         )
 
     def activity(self) -> float:
-        """How much the command moves: its total variation in rad."""
+        """Total variation of the command in rad."""
         return float(np.abs(np.diff(self.command)).sum())
 
     def moves(self) -> bool:
@@ -79,7 +79,7 @@ class Trace:
 
 
 def trace(recording: Recording, joint: str) -> Trace:
-    """The trace of ``joint`` in ``recording``; samples with the torque off are left out."""
+    """The trace of ``joint`` in ``recording``, without samples with the torque off."""
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
@@ -98,10 +98,10 @@ def trace(recording: Recording, joint: str) -> Trace:
 
 
 def drive_slope(error: Array, load: Array) -> float | None:
-    """Slope of what a servo reports as its load by the error it controls, if that is its drive.
+    """Slope of the load that a servo reports against its control error, if the load is its drive.
 
-    It is taken for the drive, a share of the full one, where it lies within -1 and 1 and follows
-    the error in proportion until it is full: a torque or a current that is measured does not.
+    The reported load is taken for the drive, as a share of the full drive, if it is within -1 and 1
+    and proportional to the error until it saturates; a measured torque or current is not.
     """
     good = np.isfinite(error) & np.isfinite(load)
     if np.count_nonzero(good) < _FEWEST or np.abs(load[good]).max() > _FULL + _ROUNDING:
@@ -119,13 +119,13 @@ def drive_slope(error: Array, load: Array) -> float | None:
 
 
 def sensor_noise(given: Sequence[Trace]) -> float:
-    """Standard deviation of a joint's sensor noise in rad, the largest of its recordings."""
+    """Standard deviation of a joint's sensor noise in rad, the largest over its recordings."""
     floors = (noise_floor(trace.t, trace.command, trace.position) for trace in given)
     return max(FINEST_NOISE_RAD, *floors)
 
 
 def check_samples(given: Sequence[Trace], joint: str) -> None:
-    """Make sure that a joint has samples enough for a servo to be fitted.
+    """Check that a joint has enough samples for a fit.
 
     Raises:
         InputError: If it has not.
@@ -138,7 +138,7 @@ def check_samples(given: Sequence[Trace], joint: str) -> None:
 
 
 def check_runs(given: Sequence[Trace], joint: str) -> None:
-    """Make sure that a joint has samples enough in a row for the colour of its noise to be fitted.
+    """Check that a joint has enough consecutive samples to fit an autoregressive noise model.
 
     Raises:
         InputError: If it has not.
@@ -154,20 +154,20 @@ def check_runs(given: Sequence[Trace], joint: str) -> None:
 
 
 def shows_inertia(fitted: Sequence[Trace]) -> bool:
-    """Whether a scale of torque is known, so that inertia can be told from the gains."""
+    """Whether the torque scale is known, so that inertia and gains are identifiable separately."""
     return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
 
 
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
-    """The traces of ``joint`` in all recordings in which it is sent and seen to move."""
+    """The traces of ``joint`` in all recordings in which its command and its angle change."""
     every = [trace(recording, joint) for recording in recordings if joint in recording.joints]
     return [one for one in every if one.t.size > 1 and one.moves()]
 
 
 def split(given: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
-    """Traces to fit, traces to score, and what is held out in words.
+    """Traces to fit, traces to score, and a description of what is held out.
 
-    The traces to score carry in ``used`` only samples that the fit does not see.
+    In the traces to score, ``used`` marks only samples that the fit does not use.
     """
     if len(given) > 1:
         last = next((trace for trace in given if trace.name == held_out), given[-1])

@@ -61,7 +61,8 @@ def test_the_catalogue_is_complete_and_each_name_stands_once():
 @each()
 def test_effect_is_documented_and_bounded(effect):
     module = sys.modules[f"sim2real.effects.servo.{effect.name}"]
-    assert "Taken for" in module.__doc__ or "Nothing else" in module.__doc__
+    text = " ".join(module.__doc__.split())
+    assert "Confused with" in text or "Nothing else" in text
     assert effect.parameters
     for parameter in effect.parameters:
         assert parameter.low <= parameter.typical <= parameter.high

@@ -137,7 +137,7 @@ def test_slow_motion_leaves_directions_open_and_says_so():
     t = np.arange(0, 20, 0.02)
     crawl = 0.3 * np.sin(0.05 * 2 * np.pi * t)
     model = identify([record(SERVO, crawl)], bench("j1")).joints["j1"]
-    assert any("cannot be told" in note or "no influence" in note for note in model.notes)
+    assert any("cannot be determined" in note or "no influence" in note for note in model.notes)
     low, high = model.interval["kp_Nm_per_rad"]
     assert low < 2.2 < high
     assert high > 20 * low
@@ -253,7 +253,7 @@ def test_a_parameter_without_influence_is_found_before_the_fit():
     early = np.where(t > 2, 0.002, 0.0)
     model = identify([record(SERVO, early, t=t, noise=0.0004), record(SERVO, lone, t=t, name="b",
                       noise=0.0004)], bench("j1")).joints["j1"]  # fmt: skip
-    assert any("influence" in note or "cannot be told" in note for note in model.notes)
+    assert any("influence" in note or "cannot be determined" in note for note in model.notes)
 
 
 def test_a_joint_that_does_not_move_is_named():

@@ -244,20 +244,20 @@ def test_detection_limits_are_one_row_an_effect():
     _, blocks = explained()
     (table,) = [b for b in blocks if isinstance(b, Table) and "j1" in b.header]
     assert table.header == ("effect", "j1", "j2", "j3")
-    assert table.rows[0] == ("dry friction", *["2.1 mN m"] * 3)
-    assert table.rows[2] == ("a motor that weakens as it warms", "–", "8 %", "8 %")
+    assert table.rows[0] == ("Coulomb friction", *["2.1 mN m"] * 3)
+    assert table.rows[2] == ("thermal derating of the motor", "–", "8 %", "8 %")
 
 
 def test_members_of_a_group_are_named_with_the_next_experiment():
     text, _ = said(AMBIGUOUS)
     assert "Practically certain: more than 99 % sure that it is one of them." in text
-    both = "cannot tell play in the gears from a dead band of the controller"
+    both = "cannot tell backlash from a dead band of the controller"
     assert f"These recordings {both}." in text
     assert "j2: one of these" in text and "in a bracket shares one bar" in text
     assert "in a bracket" not in explained()[0]
     assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
     told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
-    assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell play") == 1
+    assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell backlash") == 1
 
 
 def test_a_guess_is_marked_as_a_guess():
@@ -330,9 +330,9 @@ def test_effects_beyond_the_servo_do_no_harm(effect):
 
 def test_effects_have_plain_names():
     beyond = ("skin_elasticity", "pool_current", "com_offset", "pose_filter", "dropped_frames")
-    for effect in ("backlash", "voltage_sag", "clock_drift", *beyond):
+    for effect in ("deadband", "voltage_sag", "sensor_gain", *beyond):
         assert plain(effect) != effect.replace("_", " ")
-    assert plain("backlash") == "play in the gears"
+    assert plain("deadband") == "a dead band of the controller"
 
 
 def test_units_of_bodies_and_servos():
@@ -390,5 +390,5 @@ def test_what_the_written_model_holds_besides_the_names_is_no_claim():
     )
     model = replace(EXPLAINED.model, joints={**EXPLAINED.model.joints, "j2": servo})
     text, _ = said(replace(EXPLAINED, model=model))
-    assert "chosen to predict best and holds play" in text
+    assert "chosen to predict best and holds backlash" in text
     assert "no claim that they are there" in text

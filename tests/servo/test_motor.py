@@ -189,7 +189,7 @@ def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
     quiet = dataclasses.replace(quiet, position=angle)
     joint = identify([quiet], bench()).joints["j1"]
     assert joint.motor["stall_torque_Nm"] == pytest.approx(1.67, rel=0.1)
-    assert any("do not tell" in note and "stall torque" in note for note in joint.notes)
+    assert any("do not determine" in note and "stall torque" in note for note in joint.notes)
 
 
 def test_the_linear_servo_can_be_asked_for():

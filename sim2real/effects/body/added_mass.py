@@ -1,8 +1,8 @@
-"""More water goes along with the body sideways; a share of what it displaces.
+"""Change of the added mass of the links, as a share of the displaced water.
 
-The share of the displaced water that goes along with a link across it and as it turns.
+Acts on each link's motion normal to its axis and in rotation.
 
-Taken for: drag across the links; starts tell.
+Confused with: drag normal to the links; accelerations distinguish them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.resist[:, 2:] += p["ratio"]
 
 
 EFFECT = BodyEffect(
     name="added_mass",
-    plain="water that is carried along",
+    plain="an error of the added mass",
     title="change of the transverse added mass, as a share of the displaced water",
     parameters=(Parameter("ratio", low=-0.5, high=2.0, typical=0.2),),
     act=act,

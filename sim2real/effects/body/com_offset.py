@@ -1,8 +1,8 @@
-"""The centre of mass is not where the file says, forwards and to the left.
+"""The centre of mass is displaced from the stated one, forward and to the left.
 
-Where all links' centres of mass are, forwards and to the left of where the file says.
+All links' centres of mass are displaced by the same distances.
 
-Taken for: a marker that is off.
+Confused with: an offset of the marker.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.com -= p["x_m"]
     robot.side += p["y_m"]
 
 
 EFFECT = BodyEffect(
     name="com_offset",
-    plain="a centre of mass that is off",
+    plain="an offset of the centre of mass",
     title="offset of the centre of mass from the robot file's, forwards and to the left",
     parameters=(
         Parameter("x_m", low=-0.1, high=0.1, typical=0.01),

@@ -1,8 +1,8 @@
-"""The body's shape resists more than thought, with the square of the speed.
+"""Change of the form drag of the body, which is quadratic in speed.
 
 ``force = -rho / 2 coefficient area u^2`` along the head; the largest cross-section.
 
-Taken for: surface friction, which grows alike.
+Confused with: skin friction, which grows with speed in the same way.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.resist[0, 1] += 0.5 * robot.water_kg_m3 * robot.frontal_m2 * p["coefficient"]
 
 
 EFFECT = BodyEffect(
     name="form_drag",
-    plain="drag of the body's shape",
+    plain="an error of the form drag",
     title="change of the form drag, which is proportional to the squared speed",
     parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),
     act=act,

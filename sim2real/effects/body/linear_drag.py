@@ -1,8 +1,8 @@
-"""Resistance that grows with the speed of the body.
+"""Change of the drag that is proportional to the speed of the body.
 
-``force = -coefficient v``, shared by the links according to their lengths.
+``force = -coefficient v``, distributed over the links in proportion to their lengths.
 
-Taken for: drag of shape or surface; slow and fast swims tell.
+Confused with: form drag, skin friction; slow and fast swims distinguish them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()
 
 
 EFFECT = BodyEffect(
     name="linear_drag",
-    plain="drag that grows with speed",
+    plain="an error of the linear drag",
     title="change of the drag that is proportional to the speed of the body",
     parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),
     act=act,

@@ -1,8 +1,8 @@
-"""The pool's water moves evenly.
+"""A uniform current in the pool.
 
-The water's velocity in the world's frame.
+The water's velocity in the world frame.
 
-Taken for: a camera that is off; swims both ways tell.
+Confused with: a position error of the camera; swims in both directions distinguish them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.current += np.array([p["u_m_s"], p["v_m_s"]])
 
 

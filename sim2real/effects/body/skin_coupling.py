@@ -1,8 +1,8 @@
-"""The skin pulls neighbouring joints to the same angle.
+"""The skin couples neighbouring joints elastically.
 
 ``torque = stiffness (q_before + q_after - 2 q)`` at each joint.
 
-Taken for: elasticity; moving one joint alone tells.
+Confused with: an elastic skin; moving one joint alone distinguishes them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.coupling += p["stiffness_Nm_per_rad"]
 
 
 EFFECT = BodyEffect(
     name="skin_coupling",
-    plain="a skin that ties neighbouring joints together",
+    plain="a skin that couples neighbouring joints",
     title="the skin acts as a spring between neighbouring joints",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=5.0, typical=0.2),),
     act=act,

@@ -1,8 +1,8 @@
-"""The skin over the joints is a spring that pulls them straight.
+"""The skin over the joints is a spring towards the straight posture.
 
 ``torque = -stiffness q`` at each joint.
 
-Taken for: a weaker servo; swims with the torque off tell.
+Confused with: a smaller servo gain; swims with the torque off distinguish them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.skin[:, 0] += p["stiffness_Nm_per_rad"]
 
 
 EFFECT = BodyEffect(
     name="skin_elasticity",
-    plain="a skin that springs back",
+    plain="an elastic skin",
     title="the skin over the joints acts as a spring towards the straight pose",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),),
     act=act,

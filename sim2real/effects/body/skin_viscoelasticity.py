@@ -1,9 +1,9 @@
-"""The skin over the joints is a spring that gives way with time.
+"""The skin over the joints is viscoelastic: its spring force relaxes with time.
 
-A spring behind a damper beside each joint, a standard linear solid: the strain that the spring
-has fades within ``relaxation_s``.
+A spring in series with a damper at each joint (Maxwell element of a standard linear solid): the
+strain of the spring decays with the time constant ``relaxation_s``.
 
-Taken for: elasticity or damping alone; slow and fast strokes tell.
+Confused with: elasticity or damping alone; slow and fast strokes distinguish them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.skin[:, 2] += p["stiffness_Nm_per_rad"]
     robot.skin[:, 3] = p["relaxation_s"]
 
 
 EFFECT = BodyEffect(
     name="skin_viscoelasticity",
-    plain="a skin that springs back slowly",
+    plain="a viscoelastic skin",
     title="the skin over the joints acts as a spring that relaxes with time",
     parameters=(
         Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),

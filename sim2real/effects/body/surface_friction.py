@@ -1,8 +1,8 @@
-"""The surface is rougher than thought: friction along it with the square of the speed.
+"""Change of the skin friction of a material, which is quadratic in speed.
 
 ``force = -rho / 2 coefficient area u^2`` along each link of the material.
 
-Taken for: form drag, which grows alike.
+Confused with: form drag, which grows with speed in the same way.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.rough += p["coefficient"] * robot.made_of(material)
 
 
 EFFECT = BodyEffect(
     name="surface_friction",
-    plain="friction with the ground",
+    plain="an error of the skin friction",
     title="change of the skin friction coefficient of the surface",
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
     act=act,

@@ -1,8 +1,8 @@
-"""A cable pulls the head to a place in the pool.
+"""A cable pulls the head towards a point in the pool.
 
 ``force = stiffness (anchor - head)``.
 
-Taken for: a current; where the swim ends tells.
+Confused with: a current; the end point of the swim distinguishes them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.tether[:] = p["stiffness_N_per_m"], p["x_m"], p["y_m"]
 
 
 EFFECT = BodyEffect(
     name="tether",
-    plain="a tether that pulls",
+    plain="a tether",
     title="a cable pulls the head towards an anchor in the pool",
     parameters=(
         Parameter("stiffness_N_per_m", low=0.0, high=10.0, typical=0.1),

@@ -1,8 +1,8 @@
-"""The joints' zero is off by an angle, to the same side.
+"""All joints have the same offset angle.
 
-``q = 0`` is off by ``offset_rad`` at every joint.
+``q = 0`` is displaced by ``offset_rad`` at every joint.
 
-Taken for: a current across; swims both ways tell.
+Confused with: a lateral current; swims in both directions distinguish them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.trim += p["offset_rad"]
 
 
 EFFECT = BodyEffect(
     name="trim_asymmetry",
-    plain="a straight posture that is off to one side",
+    plain="a trim offset of the joints",
     title="offset of all joint zeros by the same angle",
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),
     act=act,

@@ -1,8 +1,8 @@
-"""Near a wall the robot swims faster, by this share one body length away from it.
+"""Near a wall the thrust is larger, by this share at a distance of one body length.
 
 The reactive thrust is larger by ``ratio (length / gap)^2``.
 
-Taken for: less drag; swims far from the walls tell.
+Confused with: less drag; swims far from the walls distinguish them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add it to what acts on the robot."""
+    """Add the effect to the forces on the robot."""
     robot.wall += p["ratio"]
 
 
 EFFECT = BodyEffect(
     name="wall_effect",
-    plain="a wall nearby",
+    plain="the effect of a nearby wall",
     title="gain of thrust near a wall, as a share at a distance of one body length",
     parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
     act=act,

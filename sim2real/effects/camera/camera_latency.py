@@ -1,8 +1,8 @@
-"""The camera's poses are late.
+"""The poses of the camera are delayed.
 
 ``pose(t) = true pose(t - latency)``.
 
-Taken for: the servos' latency, where no angles are recorded.
+Confused with: the servos' latency, where no angles are recorded.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     return late(t, pose, p["latency_s"])
 
 
 EFFECT = CameraEffect(
     name="camera_latency",
-    plain="a camera that sees late",
+    plain="latency of the camera",
     title="delay of the camera's poses",
     parameters=(Parameter("latency_s", low=-0.05, high=0.5, typical=0.05),),
     see=see,

@@ -1,8 +1,8 @@
-"""The camera's axes are turned against the pool's, but not its headings.
+"""The axes of the camera are rotated relative to the pool's.
 
-Positions turned by ``angle_rad`` about the pool's origin; headings stay.
+Positions are rotated by ``angle_rad`` about the pool's origin; headings are not.
 
-Taken for: a current across.
+Confused with: a lateral current.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     c, s = np.cos(p["angle_rad"]), np.sin(p["angle_rad"])
     x, y, heading = pose.T
     return np.stack([c * x - s * y, s * x + c * y, heading], axis=1)
@@ -24,7 +24,7 @@ def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 
 EFFECT = CameraEffect(
     name="camera_rotation",
-    plain="a camera that is turned",
+    plain="a rotated camera",
     title="rotation of the camera's axes relative to the pool's, headings excepted",
     parameters=(Parameter("angle_rad", low=-0.8, high=0.8, typical=0.03),),
     see=see,

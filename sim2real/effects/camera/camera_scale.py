@@ -1,8 +1,8 @@
-"""The camera's metres are too long or too short by this share.
+"""The positions of the camera have a relative scale error.
 
 ``position (1 + ratio)``.
 
-Taken for: a slower or a faster robot; a ruler in the picture tells.
+Confused with: a slower or a faster robot; a ruler in the image distinguishes them.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     return pose * np.array([1 + p["ratio"], 1 + p["ratio"], 1.0])
 
 
 EFFECT = CameraEffect(
     name="camera_scale",
-    plain="a camera whose scale is off",
+    plain="a scale error of the camera",
     title="scale error of the camera's positions",
     parameters=(Parameter("ratio", low=-0.3, high=0.3, typical=0.02),),
     see=see,

@@ -1,9 +1,9 @@
-"""Some frames are lost and the last pose is repeated.
+"""Some frames are lost and the previous pose is repeated.
 
-Lost frames repeat the last pose: on average the poses are late by p / (1 - p) frames, which is
-what is applied, so that the result is a smooth function of p.
+On average the poses are then late by p / (1 - p) frames; this mean delay is applied, so that the
+result is a smooth function of p.
 
-Taken for: latency.
+Confused with: latency.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     lost = min(p["probability"], 0.9)
     return late(t, pose, float(np.median(np.diff(t))) * lost / (1 - lost))
 

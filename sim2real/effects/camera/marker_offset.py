@@ -1,8 +1,8 @@
-"""The marker sits off the head's centre of mass, forwards and to the left.
+"""The marker is displaced from the head's centre of mass, forward and to the left.
 
 ``position + R(heading) (x, y)``.
 
-Taken for: a centre of mass that is off.
+Confused with: an offset of the centre of mass.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     ahead, left = p["x_m"], p["y_m"]
     moved = [ahead * c - left * s, ahead * s + left * c, np.zeros_like(c)]
@@ -25,7 +25,7 @@ def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
 
 EFFECT = CameraEffect(
     name="marker_offset",
-    plain="a marker that sits elsewhere",
+    plain="an offset of the marker",
     title="offset of the marker from the head's centre of mass, forwards and to the left",
     parameters=(
         Parameter("x_m", low=-0.3, high=0.3, typical=0.02),

@@ -1,8 +1,8 @@
-"""The poses are smoothed by a first-order low-pass.
+"""The poses are smoothed by a first-order low-pass filter.
 
 ``time_constant p' + p = true p``.
 
-Taken for: latency, which it resembles at low frequencies.
+Confused with: latency, which has the same effect at low frequencies.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sim2real.inference.parameters import Parameter
 
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as the camera gives them."""
+    """Poses as measured by the camera."""
     if p["time_constant_s"] <= 0:
         return pose
     kept = float(np.exp(-float(np.median(np.diff(t))) / p["time_constant_s"]))

@@ -1,11 +1,11 @@
-"""Acceleration limit: the set-point inside the servo speeds up and slows down evenly.
+"""Acceleration limit: the servo limits the acceleration of its internal set-point.
 
-The profile of least time: full acceleration until braking just stops on the set-point, which at
-distance d and speed w is for another ``(sqrt(w^2 / 2 + limit d) - w) / limit`` seconds, then full
+A time-optimal profile: full acceleration until full braking stops exactly at the set-point (at
+distance d and speed w for another ``(sqrt(w^2 / 2 + limit d) - w) / limit`` seconds), then full
 braking. Exact over a sub-step.
 
-Leaves rounded ramps. Taken for: command filter; steps of several sizes tell, as the time grows with
-the root of the step.
+Residual: rounded ramps. Confused with: command filter; steps of several sizes distinguish them, as
+the duration grows with the square root of the step.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Set-point in force in rad."""
+    """Internal set-point in rad."""
     if z[s + 2] == wp.float64(0.0):
         z[s] = x
         z[s + 2] = wp.float64(1.0)
@@ -38,7 +38,7 @@ def brake(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="acceleration_limit",
-    plain="limited acceleration of the set-point",
+    plain="an acceleration limit of the set-point",
     says="the servo limits the acceleration of its set-point to {limit_rad_s2}",
     site="command",
     term=brake,

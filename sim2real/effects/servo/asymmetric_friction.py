@@ -1,10 +1,10 @@
-"""Asymmetric friction: dry friction that differs between the two directions.
+"""Asymmetric friction: Coulomb friction that differs between the two directions.
 
-``bound = torque (1 + asymmetry sgn v)``; ``asymmetry`` is half the relative difference. Worn screws
-and preloaded gears do this: on the EMPS drive it is the best-known missing term.
+``bound = torque (1 + asymmetry sgn v)``; ``asymmetry`` is half the relative difference. Caused by
+worn screws and preloaded gears; on the EMPS drive it is the best-known missing term.
 
-Leaves a square wave with an offset. Taken for: Coulomb friction together with a sensor offset or a
-gravity load.
+Residual: a square wave with an offset. Confused with: Coulomb friction together with a sensor
+offset or a gravity load.
 """
 
 import warp as wp

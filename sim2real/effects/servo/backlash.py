@@ -1,18 +1,18 @@
-"""Backlash: play between the motor's side, which is controlled, and the output, which is seen.
+"""Backlash: a gap between the motor, whose angle is controlled, and the output, which is measured.
 
 Two masses and a dead zone with stiff flanks (Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec.
-2). With r the rotor's share of all inertia J, T the motor's torque and g the load's weight, their
-common centre moves as one body does, and the motor is ahead of the load by x::
+2). With r the rotor's share of the total inertia J, T the motor's torque and g the weight of the
+load, the common centre moves as one body, and the motor leads the load by x::
 
-    r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and from a flank that lets go
+    r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and when a flank separates
     motor's angle   = q + (1 - r) x        load's angle = q - r x
 
-The controller sees the motor's angle; a flank that is met is not left bouncing. Angles are counted
-from the flank on which the recording starts. Where nothing is known of the rotor it is all of the
-inertia, and the crossing does nothing to it.
+The controller measures the motor's angle; impacts are inelastic. Angles are relative to the flank
+that is in contact at the start. Where the rotor's inertia is not known, r is 1 and crossing the gap
+does not change the motor's motion.
 
-Leaves jumps of the gap's size where the torque changes its sign. Taken for: dead band, Coulomb
-friction; three amplitudes tell.
+Residual: jumps of the size of the gap where the torque changes its sign. Confused with: dead band,
+Coulomb friction; three amplitudes distinguish them.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def rotor_share(p: wp.array(dtype=wp.float64), c: int) -> wp.float64:
-    """The rotor's share of the inertia; all of it where nothing is known."""
+    """The rotor's share of the inertia; 1 where it is not known."""
     if p[c + 1] == wp.float64(0.0):
         return wp.float64(1.0)
     return wp.clamp(p[c + 1] / p[3], wp.float64(0.02), wp.float64(0.98))
@@ -34,7 +34,7 @@ def rotor_share(p: wp.array(dtype=wp.float64), c: int) -> wp.float64:
 def start(
     torque: wp.float64, p: wp.array(dtype=wp.float64), c: int, z: wp.array(dtype=wp.float64), s: int
 ) -> None:
-    """The flank on which the output lies at first."""
+    """Flank that is in contact at the start."""
     if z[s + 3] == wp.float64(0.0):
         z[s] = wp.float64(0.5) * p[c] * wp.sign(torque)
         z[s + 2] = z[s]
@@ -43,7 +43,7 @@ def start(
 
 @wp.func
 def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque of the motor in N m, whose side moves while it crosses the gap."""
+    """Torque of the motor in N m, which moves relative to the load while it crosses the gap."""
     start(torque, p, c, z, s)
     half = wp.float64(0.5) * p[c]
     share = rotor_share(p, c)
@@ -77,7 +77,7 @@ def play(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 EFFECT = Effect(
     name="backlash",
-    plain="play in the gears",
+    plain="backlash",
     says="the gear train has {gap_rad} of backlash",
     site="motor",
     term=cross,

@@ -1,10 +1,10 @@
-"""Clock drift: the clock that sends and the clock that measures run at different rates.
+"""Clock drift: the clock of the set-points and the clock of the samples have different rates.
 
 A set-point sent ``time`` seconds into the recording takes effect ``s_per_s * time`` later than the
 first one did.
 
-Leaves error in proportion to speed that grows with time. Taken for: supply droop, thermal derating;
-it is a lag, not a gain.
+Residual: an error proportional to speed that grows with time. Confused with: supply droop, thermal
+derating, which change a gain and not a delay.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ def drift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="clock_drift",
-    plain="clocks that drift apart",
+    plain="clock drift",
     says=lambda p: (
         "the delay between set-point and response "
         + ("grows" if p["s_per_s"] > 0 else "shrinks")

@@ -2,7 +2,8 @@
 
 ``torque = torque_Nm sin(2 pi q / period + phase)``.
 
-Leaves a ripple with position, the same in both directions. Taken for: gear ripple of the sensor.
+Residual: a ripple over the angle, the same in both directions. Confused with: eccentricity of the
+angle sensor.
 """
 
 import warp as wp
@@ -26,7 +27,7 @@ _PHASES = (0.0, 2.0944, -2.0944)
 
 EFFECT = Effect(
     name="cogging",
-    plain="a torque that repeats with the angle",
+    plain="cogging torque",
     says="a torque ripple with an amplitude of {torque_Nm} repeats every {period_rad}",
     site="load",
     term=ripple,

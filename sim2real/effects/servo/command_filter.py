@@ -1,9 +1,9 @@
-"""Command filter: the servo smooths its set-point by a first-order low-pass.
+"""Command filter: the servo smooths its set-point by a first-order low-pass filter.
 
 ``tau y' + y = u``, exact over a sub-step.
 
-Leaves a smooth onset. Taken for: latency, which absorbs most of it, and a sensor filter, which
-looks the same from one sensor.
+Residual: a smooth onset of motion. Confused with: latency, which absorbs most of it, and a sensor
+filter, which has the same effect on a single sensor.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Set-point in force in rad."""
+    """Internal set-point in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)

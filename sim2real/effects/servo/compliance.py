@@ -1,17 +1,17 @@
-"""Compliance: a spring between the shaft, whose angle is controlled and seen, and its load.
+"""Compliance: a spring between the shaft, whose angle is controlled and measured, and its load.
 
 Two masses and a spring (any text on flexible-joint robots, such as Spong, Journal of Dynamic
-Systems 109 (1987) 310-318) below their resonance. With r the rotor's share of all inertia, T the
-motor's torque and g the load's weight, the spring carries what moves the load::
+Systems 109 (1987) 310-318) below their resonance. With r the rotor's share of the total inertia, T
+the motor's torque and g the weight of the load, the spring transmits the torque on the load::
 
     F = (1 - r) T - r g                    shaft's angle = q + (1 - r) compliance (F - F0)
 
-where q is the angle of their common centre, which moves as one body does, and F0 what the spring
-carries at the start. With x what PD control of q would ask, the motor works against load and
-spring in series: ``T + (1 - r) compliance (kp (F - F0) + kd F') = x``.
+where q is the angle of the common centre, which moves as one body, and F0 the spring's torque at
+the start. With x the torque that PD control of q would command, the motor acts on load and spring
+in series: ``T + (1 - r) compliance (kp (F - F0) + kd F') = x``.
 
-Leaves error in proportion to torque, most where it changes fast. Taken for: kp, kd, a filter; known
-added inertia tells.
+Residual: an error proportional to torque, largest where it changes fast. Confused with: kp, kd, a
+filter; a known additional inertia distinguishes them.
 """
 
 import warp as wp
@@ -30,7 +30,7 @@ def carried(
     z: wp.array(dtype=wp.float64),
     s: int,
 ) -> wp.float64:
-    """Torque on the spring in N m, beyond what it carries at the start."""
+    """Torque on the spring in N m, relative to that at the start."""
     share = wp.min(p[c + 1] / p[3], wp.float64(0.98))
     load = (wp.float64(1.0) - share) * torque
     if p[4] != wp.float64(0.0):
@@ -44,7 +44,7 @@ def carried(
 
 @wp.func
 def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
     others = carried(x, q, p, c, z, s) - rest * x  # of the spring's torque: all but the motor's
     give = rest * p[c]
@@ -67,7 +67,7 @@ def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="compliance",
-    plain="a springy load",
+    plain="compliance between motor and load",
     says="motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}",
     site="motor",
     term=soften,

@@ -1,10 +1,11 @@
-"""Coulomb friction: dry friction of one size, whatever the speed.
+"""Coulomb friction: friction of constant magnitude, independent of speed.
 
-While the shaft turns, the torque ``torque_Nm`` acts against the motion; at rest it holds any
+While the shaft turns, the torque ``torque_Nm`` acts against the motion; at rest it balances any
 smaller torque. Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138.
 
-Leaves a square wave in the sign of the speed. Taken for: dead band, backlash, presliding friction;
-a slow triangle tells, as the width of the force-position loop does not depend on its amplitude.
+Residual: a square wave in the sign of the speed. Confused with: dead band, backlash, presliding
+friction; a slow triangle distinguishes them, as the width of the hysteresis loop does not depend on
+its amplitude.
 """
 
 import warp as wp
@@ -21,7 +22,7 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="coulomb_friction",
-    plain="dry friction",
+    plain="Coulomb friction",
     says="Coulomb friction of {torque_Nm} acts on the shaft",
     site="friction",
     term=bound,

@@ -2,8 +2,9 @@
 
 ``error = sgn(error) max(|error| - halfwidth, 0)``.
 
-Leaves a static offset within the band and flat-topped small sines. Taken for: Coulomb friction,
-backlash; hold and nudge tells, as the band does not care about the direction of the load.
+Residual: a static offset within the band, and small sines with flat tops. Confused with: Coulomb
+friction, backlash; small steps under load distinguish them, as the band does not depend on the
+direction of the load.
 """
 
 import warp as wp

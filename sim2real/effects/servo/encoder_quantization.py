@@ -1,8 +1,8 @@
-"""Encoder quantization: the measured angle comes in steps of ``step_rad``.
+"""Encoder quantization: the measured angle is rounded to multiples of ``step_rad``.
 
 ``angle = step round(q / step)``.
 
-Leaves a sawtooth of half a step. Nothing else looks like it.
+Residual: a sawtooth of half a step. Nothing else looks like it.
 """
 
 import warp as wp
@@ -19,7 +19,7 @@ def count(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="encoder_quantization",
-    plain="a coarser angle sensor",
+    plain="coarse quantization of the angle sensor",
     says="the angle sensor has a resolution of {step_rad}, coarser than the data sheet states",
     site="sensor",
     term=count,

@@ -1,10 +1,10 @@
-"""Gravity load: a weight off the shaft's axis that ``loads`` left out.
+"""Gravity load: an eccentric weight that is missing from ``loads``.
 
-The shaft feels ``-torque_Nm sin(q)``, position 0 hanging straight down (a pendulum; any text on
-mechanics).
+A pendulum torque ``-torque_Nm sin(q)`` on the shaft, hanging straight down at position 0 (any text
+on mechanics).
 
-Leaves a static error that grows with the sine of the angle. Taken for: a larger kp with a sensor
-gain; another gain or supply tells.
+Residual: a static error that grows with the sine of the angle. Confused with: a larger kp together
+with a sensor gain; another gain or supply voltage distinguishes them.
 """
 
 import warp as wp
@@ -22,7 +22,7 @@ def pendulum(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row,
 
 EFFECT = Effect(
     name="gravity_load",
-    plain="a weight that the loads leave out",
+    plain="a weight missing from the stated load",
     says=lambda p: (
         "a gravity torque of up to {torque_Nm}, missing from the stated load, pulls the shaft "
         + ("towards 0°" if p["torque_Nm"] > 0 else "away from 0°")

@@ -2,8 +2,8 @@
 
 ``torque += ki * integral of error``, while the torque is on.
 
-Leaves errors that creep away over seconds, and overshoot after long holds. Taken for: relaxing skin
-or rubber; a long hold under load tells.
+Residual: errors that decay over seconds, and overshoot after long holds. Confused with: a
+viscoelastic skin or rubber; a long hold under load distinguishes them.
 """
 
 import warp as wp

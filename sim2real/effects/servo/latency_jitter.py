@@ -1,9 +1,10 @@
-"""Latency jitter: each set-point is late by a different time.
+"""Latency jitter: the latency differs from one set-point to the next.
 
-Uniform within ``halfwidth_s`` of the latency, drawn anew for each set-point; none overtakes the one
-before it.
+Uniform within ``halfwidth_s`` of the latency, drawn independently for each set-point; set-points
+keep their order.
 
-Leaves noise in proportion to speed. Taken for: sensor noise; regress its square on the speed's.
+Residual: noise proportional to speed. Confused with: sensor noise; a regression of the squared
+residual on the squared speed distinguishes them.
 """
 
 import warp as wp
@@ -12,7 +13,7 @@ from sim2real.effects.effect import Effect, Parameter
 from sim2real.effects.warp_types import F, Row
 
 _SEED = wp.constant(31)
-"""Of its own, so that no other effect changes what is drawn."""
+"""A separate random stream, independent of other effects."""
 
 
 @wp.func
@@ -24,7 +25,7 @@ def scatter(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 EFFECT = Effect(
     name="latency_jitter",
-    plain="set-points that arrive unevenly",
+    plain="latency jitter",
     says="set-points arrive up to {halfwidth_s} before or after the mean latency",
     site="arrival",
     term=scatter,

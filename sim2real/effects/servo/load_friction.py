@@ -1,10 +1,10 @@
-"""Load-dependent friction: dry friction that grows with the torque through the gears.
+"""Load-dependent friction: friction proportional to the torque transmitted by the gears.
 
-``bound = ratio |torque|``, as teeth and bearings press harder. Source: Duclusaud, Passault, Padois,
-Ly, Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA 2025.
+``bound = ratio |torque|``, as teeth and bearings are pressed together. Source: Duclusaud, Passault,
+Padois, Ly, Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA 2025.
 
-Leaves error in proportion to load; driving and back-driving differ. Taken for: a smaller kp, which
-absorbs nearly all of it; another load or gain tells.
+Residual: an error proportional to load that differs between driving and back-driving. Confused
+with: a smaller kp, which absorbs nearly all of it; another load or gain distinguishes them.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="load_friction",
-    plain="friction that grows with load",
+    plain="load-dependent friction",
     says="gear friction opposes the motion with {ratio} of the transmitted torque",
     site="friction",
     term=bound,

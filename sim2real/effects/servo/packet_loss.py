@@ -1,9 +1,9 @@
-"""Packet loss: some set-points never arrive; the one before stays in force.
+"""Packet loss: some set-points never arrive; the previous one stays in force.
 
 Each is lost with ``probability``, independently.
 
-Leaves isolated spikes in proportion to the change of the set-point. Taken for: latency jitter,
-which is never longer than its width.
+Residual: isolated spikes proportional to the change of the set-point. Confused with: latency
+jitter, whose delay is bounded by its width.
 """
 
 import warp as wp
@@ -12,7 +12,7 @@ from sim2real.effects.effect import Effect, Parameter
 from sim2real.effects.warp_types import F, Row
 
 _SEED = wp.constant(33)
-"""Of its own, so that no other effect changes what is drawn."""
+"""A separate random stream, independent of other effects."""
 
 
 @wp.func

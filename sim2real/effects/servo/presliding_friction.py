@@ -1,12 +1,12 @@
-"""Presliding friction: dry friction that is a spring before it slips.
+"""Presliding friction: Coulomb friction that acts as a spring before it slips.
 
-A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, holds with
+A bristle of deflection z, ``z' = v (1 - stiffness z sgn(v) / torque)``, exerts
 ``-stiffness z - damping z'``: Dahl's model with exponent 1, integrated exactly over a sub-step, and
-the damping of LuGre's (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European Journal of
-Control 4 (1998) 176-195), as ``2 damping_ratio`` times the root of stiffness and inertia.
+the damping of the LuGre model (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European
+Journal of Control 4 (1998) 176-195), ``2 damping_ratio`` times the root of stiffness and inertia.
 
-Leaves spring-like loops within a degree of each reversal. Taken for: Coulomb friction, compliance;
-small sines tell, by their minor loops.
+Residual: elastic loops within a degree of each reversal. Confused with: Coulomb friction,
+compliance; small sines distinguish them, by their minor loops.
 """
 
 import warp as wp
@@ -31,7 +31,7 @@ def bristle(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 EFFECT = Effect(
     name="presliding_friction",
-    plain="dry friction that is springy before it slips",
+    plain="presliding friction",
     says="Coulomb friction of {torque_Nm} acts as a spring of {stiffness_Nm_per_rad} "
     "before it slips",
     site="load",

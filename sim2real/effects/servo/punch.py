@@ -1,12 +1,13 @@
-"""Punch: the firmware adds a least drive to any error, so that its gain grows as the error falls.
+"""Punch: the firmware adds a minimum drive to any error, so the gain is larger for small errors.
 
 ``drive = kp error + torque clip(error / width, -1, 1)``: ``width`` is about one count of the
-encoder, below which there is no error. Seen in what STS3215 servos report of their drive (public
-logs of a backlash stand by B. Kotov, 2025): 0.8 or 1.3 % of the full drive a count of 1.53 mrad and
-1.6 % beside it, with and without a dead band of one count.
+encoder, below which there is no error. Observed in the drive that STS3215 servos report (public
+logs of a backlash test stand by B. Kotov, 2025): 0.8 or 1.3 % of the full drive per count of
+1.53 mrad, and an additional 1.6 %, with and without a dead band of one count.
 
-Leaves smaller errors at rest than at speed, and a hum about the set-point where little rubs.
-Taken for: less friction, a larger kp; small and large steps under one load tell, as gains differ.
+Residual: smaller errors at rest than in motion, and oscillation about the set-point where friction
+is small. Confused with: less friction, a larger kp; small and large steps under one load
+distinguish them, as the gains differ.
 """
 
 import warp as wp
@@ -26,7 +27,7 @@ def punched(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, 
 
 EFFECT = Effect(
     name="punch",
-    plain="a least drive that the firmware adds to any error",
+    plain="a minimum drive added by the firmware",
     says="the firmware adds {torque_Nm} to the drive at position errors beyond {width_rad}",
     site="error",
     term=punched,

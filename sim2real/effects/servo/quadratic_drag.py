@@ -1,9 +1,10 @@
-"""Quadratic drag: resistance that grows with the square of the speed, as of an arm in water.
+"""Quadratic drag: a torque against the motion that grows with the square of the speed.
 
-``torque = -coefficient v |v|`` (Morison's drag term for a turning plate).
+``torque = -coefficient v |v|`` (Morison's drag term for a turning plate), for instance of an arm in
+water.
 
-Leaves a third harmonic at high speed. Taken for: a smaller kp and another latency, which absorb
-three quarters of it; a ladder of amplitudes tells, or air against water.
+Residual: a third harmonic at high speed. Confused with: a smaller kp and another latency, which
+absorb three quarters of it; several amplitudes, or air against water, distinguish them.
 """
 
 import warp as wp
@@ -20,7 +21,7 @@ def drag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 EFFECT = Effect(
     name="quadratic_drag",
-    plain="drag that grows with the square of speed",
+    plain="quadratic drag",
     says="a drag torque of {coefficient_Nms2} times the squared speed opposes the motion",
     site="load",
     term=drag,

@@ -1,9 +1,10 @@
-"""Rate limit: the set-point inside the servo moves no faster than ``limit_rad_s``.
+"""Rate limit: the servo limits the speed of its internal set-point to ``limit_rad_s``.
 
-A profile generator of constant speed, as behind the time field of bus servos.
+A profile generator of constant speed, such as the time field of bus servos.
 
-Leaves straight ramps after steps, their length in proportion to the step. Taken for: torque
-saturation, voltage sag; another supply or inertia tells, as neither changes the ramp.
+Residual: straight ramps after steps, their duration proportional to the step. Confused with: torque
+saturation, voltage sag; another supply voltage or inertia distinguishes them, as neither changes
+the ramp.
 """
 
 import warp as wp
@@ -14,7 +15,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def ramp(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Set-point in force in rad."""
+    """Internal set-point in rad."""
     if z[s + 1] == wp.float64(0.0):
         z[s] = x
         z[s + 1] = wp.float64(1.0)
@@ -27,7 +28,7 @@ def ramp(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
 
 EFFECT = Effect(
     name="rate_limit",
-    plain="limited speed of the set-point",
+    plain="a rate limit of the set-point",
     says="the servo limits the speed of its set-point to {limit_rad_s}",
     site="command",
     term=ramp,

@@ -1,12 +1,13 @@
-"""Sensor eccentricity: the measured angle errs by a wave of the angle itself.
+"""Sensor eccentricity: the error of the angle sensor is periodic in the angle.
 
-``measured = q + amplitude_rad (sin(2 pi q / period + phase) - zero - slope q)``, as a magnet off
-its axis, the teeth of a gear before the sensor or its interpolation make it (any text on magnetic
-encoders). ``zero`` and ``slope`` are those of the straight line through the wave over 0.8 rad
-either way: what a calibration takes off, and what an offset or a gain of the sensor would be. Every
-sensor has a little of it, so that it belongs to the plain servo and is no finding.
+``measured = q + amplitude_rad (sin(2 pi q / period + phase) - zero - slope q)``, caused by an
+off-axis magnet, the teeth of a gear before the sensor or its interpolation (any text on magnetic
+encoders). ``zero`` and ``slope`` are those of the straight line through the sine over 0.8 rad
+either way, which a calibration removes and which would otherwise be an offset and a gain of the
+sensor. Every sensor has a small eccentricity; it belongs to the plain servo and is no finding.
 
-Leaves a wave over the angle, the same in both directions and at all speeds. Taken for: cogging.
+Residual: a sine of the angle, the same in both directions and at all speeds. Confused with:
+cogging.
 """
 
 import warp as wp
@@ -41,7 +42,7 @@ _PHASES = (0.0, 2.0944, -2.0944)
 
 EFFECT = Effect(
     name="sensor_eccentricity",
-    plain="an angle sensor whose error is a wave of the angle",
+    plain="eccentricity of the angle sensor",
     says="the error of the angle sensor has an amplitude of {amplitude_rad} and "
     "repeats every {period_rad}",
     site="sensor",

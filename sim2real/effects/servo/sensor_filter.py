@@ -1,9 +1,9 @@
-"""Sensor filter: the measured angle is smoothed by a first-order low-pass.
+"""Sensor filter: the measured angle is smoothed by a first-order low-pass filter.
 
 ``tau y' + y = q``, exact over a sub-step.
 
-Leaves a lag that grows with frequency like an arctangent. Taken for: latency and a command filter;
-only a second sensor tells.
+Residual: a phase lag that grows with frequency as an arctangent. Confused with: latency and a
+command filter; only a second sensor distinguishes them.
 """
 
 import warp as wp

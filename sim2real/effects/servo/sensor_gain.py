@@ -1,9 +1,9 @@
-"""Sensor gain: measured angles are too large or too small by a factor ``gain`` off 1.
+"""Sensor gain: the measured angle has a relative error ``gain``.
 
 ``angle = (1 + gain) q``.
 
-Leaves error in proportion to the angle. Taken for: elastic skin; another servo gain or supply
-tells.
+Residual: an error proportional to the angle. Confused with: an elastic skin; another servo gain or
+supply voltage distinguishes them.
 """
 
 import warp as wp
@@ -20,7 +20,7 @@ def scale(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="sensor_gain",
-    plain="an angle sensor whose scale is off",
+    plain="a gain error of the angle sensor",
     says=lambda p: "the angle sensor reads {gain} too " + ("large" if p["gain"] > 0 else "small"),
     site="sensor",
     term=scale,

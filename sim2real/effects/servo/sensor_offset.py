@@ -1,6 +1,6 @@
-"""Sensor offset: the measured angle is wrong by a constant, as when a horn sits one tooth off.
+"""Sensor offset: the measured angle has a constant error, as when a horn is mounted one tooth off.
 
-Leaves a constant. Taken for: a gravity load about a level position.
+Residual: a constant. Confused with: a gravity load about a level position.
 """
 
 import warp as wp
@@ -17,7 +17,7 @@ def shift(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="sensor_offset",
-    plain="an angle sensor whose zero is off",
+    plain="an offset of the angle sensor",
     says=lambda p: (
         "the angle sensor reads {offset_rad} too " + ("high" if p["offset_rad"] > 0 else "low")
     ),

@@ -1,11 +1,11 @@
-"""Stribeck friction: dry friction that is larger at breakaway and falls with speed.
+"""Stribeck friction: friction that is largest at breakaway and decreases with speed.
 
 ``bound = torque + (breakaway - torque) exp(-(v / velocity)^2)``. Fits keep ``breakaway`` at or
-above ``torque``: friction that rises with speed is damping, not Stribeck's effect.
+above ``torque``: friction that increases with speed is damping, not the Stribeck effect.
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138.
 
-Leaves extra error just after reversals and stick-slip at low speed. Taken for: Coulomb friction,
-which it contains; only motion below ``velocity_rad_s`` tells.
+Residual: an additional error just after reversals, and stick-slip at low speed. Confused with:
+Coulomb friction, which it contains; only motion below ``velocity_rad_s`` distinguishes them.
 """
 
 import warp as wp
@@ -27,7 +27,7 @@ def bound(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="stribeck_friction",
-    plain="friction that is larger near standstill",
+    plain="Stribeck friction",
     says=lambda p: (
         "friction of {breakaway_Nm} at standstill falls to {torque_Nm} above about {velocity_rad_s}"
         if p["breakaway_Nm"] > p["torque_Nm"]

@@ -1,11 +1,11 @@
-"""Supply droop: a battery that runs down, and with it the torque.
+"""Supply droop: the battery discharges, and the available torque decreases with its voltage.
 
-What the controller asks scales with the voltage, the damping by back-EMF does not:
+The commanded torque scales with the voltage, the damping by back-EMF does not:
 ``torque = kp error (1 - loss_per_min * minutes) - kd v`` (the circuit of a DC motor behind a
 bridge; any text on motors).
 
-Leaves gain that falls evenly with time, on all joints alike. Taken for: thermal derating, clock
-drift; a fresh battery tells.
+Residual: a gain that decreases linearly with time, equally on all joints. Confused with: thermal
+derating, clock drift; a charged battery distinguishes them.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def droop(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     asked = x + p[1] * v
     return (
         asked * wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0)) - p[1] * v
@@ -25,7 +25,7 @@ def droop(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="supply_droop",
-    plain="a supply that runs down",
+    plain="a discharging battery",
     says=lambda p: (
         "the supply voltage, and the motor torque with it, "
         + ("falls" if p["loss_per_min"] > 0 else "rises")

@@ -1,11 +1,12 @@
-"""Thermal derating: the motor weakens as it warms.
+"""Thermal derating: the motor loses torque as it heats up.
 
-A warmth z follows the square of the torque over ``warm_torque_Nm``, with a time constant of 30 s;
-``torque *= 1 - loss (1 - exp(-z))``. A lumped stand-in for the rise of winding resistance and the
-fall of the magnets' field. Where that torque is not known it is what PD control of 0.1 rad asks.
+A temperature z follows the square of the torque over ``warm_torque_Nm``, with a time constant of
+30 s; ``torque *= 1 - loss (1 - exp(-z))``. A lumped approximation of the rise of the winding
+resistance and the decrease of the magnets' field. Where ``warm_torque_Nm`` is not known, it is the
+torque that PD control commands at an error of 0.1 rad.
 
-Leaves gain that falls over minutes of work and comes back with rest. Taken for: supply droop; a
-pause tells.
+Residual: a gain that decreases over minutes of work and recovers at rest. Confused with: supply
+droop; a pause distinguishes them.
 """
 
 import warp as wp
@@ -17,7 +18,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     warm = p[c + 1]
     if warm == wp.float64(0.0):
         warm = wp.max(wp.float64(0.1) * p[0], wp.float64(1e-12))
@@ -28,7 +29,7 @@ def weaken(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 
 EFFECT = Effect(
     name="thermal_derating",
-    plain="a motor that weakens as it warms",
+    plain="thermal derating of the motor",
     says="the motor loses up to {loss} of its torque as it heats up",
     site="motor",
     term=weaken,

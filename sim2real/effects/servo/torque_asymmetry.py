@@ -1,9 +1,10 @@
-"""Torque asymmetry: the motor pulls harder one way than the other.
+"""Torque asymmetry: the motor has more torque in one direction than in the other.
 
 ``torque *= 1 + asymmetry / 2 sgn(torque)``; ``asymmetry`` is the relative difference between the
 two directions.
 
-Leaves error that differs between rising and falling steps. Taken for: asymmetric friction.
+Residual: an error that differs between rising and falling steps. Confused with: asymmetric
+friction.
 """
 
 import warp as wp
@@ -14,13 +15,13 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def favour(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     return x * (wp.float64(1.0) + wp.float64(0.5) * p[c] * wp.sign(x))
 
 
 EFFECT = Effect(
     name="torque_asymmetry",
-    plain="a motor that pulls harder one way",
+    plain="a motor torque that differs by direction",
     says=lambda p: (
         "the motor torque is {asymmetry} larger in the "
         + (

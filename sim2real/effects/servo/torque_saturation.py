@@ -1,13 +1,13 @@
-"""Torque saturation: the motor gives less than its data sheet says, ``limit_Nm`` either way.
+"""Torque saturation: the torque is limited to ``limit_Nm``, below the data sheet's.
 
 ``torque = clip(torque + free, -limit, limit) - free``: a limit of firmware or current, at any
-speed. ``free = free_damping kd v`` is the share of the damping that acts beyond it: none where the
-current is limited, all but what the firmware damps where the drive is, as in MuJoCo's actuators.
-The line of torque over speed, which no motor exceeds, is part of the servo's law (``servo.motor``);
+speed. ``free = free_damping kd v`` is the part of the damping that acts beyond the limit: none
+where the current is limited; all but the firmware's damping where the drive is limited, as in
+MuJoCo's actuators. The torque-speed line of the motor is part of the servo's law (``servo.motor``);
 this effect is a limit below it.
 
-Leaves an acceleration that stays level after large steps. Taken for: rate limit, voltage sag; added
-inertia tells, as it makes this one worse and not the rate limit.
+Residual: a constant acceleration after large steps. Confused with: rate limit, voltage sag;
+additional inertia distinguishes them, as it increases this residual and not that of a rate limit.
 """
 
 import warp as wp
@@ -18,7 +18,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def clip(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     beyond = p[c + 1] * p[1] * v
     return wp.clamp(x + beyond, -p[c], p[c]) - beyond
 

@@ -1,10 +1,10 @@
-"""Unmodelled inertia: rotor, gears or arm that the stated load left out.
+"""Unmodelled inertia: rotor, gears or arm that are missing from the stated load.
 
-A rotor behind gears of ratio n adds n squared times its own inertia to the shaft, often as much as
+A rotor behind gears of ratio n adds n squared times its inertia to the shaft, often as much as
 the load itself (any text on drives).
 
-Leaves error in proportion to acceleration. Taken for: latency, tens of milliseconds of it; a
-pendulum tells, as its weight is known.
+Residual: an error proportional to acceleration. Confused with: latency, tens of milliseconds of it;
+a pendulum distinguishes them, as its weight is known.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ def rotor(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
 
 EFFECT = Effect(
     name="unmodelled_inertia",
-    plain="inertia that the loads leave out",
+    plain="inertia missing from the stated load",
     says=lambda p: (
         "the stated load inertia is {inertia_kgm2} too "
         + ("small, as when it omits the rotor and the gears" if p["inertia_kgm2"] > 0 else "large")

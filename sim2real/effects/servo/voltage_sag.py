@@ -1,11 +1,11 @@
-"""Voltage sag: the supply gives way under load, and the torque with it.
+"""Voltage sag: the supply voltage drops under load, and the torque with it.
 
-What the controller asks scales with the voltage, the damping by back-EMF does not:
-``torque = kp error (1 - loss |torque| / full) - kd v``, full load being what an error of half a
-radian asks (the circuit of a DC motor behind a bridge; any text on motors).
+The commanded torque scales with the voltage, the damping by back-EMF does not:
+``torque = kp error (1 - loss |torque| / full) - kd v``, where the full load is the torque commanded
+at an error of half a radian (the circuit of a DC motor behind a bridge; any text on motors).
 
-Leaves gain that falls with load. Taken for: torque saturation, load friction; moving another joint
-tells, if they share the supply.
+Residual: a gain that decreases with load. Confused with: torque saturation, load friction; moving
+another joint on the same supply distinguishes them.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ from sim2real.effects.warp_types import F, Row
 
 @wp.func
 def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Torque that the motor makes in N m."""
+    """Torque of the motor in N m."""
     full = wp.max(wp.float64(0.5) * p[0], wp.float64(1e-12))
     left = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
     return (x + p[1] * v) * left - p[1] * v
@@ -24,7 +24,7 @@ def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: i
 
 EFFECT = Effect(
     name="voltage_sag",
-    plain="a supply that sags under load",
+    plain="a supply voltage that sags under load",
     says="the supply voltage sags and costs {loss_at_full_load} of the motor torque at full load",
     site="motor",
     term=sag,
