@@ -1,6 +1,7 @@
 """Diagnosis of swims that the twin itself made: what was concealed is named, and nothing else."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -172,6 +173,30 @@ def raw(*sets, held=None, shapes=-20.0, left=1.0):
 
 LATE, SKIN = ("camera_latency", "camera"), ("skin_elasticity", "body")
 DRAG, ROUGH = ("linear_drag", "body"), ("form_drag", "body")
+
+
+@pytest.mark.parametrize("file", [law_error.FILE, law_error.IN_WATER])
+def test_every_decision_has_a_name_and_a_reason(file):
+    content = json.loads(file.read_text())
+    names = {n if n in content["reasons"] else re.split("[: ]", n)[0] for n in content["decisions"]}
+    assert names == set(content["reasons"])
+    assert all(content["reasons"].values())
+
+
+def test_a_file_that_numbers_its_weights_decides_alike(tmp_path):
+    """Files of before the weights had names."""
+    content = json.loads(law_error.FILE.read_text())
+    now, old = content["decisions"], {}
+    for new, before in (("name", "odds"), ("unlisted", "strange"), ("anything", "there")):
+        own = [value for name, value in now.items() if name.startswith(f"{new}: ")]
+        old |= {f"{before} {k}": value for k, value in enumerate(own)}
+    usual = [value for name, value in now.items() if name.startswith("usual misfit ")]
+    old |= {f"usual misfit {k // 3} {k % 3}": value for k, value in enumerate(usual)}
+    thresholds = ("cost", "temperature", "alike", "held_gain", "flagged from", "usual wave")
+    old |= {name: now[name] for name in thresholds}
+    path = tmp_path / "law_error.json"
+    path.write_text(json.dumps(content | {"decisions": old}))
+    assert read_law_error(path).decisions == LAW_ERROR.decisions
 
 
 def test_what_predicts_worse_is_not_offered():
