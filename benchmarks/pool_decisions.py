@@ -8,7 +8,7 @@ stay as they are. What a model has to bring on the end of its swim to be offered
 read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them,
 where RESULTS are there. ``--go-on``: what is there is from other cases; the curves become those of
 both, thresholds stay. Writes ``decisions`` of ``sim/inference/law_error.json``, or of
-``law_error_in_water.json``.
+``law_error_in_water.json``. What is chosen keeps its value and its reason.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decision_curves import logistic, loss
-from sim.inference.law_error import FILE, IN_WATER
-from sim.inference.swim_decision import Decided, decide, strange_terms, terms_of
+from sim.inference.law_error import FILE, IN_WATER, named_decisions
+from sim.inference.swim_decision import BANDS, ROWS, Decided, Terms, decide
 from sim2real.output import write_json
 
 Numbers = dict[str, float]
@@ -147,7 +147,11 @@ def usually(cases: Cases) -> Numbers:
     misfit = np.quantile([found["misfit"] for found in inside], _USUAL, axis=0)
     return {
         **{family: float(np.quantile(gains, _USUAL)) for family, gains in shapes.items()},
-        **{f"usual misfit {k} {b}": float(misfit[k, b]) for k in range(4) for b in range(3)},
+        **{
+            f"usual misfit {row} {band}": float(misfit[k, b])
+            for k, row in enumerate(ROWS)
+            for b, band in enumerate(BANDS)
+        },
     }
 
 
@@ -173,6 +177,7 @@ def choose(
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
     content = json.loads(target.read_text())
+    content["decisions"] = named_decisions(content["decisions"])
     robots = sorted({truth["robot"] for truth, _ in cases})
     parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
     tune = partial(tuned, begun=content["decisions"], go_on=go_on)
@@ -267,31 +272,35 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     What nobody could see is no example of anything that is there. ``about``: earlier weights.
     """
     weights = partial(_weights, about=about)
-    terms = {"odds": 14, "strange": 8, "there": 8}
-    out = numbers | {f"{which} {k}": 0.0 for which, n in terms.items() for k in range(n)}
+    scale = numbers["evidence_scale"]
+    curve_names = ("name: ", "unlisted: ", "anything: ")
+    flat = {name: 0.0 for name in numbers if name.startswith(curve_names)}
+    out = numbers | flat
     said = [(truth, decide(found, out)) for truth, found in cases]
     outside = [truth["kind"] == "outside" for truth, _ in said]
-    out |= weights("strange", [strange_terms(one.strange) for _, one in said], outside)
+    out |= weights("unlisted", [one.features.terms(scale) for _, one in said], outside)
     clear = [
-        (truth["kind"] != "null", strange_terms(one.strange))
+        (truth["kind"] != "null", one.features.terms(scale))
         for truth, one in said
         if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
     ]
-    out |= weights("there", [terms for _, terms in clear], [there for there, _ in clear])
+    out |= weights("anything", [terms for _, terms in clear], [there for there, _ in clear])
     said = [(truth, decide(found, out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
     right = [_right(one.group, _hidden(truth)) for truth, one in names]
-    return out | weights("odds", [terms_of(one.spoken) for _, one in names], right)
+    return out | weights("name", [one.features.terms() for _, one in names], right)
 
 
 def _weights(
-    which: str, terms: Sequence[Sequence[float]], right: Sequence[bool], about: Numbers | None
+    curve: str, terms: Sequence[Terms], right: Sequence[bool], about: Numbers | None
 ) -> Numbers:
     """Of a curve, as decisions hold them."""
-    x, y = np.array(terms), np.array(right, dtype=np.float64)
-    earlier = np.array([about[f"{which} {k}"] for k in range(x.shape[1])]) if about else None
+    names = list(terms[0])
+    x = np.array([[one[name] for name in names] for one in terms])
+    y = np.array(right, dtype=np.float64)
+    earlier = np.array([about[f"{curve}: {name}"] for name in names]) if about else None
     found = logistic(x, y, _GOES_ON if about else _PRIOR, earlier)
-    return {f"{which} {k}": float(v) for k, v in enumerate(found)}
+    return {f"{curve}: {name}": float(v) for name, v in zip(names, found, strict=True)}
 
 
 def main() -> None:

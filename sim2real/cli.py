@@ -54,6 +54,10 @@ COMMANDS = {
 }
 """Each command's options and what it does in a line, in the order in which help lists them."""
 
+_SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
+"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
+linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
+
 
 def _natural(text: str) -> int:
     """A whole number that is not negative, as a seed is."""
@@ -79,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = parser(only=given[:1]).parse_args(given)
+    if options.command in _SMALL_MATRICES:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
     try:
         run = importlib.import_module(options.module).run
         if options.json:
@@ -104,8 +110,7 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """The parser; the options of all commands, or of these only."""
     whole = argparse.ArgumentParser(
         prog="sim2real",
-        description="Identify a robot's servos, diagnose missing physics, "
-        "generate randomization ranges.",
+        description="Identify servos, diagnose missing physics, generate randomization ranges.",
         epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )

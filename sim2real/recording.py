@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +13,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sim2real import csv_columns
 from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_json, write_whole
-from sim2real.structured import Fields, check_size, nearest, read_json, shown
+from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.recording/1"
-LARGEST_FILE_BYTES = 256 * 2**20
-LARGEST_ANGLE_RAD = 4 * np.pi
 GRAVITY_M_S2 = 9.80665
 FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
 """Known fields of the JSON file; other fields are preserved as ``metadata``."""
 
-_MOST_NAMED = 8
-"""Largest number of columns that a message lists."""
 
 Array = NDArray[np.float64]
 
@@ -153,7 +148,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         InputError: If a file cannot be read, or a row or field does not conform to the format.
     """
     csv = Path(path)
-    table = _read_table(csv)
+    table = csv_columns.read_table(csv)
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
     top.refuse_misspelt(FIELDS)
@@ -161,15 +156,15 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
     joints = _joint_names(top)
-    t = _column(csv, table, "t_s")
-    _check_times(csv, t)
+    t = csv_columns.column(csv, table, "t_s")
+    csv_columns.check_times(csv, t)
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
-    command = _angles(csv, table, joints, "command_rad") if recorded else none
-    position = _angles(csv, table, joints, "position_rad")
+    command = csv_columns.angles(csv, table, joints, "command_rad") if recorded else none
+    position = csv_columns.angles(csv, table, joints, "position_rad")
     if recorded:
-        _check_commands(csv, joints, command)
+        csv_columns.check_commands(csv, joints, command)
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
     return Recording(
         name=csv.stem,
@@ -181,7 +176,9 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         loads=_loads(top, joints),
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
-        columns={str(c): _column(csv, table, str(c)) for c in table.columns if c not in used},
+        columns={
+            str(c): csv_columns.column(csv, table, str(c)) for c in table.columns if c not in used
+        },
         metadata={name: value for name, value in top.content.items() if name not in FIELDS},
         path=csv,
     )
@@ -203,16 +200,16 @@ def read_commands(path: str | os.PathLike[str]) -> Commands:
         InputError: If times or commands do not conform to the format.
     """
     csv = Path(path)
-    table = _read_table(csv)
-    t = _column(csv, table, "t_s")
-    _check_times(csv, t)
+    table = csv_columns.read_table(csv)
+    t = csv_columns.column(csv, table, "t_s")
+    csv_columns.check_times(csv, t)
     check_sampling(csv, t, LONGEST_COMMAND_PERIOD_S)
     names = [str(column) for column in table.columns]
     joints = tuple(n.removesuffix(".command_rad") for n in names if n.endswith(".command_rad"))
     if not joints:
         raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
-    command = _angles(csv, table, joints, "command_rad")
-    _check_commands(csv, joints, command)
+    command = csv_columns.angles(csv, table, joints, "command_rad")
+    csv_columns.check_commands(csv, joints, command)
     sidecar = csv.with_suffix(".json")
     loads: dict[str, Load] = {}
     if sidecar.exists():
@@ -264,120 +261,6 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
     write_json(csv.with_suffix(".json"), sidecar)
-
-
-def _read_table(csv: Path) -> pd.DataFrame:
-    check_size(csv, LARGEST_FILE_BYTES, "; cut the recording into pieces")
-    try:
-        header = pd.read_csv(csv, skipinitialspace=True, compression=None, header=None, nrows=1)
-        table = pd.read_csv(csv, skipinitialspace=True, compression=None, low_memory=False)
-    except pd.errors.EmptyDataError:
-        raise InputError(csv, "", "an empty file", "a header and rows") from None
-    except UnicodeDecodeError:
-        raise InputError(csv, _undecodable_row(csv), "bytes that are not UTF-8", "text") from None
-    except (ValueError, OSError) as error:
-        long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
-        if long:
-            columns, row, cells = long.groups()
-            raise InputError(
-                csv, f"row {row}", f"{cells} cells", f"{columns}, as in the header"
-            ) from None
-        raise InputError(csv, "", f"no table ({error})", "comma-separated rows") from None
-    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
-        cells = table.index.nlevels + len(table.columns)
-        raise InputError(csv, "row 2", f"{cells} cells", f"{len(table.columns)}, as in the header")
-    names = header.iloc[0].dropna()
-    if names.duplicated().any():
-        found = f"{names[names.duplicated()].iloc[0]} twice"
-        raise InputError(csv, "header", found, "each column once")
-    if not len(table):
-        raise InputError(csv, "", "0 rows", "a header and at least two rows")
-    return table
-
-
-def _undecodable_row(csv: Path) -> str:
-    content = csv.read_bytes()
-    try:
-        content.decode()
-    except UnicodeDecodeError as error:
-        row = content.count(b"\n", 0, error.start) + 1
-        return f"row {row}"
-    return ""
-
-
-def _column(csv: Path, table: pd.DataFrame, name: str) -> Array:
-    if name not in table:
-        columns = [str(column) for column in table.columns]
-        found = f"no column {name} among {_listed(columns)}"
-        close = nearest(name, columns) or _time_column(name, columns)
-        hint = f" (did you mean {close}?)" if close else ""
-        raise InputError(csv, "header", found, f"the column {name}{hint}")
-    cells = table[name]
-    if cells.dtype == object:  # integers beyond the range of a float, perhaps
-        cells = cells.map(lambda cell: np.inf if type(cell) is int and abs(cell) > 1e300 else cell)
-    values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    wrong = np.flatnonzero((np.isnan(values) & table[name].notna().to_numpy()) | np.isinf(values))
-    if wrong.size:
-        found = shown(str(table[name].iloc[wrong[0]]))
-        raise InputError(csv, _cell(csv, int(wrong[0]), name), found, "a number or an empty cell")
-    return values
-
-
-def _listed(columns: list[str]) -> str:
-    """The first columns of a header, for a message."""
-    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
-    more = len(columns) - len(named)
-    return ", ".join(named) + (f" and {more} more" if more else "")
-
-
-def _time_column(name: str, columns: list[str]) -> str | None:
-    """Column that probably is the time, if ``t_s`` is missing."""
-    if name != "t_s":
-        return None
-    return next((c for c in columns if c.lower() == "t" or "time" in c.lower()), None)
-
-
-def _cell(csv: Path, index: int, column: str) -> str:
-    """Row as an editor numbers it (the header is row 1, blank lines count), and column."""
-    with csv.open(encoding="utf-8", errors="replace") as lines:
-        filled = (number for number, line in enumerate(lines, 1) if line.strip())
-        row = next(islice(filled, index + 1, None), index + 2)
-    return f"row {row}, {column}"
-
-
-def _angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: str) -> Array:
-    angles = np.stack([_column(csv, table, f"{j}.{quantity}") for j in joints], axis=1)
-    wrong = np.argwhere(np.abs(angles) > LARGEST_ANGLE_RAD)
-    if wrong.size:
-        row, j = (int(x) for x in wrong[0])
-        place, found = _cell(csv, row, f"{joints[j]}.{quantity}"), f"{angles[row, j]:g}"
-        expected = f"radians within {LARGEST_ANGLE_RAD:.1f} (degrees, perhaps?)"
-        raise InputError(csv, place, found, expected)
-    return angles
-
-
-def _check_times(csv: Path, t: Array) -> None:
-    if t.size < 2:
-        raise InputError(csv, "", f"{t.size} row", "at least two rows")
-    missing = np.flatnonzero(np.isnan(t))
-    if missing.size:
-        raise InputError(csv, _cell(csv, int(missing[0]), "t_s"), "an empty cell", "a time in s")
-    back = np.flatnonzero(t[1:] <= t[:-1])
-    if back.size:
-        row = int(back[0]) + 1
-        found = f"{t[row]:g} after {t[row - 1]:g}"
-        raise InputError(csv, _cell(csv, row, "t_s"), found, "times that increase")
-
-
-def _check_commands(csv: Path, joints: tuple[str, ...], command: Array) -> None:
-    for j, joint in enumerate(joints):
-        given = np.isfinite(command[:, j])
-        last = int(np.flatnonzero(given)[-1]) if given.any() else 0
-        hole = np.flatnonzero(~given[: last + 1])
-        if hole.size:
-            place = _cell(csv, int(hole[0]), f"{joint}.command_rad")
-            expected = "a set-point in rad (empty only at the end, where the torque is off)"
-            raise InputError(csv, place, "an empty cell", expected)
 
 
 def _joint_names(top: Fields) -> tuple[str, ...]:

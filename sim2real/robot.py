@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
 
+from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
-from sim2real.recording import LARGEST_ANGLE_RAD, Recording
+from sim2real.recording import Recording
 from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
 
 Place = tuple[str, str]

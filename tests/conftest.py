@@ -19,18 +19,19 @@ def realdata() -> Path:
 
 @pytest.fixture(scope="session")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with ``datasets`` and ``reports`` as in a clone, ten seconds of each recording.
+    """A folder with ``datasets`` and ``reports`` as in a clone, but short recordings.
 
-    For tests of whole chains, whose time is that of simulating recordings.
+    Seven seconds of each on the bench, ten of each swim. For tests of whole chains, whose time is
+    that of simulating recordings.
     """
     folder = tmp_path_factory.mktemp("short")
     (folder / "reports").symlink_to(ROOT / "reports")
-    for name in ("servo_steps", "pool"):
+    for name, samples in (("servo_steps", 350), ("pool", 500)):
         (folder / "datasets" / name).mkdir(parents=True)
         for path in (ROOT / "datasets" / name).iterdir():
             here = folder / "datasets" / name / path.name
             if path.suffix == ".csv":
-                here.write_text("".join(path.read_text().splitlines(keepends=True)[:501]))
+                here.write_text("".join(path.read_text().splitlines(keepends=True)[: samples + 1]))
             else:
                 here.symlink_to(path)
     return folder

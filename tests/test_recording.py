@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.recording import (
-    LARGEST_ANGLE_RAD,
     Load,
     Recording,
     read_commands,

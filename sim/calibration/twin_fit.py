@@ -24,6 +24,8 @@ from sim2real.model import Model
 
 Array = NDArray[np.float64]
 
+_FINEST = 1e-6
+"""Error of a signal, in its own unit, below which it has no more weight: it may be exact."""
 _ROUNDS = 2
 _LEVEL = 0.9
 _STEP = 0.05
@@ -85,7 +87,7 @@ def calibrate(
     problem = SwimProblem(swims, model, free, simulator, Gaussian.of(free), view, held_out)
     unit, nominal = column(free, "typical"), column(free, "nominal")
     before = problem.errors(nominal[None])
-    weight = 1 / problem.rmse(before, held=False)[0]
+    weight = 1 / np.maximum(problem.rmse(before, held=False)[0], _FINEST)
     best, after = nominal, before
     for done in range(_ROUNDS):
         found = problem.minimise(
@@ -95,7 +97,7 @@ def calibrate(
         after = problem.errors(best[None])
         progress((done + 1) / _ROUNDS)
         if done < _ROUNDS - 1:
-            weight = 1 / problem.rmse(after, held=False)[0]
+            weight = 1 / np.maximum(problem.rmse(after, held=False)[0], _FINEST)
     both = (before, after)
     return Calibrated(
         model=problem.with_values(best),

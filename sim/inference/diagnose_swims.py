@@ -21,7 +21,7 @@ from sim.inference.coordinates import Swum, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
-from sim.inference.swim_decision import LIKELY, Decided, decide
+from sim.inference.swim_decision import Decided, decide
 from sim.inference.swim_findings import findings
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
@@ -91,7 +91,7 @@ def likely_model(found: Searched, known: LawError, *, referred: bool) -> Model:
         referred: Whether swims in which nothing is missing were known.
     """
     said = decide(raw(found, referred=referred), known.decisions)
-    likely = {one.name for one in said.named if one.probability >= LIKELY}
+    likely = {one.name for one in said.named if one.probability >= known.decisions["likely"]}
     fit = next(h.fit for h in found.found if set(names_of(h.members)) == likely)
     return found.problem.coordinates.model_at(fit.x)
 
@@ -156,12 +156,13 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             "robot always has, and a law that is wrong for its shape, cannot be told from what is "
             "missing."
         )
-    if said.unlisted >= LIKELY:
+    likely = known.decisions["likely"]
+    if said.unlisted >= likely:
         gate.append(
             f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
     moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
-    if said.unlisted >= LIKELY and moved > _ROLLS and moved > 1.5 * turn:
+    if said.unlisted >= likely and moved > _ROLLS and moved > 1.5 * turn:
         gate.append(
             f"What is left is how the head goes to and fro at the beat ({moved:.0f} times what is "
             f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
@@ -180,14 +181,16 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         made,
         gate=tuple(gate),
         unknown={"body": said.unlisted},
-        next_experiment=_experiment(found, fitted, said),
+        next_experiment=_experiment(found, fitted, said, likely),
     )
 
 
-def _experiment(found: Searched, fitted: Hypothesis[Fit], said: Decided) -> Experiment | None:
+def _experiment(
+    found: Searched, fitted: Hypothesis[Fit], said: Decided, likely: float
+) -> Experiment | None:
     """What to record next, where the first group that is likely has several members."""
     for one in said.named:
-        if one.probability >= LIKELY and len(one.group) > 1:
+        if one.probability >= likely and len(one.group) > 1:
             rest = frozenset(names_of(fitted.members)) - {one.name}
             instead = rest | {one.group[1]}
             for other in found.found:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.inference.coordinates import Coordinates
+from sim.inference.swim_decision import BANDS, ROWS, NameFeatures, UnlistedFeatures
 from sim2real.structured import read_json
 
 Array = NDArray[np.float64]
@@ -29,7 +30,21 @@ RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
 """Kinds of columns whose sizes are shares of their values."""
 NEVER = 1e-3
 """Standard deviation of what the error does not pass for, in steps of a derivative."""
-ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
+_CURVES = {
+    "odds": ("name", NameFeatures(*np.ones(12)).terms()),
+    "strange": ("unlisted", UnlistedFeatures().terms(1.0)),
+    "there": ("anything", UnlistedFeatures().terms(1.0)),
+}
+_NUMBERED = {
+    f"{old} {k}": f"{curve}: {term}"
+    for old, (curve, terms) in _CURVES.items()
+    for k, term in enumerate(terms)
+} | {
+    f"usual misfit {k} {b}": f"usual misfit {row} {band}"
+    for k, row in enumerate(ROWS)
+    for b, band in enumerate(BANDS)
+}
+"""Present names of numbers that older files number."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +60,7 @@ class LawError:
         unknown: The same of a robot that was never seen, where its swims have it in common.
         usual: Mean of the law's coefficients over robots.
         shift: Mean over robots of how far they are from the nominal ones.
-        decisions: Thresholds, by name.
+        decisions: Thresholds, and the weights of curves as ``curve: term``, by name.
     """
 
     shares: Array
@@ -89,8 +104,21 @@ def read_law_error(path: Path = FILE) -> LawError:
         unknown=content["unknown"],
         usual=content["usual"],
         shift=content.get("shift", {}),
-        decisions=content["decisions"],
+        decisions=named_decisions(content["decisions"]),
     )
+
+
+def named_decisions(decisions: Mapping[str, float]) -> dict[str, float]:
+    """Decisions by their present names.
+
+    Files of before the weights had names number them ("odds 3"), and lack the thresholds that were
+    not in the file then: those are taken from the file that ships.
+    """
+    if not any(name in decisions for name in _NUMBERED):
+        return dict(decisions)
+    renamed = {_NUMBERED.get(name, name): value for name, value in decisions.items()}
+    shipped: dict[str, float] = read_json(FILE, SCHEMA)["decisions"]
+    return shipped | renamed
 
 
 LAW_ERROR = read_law_error()

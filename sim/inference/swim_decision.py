@@ -7,7 +7,7 @@ the thresholds off many searches without repeating one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,15 +19,107 @@ from sim2real.diagnose.result import Verdict
 Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
-Spoken = tuple[float, ...]
-Strange = tuple[float, float, float, float, float, float, float]
+ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
+"""Signals and bands of frequency in which what is left is measured."""
+Terms = dict[str, float]
+"""Terms of a sum that is the log odds of something, by name."""
 
-STATED, LIKELY = 0.05, 0.5
-"""Probabilities from which an effect is told at all, and from which a model has it."""
-_ENOUGH, _WIDEST = 0.7, 4
-"""Probability that makes a group of several worth telling, and how many it may have."""
-_EVIDENT = 30.0
-"""Evidence beside which that of a shape counts where the best set has none."""
+
+@dataclass(frozen=True)
+class NameFeatures:
+    """What speaks for one effect of the best set.
+
+    Attributes:
+        lead: Evidence by which the set is ahead of all that lack the effect's group.
+        gain: Evidence that the effect adds.
+        group_size: Effects in its group.
+        shape_gain: Evidence that a shape without a name would add.
+        misfit: Logarithm of what is left over what is left usually.
+        held_out_gain: How much likelier the effect makes what was held out.
+        imitator: Whether it is one that an error of the law can imitate, 1 or 0.
+        largest_gain: Evidence that the effect adds which adds most.
+        unlisted: Probability that something is there that the catalogue lacks.
+        camera: Whether it is the camera's, 1 or 0.
+        set_evidence: Evidence of the set over none.
+        unreferred: Whether no references were known, 1 or 0.
+    """
+
+    lead: float
+    gain: float
+    group_size: float
+    shape_gain: float
+    misfit: float
+    held_out_gain: float
+    imitator: float
+    largest_gain: float
+    unlisted: float
+    camera: float
+    set_evidence: float
+    unreferred: float
+
+    def terms(self) -> Terms:
+        """What the log odds of the name are a sum of, before weights."""
+        return {
+            "constant": 1.0,
+            "lead": _log(self.lead),
+            "group size": float(np.log(self.group_size)),
+            "shape over gain": max(_log(self.shape_gain) - _log(self.gain), 0.0),
+            "misfit": float(np.clip(self.misfit, -2, 4)),
+            "held-out gain": _log(self.held_out_gain),
+            "imitator": self.imitator,
+            "behind largest gain": _log(self.largest_gain) - _log(self.gain),
+            "unlisted": -float(np.log(max(1 - self.unlisted, 1e-3))),
+            "camera": self.camera,
+            "set evidence": _log(self.set_evidence),
+            "not largest gain": float(self.gain < self.largest_gain),
+            "gain": _log(self.gain),
+            "unreferred imitator": self.imitator * self.unreferred,
+        }
+
+
+@dataclass(frozen=True)
+class UnlistedFeatures:
+    """What speaks for something that the catalogue lacks, or for anything at all.
+
+    Attributes:
+        shape_gain: Evidence that a shape without a name would add.
+        change_gain: Evidence that a robot that becomes another one would add.
+        misfit: Logarithm of what is left over what is left usually.
+        set_evidence: Evidence of the best set over none.
+        held_out_gain: How much likelier the best set makes what was held out.
+        unreferred: Whether no references were known, 1 or 0.
+        shape_lead: Evidence by which a shape alone is ahead of the best set.
+    """
+
+    shape_gain: float = 0.0
+    change_gain: float = 0.0
+    misfit: float = 0.0
+    set_evidence: float = 0.0
+    held_out_gain: float = 0.0
+    unreferred: float = 0.0
+    shape_lead: float = 0.0
+
+    def terms(self, evidence_scale: float) -> Terms:
+        """What the log odds are a sum of, before weights.
+
+        What a shape adds counts over the evidence of the best set: a strong effect that is not
+        quite right leaves something that one of them fits, above all of a robot that becomes
+        another.
+
+        Args:
+            evidence_scale: Evidence over which that of a shape counts where the set has none.
+        """
+        size = max(self.set_evidence, 0.0) + evidence_scale
+        return {
+            "constant": 1.0,
+            "shape gain": float(np.log1p(max(self.shape_gain, 0.0) / size)),
+            "misfit": float(np.clip(self.misfit, -2, 4)),
+            "set evidence": _log(self.set_evidence),
+            "held-out gain": _log(self.held_out_gain),
+            "change gain": float(np.log1p(max(self.change_gain, 0.0) / size)),
+            "unreferred": self.unreferred,
+            "shape lead": _log(self.shape_lead),
+        }
 
 
 @dataclass(frozen=True)
@@ -39,14 +131,14 @@ class Named:
         group: What these swims cannot tell from it, itself first.
         probability: That one of the group is there.
         gain: Evidence that it adds to the others.
-        spoken: What its odds are made of, as ``terms_of`` takes it.
+        features: What its odds are made of.
     """
 
     name: Name
     group: tuple[Name, ...]
     probability: float
     gain: float
-    spoken: Spoken = ()
+    features: NameFeatures
 
 
 @dataclass(frozen=True)
@@ -60,7 +152,7 @@ class Decided:
         rivals: Other effects and their probabilities, likeliest first.
         unlisted: Probability that something is there that the catalogue lacks.
         shape: The shape without a name that does best.
-        strange: What the odds of ``unlisted`` are made of, as ``strange_terms`` takes it.
+        features: What the odds of ``unlisted`` are made of.
     """
 
     verdict: Verdict
@@ -69,7 +161,7 @@ class Decided:
     rivals: tuple[tuple[Name, float], ...]
     unlisted: float
     shape: str
-    strange: Strange = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    features: UnlistedFeatures = field(default_factory=UnlistedFeatures)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
@@ -98,18 +190,19 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     shape, more = max(beyond.items(), key=lambda one: one[1])
     changed = [gain for one, gain in beyond.items() if one.startswith("change")]
     shaped = [gain for one, gain in beyond.items() if not one.startswith("change")]
-    usual = [[numbers[f"usual misfit {k} {b}"] for b in range(3)] for k in range(4)]
+    usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]
     off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
     ahead = worth[best] - worth[frozenset()]
     instead = max(without.values()) - ahead
     helps = _helps(best, frozenset(), held)
     alone = 0.0 if raw.get("referred", True) else 1.0
-    strange = (
-        max(shaped, default=0.0), max(changed, default=0.0), off, ahead, helps, alone, instead,
-    )  # fmt: skip
-    unlisted = _odds(strange_terms(strange), "strange", numbers)
-    there = _odds(strange_terms(strange), "there", numbers)
-    flagged = there >= numbers["flagged from"] or unlisted >= LIKELY
+    features = UnlistedFeatures(
+        max(shaped, default=0.0), max(changed, default=0.0), off, ahead, helps, alone, instead
+    )
+    terms = features.terms(numbers["evidence_scale"])
+    unlisted = _odds(terms, "unlisted", numbers)
+    anything = _odds(terms, "anything", numbers)
+    flagged = anything >= numbers["flagged from"] or unlisted >= numbers["likely"]
     gains = {
         name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
     }
@@ -117,26 +210,26 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     for name, gain in gains.items():
         group = _group(name, best, worth, numbers)
         if flagged and len(best) == 1:
-            group = _widened(group, keys, share)
+            group = _widened(group, keys, share, numbers)
         rest = best - {name}
         margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
-        spoken = (
+        own = NameFeatures(
             margin, gain, float(len(group)), more, off, _helps(best, rest, held),
             float(name[0] in RESISTS), max(gains.values()), unlisted, float(name[1] == "camera"),
             ahead, alone,
         )  # fmt: skip
-        certain = min(_odds(terms_of(spoken), "odds", numbers), numbers["most_certain"])
-        named.append(Named(name, group, certain, gain, spoken))
-    likely = {one.name: one.probability for one in named if one.probability >= LIKELY}
+        certain = min(_odds(own.terms(), "name", numbers), numbers["most_certain"])
+        named.append(Named(name, group, certain, gain, own))
+    likely = {one.name: one.probability for one in named if one.probability >= numbers["likely"]}
     offered = _predicting(best & set(likely), held, worth, likely, numbers)
     others = {name for s in keys for name in s} - {n for one in named for n in one.group}
-    named = [one for one in named if one.probability >= STATED]
+    named = [one for one in named if one.probability >= numbers["stated"]]
     named.sort(key=lambda one: -one.gain)
     rivals = [(name, _there((name,), keys, share)) for name in others]
     rivals.sort(key=lambda one: (-one[1], one[0]))
     return Decided(
-        _verdict(named, offered, unlisted, flagged), tuple(named), offered, tuple(rivals),
-        unlisted, shape, strange,
+        _verdict(named, offered, unlisted, flagged, numbers["likely"]), tuple(named), offered,
+        tuple(rivals), unlisted, shape, features,
     )  # fmt: skip
 
 
@@ -150,61 +243,23 @@ def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
     return float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
 
 
-def _widened(group: tuple[Name, ...], keys: Sequence[Names], share: Array) -> tuple[Name, ...]:
+def _widened(
+    group: tuple[Name, ...], keys: Sequence[Names], share: Array, numbers: Mapping[str, float]
+) -> tuple[Name, ...]:
     """A group with the next likeliest, until one of them is likely; itself if that takes many."""
     others = {name for s in keys for name in s} - set(group)
-    wide = group
+    wide, enough = group, numbers["group_likely"]
     for name in sorted(others, key=lambda one: -_there((one,), keys, share)):
-        if _there(wide, keys, share) >= _ENOUGH or len(wide) >= _WIDEST:
+        if _there(wide, keys, share) >= enough or len(wide) >= numbers["group_most"]:
             break
         wide = (*wide, name)
-    return wide if _there(wide, keys, share) >= _ENOUGH else group
+    return wide if _there(wide, keys, share) >= enough else group
 
 
-def _odds(terms: Sequence[float], which: str, numbers: Mapping[str, float]) -> float:
-    """A probability: the logistic curve of a sum of terms."""
-    told = float(sum(numbers[f"{which} {k}"] * term for k, term in enumerate(terms)))
-    return float(1 / (1 + np.exp(-np.clip(told, -40, 40))))
-
-
-def terms_of(spoken: Spoken) -> tuple[float, ...]:
-    """What the odds of a name are a sum of.
-
-    Args:
-        spoken: By how much evidence the set is ahead of all that lack its group, what it adds
-            itself, how many its group has, how much a shape without a name would add, how much more
-            is left than usual, how much likelier it makes what was held out, whether it is an
-            imitator, what the one that brings most adds, the probability that something is there
-            that the catalogue lacks, whether it is the camera's, the evidence of the set, and
-            whether no references were known.
-    """
-    margin, gain, many, more, off, helps, imitates, most, unlisted, camera, ahead, alone = spoken
-    return (
-        1.0, _log(margin), float(np.log(many)), max(_log(more) - _log(gain), 0.0),
-        float(np.clip(off, -2, 4)), _log(helps), imitates, _log(most) - _log(gain),
-        -float(np.log(max(1 - unlisted, 1e-3))), camera, _log(ahead), float(gain < most),
-        _log(gain), imitates * alone,
-    )  # fmt: skip
-
-
-def strange_terms(strange: Strange) -> tuple[float, ...]:
-    """What the odds of something that the catalogue lacks, or of anything, are a sum of.
-
-    What a shape adds counts over the evidence of the best set: a strong effect that is not quite
-    right leaves something that one of them fits, above all of a robot that becomes another.
-
-    Args:
-        strange: How much a shape without a name would add, how much a robot that becomes another
-            one, how much more is left than usual, the evidence of the best set, how much likelier
-            that makes what was held out, whether no references were known, and by how much a shape
-            alone is ahead of the best set.
-    """
-    shaped, changed, off, best, helps, alone, instead = strange
-    size = max(best, 0.0) + _EVIDENT
-    return (
-        1.0, float(np.log1p(max(shaped, 0.0) / size)), float(np.clip(off, -2, 4)), _log(best),
-        _log(helps), float(np.log1p(max(changed, 0.0) / size)), alone, _log(instead),
-    )  # fmt: skip
+def _odds(terms: Terms, curve: str, numbers: Mapping[str, float]) -> float:
+    """A probability: the logistic curve of a weighted sum of terms."""
+    log_odds = float(sum(numbers[f"{curve}: {name}"] * term for name, term in terms.items()))
+    return float(1 / (1 + np.exp(-np.clip(log_odds, -40, 40))))
 
 
 def _log(value: float) -> float:
@@ -212,10 +267,12 @@ def _log(value: float) -> float:
     return float(np.sign(value) * np.log1p(abs(value)))
 
 
-def _verdict(named: list[Named], offered: Names, unlisted: float, flagged: bool) -> Verdict:
+def _verdict(
+    named: list[Named], offered: Names, unlisted: float, flagged: bool, likely_from: float
+) -> Verdict:
     """In a word; explained is only what the model that is offered has."""
-    likely = [one for one in named if one.probability >= LIKELY]
-    if likely and (unlisted >= LIKELY or any(one.name not in offered for one in likely)):
+    likely = [one for one in named if one.probability >= likely_from]
+    if likely and (unlisted >= likely_from or any(one.name not in offered for one in likely)):
         return "partly_explained"
     if not likely:
         return "unexplained" if flagged else "consistent"

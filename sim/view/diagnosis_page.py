@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim.inference.coordinates import Swum
-from sim.inference.swim_decision import LIKELY
+from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import Swim
 from sim.view.calibration_plot import comparison
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival
@@ -49,7 +49,7 @@ def swims_section(
     """
     kind, said = _FOUND[found.verdict]
     blocks: list[Block] = [Note("good" if kind == "good" else "info", said)]
-    likely = [one for one in found.effects if one.probability >= LIKELY]
+    likely = [one for one in found.effects if one.probability >= LAW_ERROR.decisions["likely"]]
     if likely:
         rows = [
             (
@@ -77,7 +77,7 @@ def swims_section(
         blocks += [
             _drawn(swim, found.baseline, found.model, simulate, robot) for swim in swims[:_DRAWN]
         ]
-    unlikely = [one for one in found.effects if one.probability < LIKELY]
+    unlikely = [one for one in found.effects if one.probability < LAW_ERROR.decisions["likely"]]
     others: list[NamedEffect | Rival] = [*unlikely, *found.rivals]
     if others:
         considered = [

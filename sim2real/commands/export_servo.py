@@ -62,8 +62,8 @@ def run(options: argparse.Namespace) -> int:
     if options.to == "mujoco":
         from sim2real.exporters.mujoco_refit import mujoco_refit
 
-        refit = mujoco_refit(model, recordings, robot)
-        return hand_over(refit.export, options, refit.expressible.refits, refit.agreement)
+        checked = mujoco_refit(model, recordings, robot)
+        return hand_over(checked.export, options, checked.expressible.refits, checked.agreement)
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
         return hand_over(target.write(model, robot), options)

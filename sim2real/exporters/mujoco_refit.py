@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -25,7 +25,7 @@ BRISTLES = frozenset({"presliding_friction", "stribeck_friction"})
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far MuJoCo, running the exported file, is from what was fitted.
+    """How far MuJoCo, running the exported actuator on each recording's load, is from it.
 
     Attributes:
         joint: The joint.
@@ -40,7 +40,7 @@ class Agreement:
     def __str__(self) -> str:
         """The difference in mrad."""
         error = f"{1e3 * self.error_rad:.2f} mrad RMS"
-        return f"{self.joint}: MuJoCo, running this file: {error} from {self.what}"
+        return f"{self.joint}: MuJoCo, running this actuator: {error} from {self.what}"
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,14 @@ def mujoco_refit(
     }
     rough += [model.joints[name] for name, joint in found.model.joints.items() if _bristly(joint)]
     if rough:
-        plainer = written()[1]
+        plainer = written()[0]
         rough[:] = [
             model.joints[name]
             for name in model.joints
-            if model.joints[name] in rough and _nearer(plainer, export, name, data[name])
+            if model.joints[name] in rough and _nearer(plainer, found, name, data[name])
         ]
         found, export = written()
-    agreement = tuple(_agreement(export, name, data[name]) for name in model.joints)
+    agreement = tuple(_agreement(found, name, data[name]) for name in model.joints)
     return MujocoExport(export, found, agreement)
 
 
@@ -97,23 +97,36 @@ def _bristly(joint: JointModel) -> bool:
     return any(effect.effect in BRISTLES for effect in joint.effects)
 
 
-def _nearer(one: Export, other: Export, name: str, data: FittingData) -> bool:
-    """Whether MuJoCo comes nearer with one file than with the other."""
-    return _error(one, name, data.fitted) < _error(other, name, data.fitted)
+def _nearer(one: Expressible, other: Expressible, name: str, data: FittingData) -> bool:
+    """Whether MuJoCo comes nearer to what a joint was fitted to with one model than the other."""
+    first, second = (mujoco_error(x.model.joints[name], name, data.fitted) for x in (one, other))
+    return first < second
 
 
-def _agreement(export: Export, name: str, data: FittingData) -> Agreement:
+def _agreement(found: Expressible, name: str, data: FittingData) -> Agreement:
+    joint = found.model.joints[name]
     if data.scored:
-        return Agreement(name, _error(export, name, data.scored), f"{data.held_out}, held out")
-    return Agreement(name, _error(export, name, data.own), "the full model")
+        error = mujoco_error(joint, name, data.scored)
+        return Agreement(name, error, f"{data.held_out}, held out")
+    return Agreement(name, mujoco_error(joint, name, data.own), "the full model")
 
 
-def _error(export: Export, joint: str, traces: Sequence[Trace]) -> float:
-    """RMS difference of MuJoCo from the used samples of traces of a joint, rad."""
+def mujoco_error(joint: JointModel, name: str, traces: Sequence[Trace]) -> float:
+    """RMS difference of MuJoCo from the used samples of traces of a joint, each on its own load.
+
+    Args:
+        joint: A joint that MuJoCo expresses.
+        name: Its name.
+        traces: What was sent and measured.
+
+    Returns:
+        The difference in rad.
+    """
     errors = []
     for trace in traces:
-        seen = np.flatnonzero(np.isfinite(trace.position))
-        start = {joint: float(trace.position[seen[0]])}
-        angle = simulate(export.text, trace.t, {joint: trace.command}, start)[joint]
+        bench = joint if joint.per_inertia else replace(joint, load=trace.load)
+        start = float(trace.position[np.isfinite(trace.position)][0])
+        text = mujoco(Model({name: bench})).text
+        angle = simulate(text, trace.t, {name: trace.command}, {name: start})[name]
         errors.append((angle - trace.position)[trace.used])
     return rms(errors)

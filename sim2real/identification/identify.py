@@ -103,7 +103,7 @@ def identify(
 
     def one(joint: str, known: ServoType | None) -> JointFit:
         given = traces(recordings, joint)
-        check_samples(given, joint)
+        check_samples(split(given, held_out)[0], joint)
         notes = []
         if law is None and not wanted and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)

@@ -44,7 +44,9 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
         The best candidate, shape (P,), and rivals that did nearly as well though their gain is far
         from its and from each other's, shape (R, P): none where the recordings are telling.
     """
-    trace = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+    windows = [trace.window(WINDOW_S) for trace in traces]
+    seen = [window for window in windows if window.moves() and window.used.any()]
+    trace = max(seen or [trace for trace in traces if trace.used.any()], key=Trace.activity)
     points = qmc.Sobol(3, rng=rng).random(CANDIDATES)
     error = _errors(points, trace)
     for spread in NARROWER:

@@ -13,6 +13,7 @@ from sim2real.identification.initial_guess import WINDOW_S
 from sim2real.identification.motor_prior import Prior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
+from sim2real.inference.multi_start import worth_following
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
@@ -31,11 +32,6 @@ _LONGEST_S = 0.002
 _STEPS_PER_RADIAN = 32.0
 _COARSER = 4.0
 """Times as long as they are in the end, sub-steps are while starts are still far from a minimum."""
-_SAME = 0.1
-"""Distance in units within which two searches are on their way to one minimum."""
-_BEHIND, _PROMISE = 60.0, 5.0
-"""A search is given up where it would stay so far behind the best one, should it gain so many times
-what its quadratic model foretells."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
@@ -356,7 +352,7 @@ def _descend(
             normal[s] = by.T @ weighted + belief_by.T @ belief_by
             slope[s] = weighted.T @ here + belief_by.T @ belief
         active = active[~settled & (damping[active] < 1e5)]
-        active = _worth_following(active, best[:, free] / unit, least, normal, slope)
+        active = worth_following(active, best[:, free] / unit, least, normal, slope)
         if not active.size:
             break
         for s in active:
@@ -371,35 +367,6 @@ def _descend(
             trial[s] = best[s]
             trial[s, free] = np.clip(now + change * unit, low, high)
     return best, least
-
-
-def _worth_following(
-    active: NDArray[np.intp], at: Array, loss: Array, normal: Array, slope: Array
-) -> NDArray[np.intp]:
-    """Those searches that may still end below the best one, and are not on their way to it.
-
-    Args:
-        active: Places of the searches that go on, of S.
-        at: Where each search is, in units, shape (S, F).
-        loss: Its loss, shape (S,).
-        normal: Half the second derivatives of its loss, shape (S, F, F).
-        slope: Half the first derivatives, shape (S, F).
-    """
-    going = set(active.tolist())
-    kept: list[int] = []
-    before: list[int] = []
-    order = np.argsort(loss, kind="stable").tolist()
-    for s in order:
-        twin = any(np.abs(at[k] - at[s]).max() < _SAME for k in before)
-        before.append(s)
-        if twin or s not in going:
-            continue
-        ridge = 1e-9 * np.diag(normal[s]).max() + 1e-300
-        matrix = normal[s] + ridge * np.eye(slope.shape[1])
-        promised = _PROMISE * max(float(slope[s] @ np.linalg.solve(matrix, slope[s])), 1.0)
-        if loss[s] - promised < loss[order[0]] + _BEHIND:
-            kept.append(s)
-    return np.sort(np.array(kept, dtype=np.intp))
 
 
 def _result(

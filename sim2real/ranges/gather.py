@@ -179,7 +179,7 @@ def sample_joints(
             file=sampling.file(joint),
             progress=lambda steps, joint=joint: sampling.progress(joint, steps),  # type: ignore[misc]
         )
-        if scored:
+        if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
             checks[joint] = predictive_check(posteriors[joint], one, scored[0], rng)
     for joint, found in posteriors.items():

@@ -214,7 +214,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(bench, caps
     def never(*_, **__):
         raise AssertionError("worked first")
 
-    monkeypatch.setattr("sim2real.verbs.identify", never)
+    monkeypatch.setattr("sim2real.identification.identify.identify", never)
     refused(capsys, identify(bench, out="steps.csv/model.json"), "can't be written")
     refused(capsys, identify(bench, out="."), "a folder")
 

@@ -1,7 +1,6 @@
 """The sealed challenge's generator: an honest plant, reproducible, no answer in the inputs."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +13,15 @@ from sim2real.robot import match_joints, read_robot
 pytest.importorskip("numba", reason="generating the sealed challenge needs numba")
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
-MODULES = {path.stem for path in FOLDER.glob("*.py")}
 COUNTS = ["--null", "3", "--single", "2", "--double", "1", "--outside", "10", "--no-oracle"]
 FEW = ["--seed", "4", "--null", "1", "--single", "1", "--double", "1", "--outside", "1"]
 
 
 @pytest.fixture(scope="module")
-def code():
-    """The generator's modules by name; they import one another as scripts do."""
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield {name: __import__(name) for name in MODULES}
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in MODULES:
-            sys.modules.pop(name, None)
+def code(scripts):
+    """The generator's modules by name."""
+    with scripts(FOLDER) as modules:
+        yield modules
 
 
 @pytest.fixture(scope="module")

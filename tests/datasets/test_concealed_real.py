@@ -26,15 +26,10 @@ FEW = ["--null", "3", "--single", "3", "--double", "1", "--outside", "3"]
 
 
 @pytest.fixture(scope="module")
-def code():
-    """The generator's modules by name; they import one another as scripts do."""
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield {name: __import__(name) for name in MODULES}
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in MODULES:
-            sys.modules.pop(name, None)
+def code(scripts):
+    """The generator's modules by name."""
+    with scripts(FOLDER, names=MODULES) as modules:
+        yield modules
 
 
 @pytest.fixture(scope="module")

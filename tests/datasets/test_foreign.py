@@ -1,7 +1,6 @@
 """Foreign plants: reproducible, no answer in the inputs, and each moves as a servo does."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +14,14 @@ pytest.importorskip("mujoco", reason="one of the plants is MuJoCo's")
 
 ROOT = Path(__file__).parents[2] / "datasets"
 FOLDERS = [ROOT / "foreign", ROOT / "concealed"]
-MODULES = {path.stem for folder in FOLDERS for path in folder.glob("*.py")}
 
 
 @pytest.fixture(scope="module")
-def code():
-    """The generator's modules by name; they import one another as scripts do."""
-    before = list(sys.path)
-    sys.path[:0] = [str(folder) for folder in FOLDERS]
-    try:
-        names = ("make_foreign", "foreign_cases", "foreign_servos", "foreign_world")
-        yield {name: __import__(name) for name in names}
-    finally:
-        sys.path[:] = before
-        for name in MODULES:
-            sys.modules.pop(name, None)
+def code(scripts):
+    """The generator's modules by name."""
+    names = ("make_foreign", "foreign_cases", "foreign_servos", "foreign_world")
+    with scripts(*FOLDERS, names=names) as modules:
+        yield modules
 
 
 @pytest.fixture(scope="module")

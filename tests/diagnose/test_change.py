@@ -128,7 +128,7 @@ def contrast_of(gone, null, known=4.0):
     left, nothing = gone.max() - gone, np.zeros(N)
     null = np.array(null)
     known = (known, known)
-    rows, law_error = np.zeros((N, 1)), DECISION.change_law_error
+    rows, law_error = np.zeros((N, 1)), DECISION.change.law_error
     return Contrast(NAMES[:N], gone, left, nothing, rows, null, nothing, known, 1.0, law_error)
 
 

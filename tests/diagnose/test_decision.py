@@ -2,13 +2,13 @@
 
 import importlib
 import json
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sim2real.diagnose.decision import CURVES, FILE, Decision, read_decision, read_odds
+from sim2real.diagnose.decision import CURVES, FILE, read_decision, read_odds
 from sim2real.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,10 +26,31 @@ def curves(monkeypatch):
     return importlib.import_module("benchmarks.decision_curves")
 
 
+def names_of(decision, group=""):
+    for field in fields(decision):
+        value, name = getattr(decision, field.name), group + field.name
+        yield from names_of(value, f"{name}.") if is_dataclass(value) else [name]
+
+
 def test_every_number_says_what_it_was_read_from():
     values = json.loads(FILE.read_text())["values"]
-    assert set(values) == {field.name for field in fields(Decision)}
+    assert set(values) == set(names_of(read_decision()))
     assert all(entry["from"] for entry in values.values())
+
+
+def test_a_number_of_a_group_is_read_and_has_its_type(tmp_path):
+    content = json.loads(FILE.read_text())
+    content["values"]["change.same_command"]["value"] = 0.125
+    content["values"]["report.most_rivals"]["value"] = 3
+    file = tmp_path / "decision.json"
+    file.write_text(json.dumps(content))
+    found = read_decision(file)
+    assert found.change.same_command == 0.125
+    assert [*range(9)][: found.report.most_rivals] == [0, 1, 2]
+    del content["values"]["link.min_gain"]
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"values\.link\.min_gain\.value"):
+        read_decision(file)
 
 
 def test_a_number_that_is_missing_is_told(tmp_path):

@@ -509,7 +509,7 @@ import numpy as np
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load, Recording
-from sim2real.report.diagnosis import diagnosis_section
+from sim2real.report.diagnosis_words import plain
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
@@ -528,7 +528,7 @@ found = diagnose([recording(1), recording(2)], robot)
 (named,) = found.effects
 assert named.effect == "hard_spring", found.effects
 assert abs(named.parameters["stiffness_Nm_per_rad"].mean / 3 - 1) < 0.1, named
-assert "a spring that hardens" in repr(diagnosis_section(found))
+assert plain(named.effect).startswith("a spring that hardens")
 """
     run_in_a_copy(tmp_path, "servo", "hard_spring", spring, program)
 

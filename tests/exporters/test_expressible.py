@@ -16,8 +16,7 @@ from sim2real.commands.export_servo import TARGETS
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.expressible import expressible
-from sim2real.exporters.mujoco import mujoco
-from sim2real.exporters.mujoco_refit import _error, mujoco_refit
+from sim2real.exporters.mujoco_refit import mujoco_error, mujoco_refit
 from sim2real.exporters.urdf import urdf
 from sim2real.identification.fit import residuals
 from sim2real.inference.folds import rms
@@ -136,7 +135,7 @@ def test_a_refit_to_recordings_scores_on_the_last(
     exported, full = map(float, re.search(r"on b, held out: (\S+) .* (\S+) of", line).groups())  # type: ignore[union-attr]
     assert full == pytest.approx(1e3 * simulated.NOISE, rel=0.15)
     assert full < exported < 5 * full
-    said = re.search(r"j1: MuJoCo, running this file: (\S+) .* b, held out", mujoco_itself)
+    said = re.search(r"j1: MuJoCo, running this actuator: (\S+) .* b, held out", mujoco_itself)
     assert said is not None
     assert float(said.group(1)) == pytest.approx(exported, rel=0.1)
     assert "deadband (halfwidth_rad = 0.02)" in out.read_text()
@@ -206,10 +205,19 @@ def test_bristles_that_mujoco_steps_badly_give_way_to_dry_friction() -> None:
     model = servo(presliding_friction=stiff)
     found = mujoco_refit(model)
     (after,) = found.agreement
-    as_it_is = _error(mujoco(model), "j1", excitation(model.joints["j1"], "j1"))
+    as_it_is = mujoco_error(model.joints["j1"], "j1", excitation(model.joints["j1"], "j1"))
     assert after.error_rad < 0.7 * as_it_is
     assert "frictionloss" in found.export.text
     assert any("presliding_friction" in line.what for line in found.export.left_out)
+
+
+def test_each_recording_is_run_on_its_own_load() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    heavy = Load(0.005, 0.1, 0.15)
+    recordings = [simulated.recording(0, "light"), simulated.recording(1, "heavy", load=heavy)]
+    found = mujoco_refit(servo(), recordings)
+    assert found.agreement[0].what == "heavy, held out"
+    assert found.agreement[0].error_rad == pytest.approx(simulated.NOISE, rel=0.2)
 
 
 def test_bristles_that_mujoco_steps_well_stay() -> None:

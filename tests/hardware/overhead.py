@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -60,7 +61,10 @@ class Eye:
         x, y = seen_x, seen_y
         for _ in range(30):
             bent_x, bent_y = self.bend(x, y)
-            x, y = x + seen_x - bent_x, y + seen_y - bent_y
+            off_x, off_y = seen_x - bent_x, seen_y - bent_y
+            x, y = x + off_x, y + off_y
+            if max(np.abs(off_x).max(), np.abs(off_y).max()) < 1e-9:  # a millionth of a pixel
+                break
         return np.stack([x, y, np.ones_like(x)], -1)
 
     def plane(self, rays: Array, height: float) -> tuple[Array, Array]:
@@ -170,6 +174,7 @@ def sample_rays(eye: Eye, u: Array, v: Array, samples: int) -> Array:
     return eye.rays(uu, vv)
 
 
+@cache
 def still(eye: Eye, paint: Paint, height: float = 0.0, samples: int = 3) -> Array:
     """A level plane as the camera sees it, linear, (V, U, 3)."""
     rows = []

@@ -8,19 +8,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.verbs import Calibration, Simulated
+from sim.calibration.calibration import Calibration
+from sim.simulation import Simulated
 from sim2real import Model, Recording, read_robot
 from sim2real.check import check
 from sim2real.density import Density
 from sim2real.diagnose.result import Diagnosis, Mismatch
 from sim2real.model import JointModel
+from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.ranges.gather import Gathered
 from sim2real.report.notebook import result_html
-from sim2real.verbs import Posterior, Prediction
+from sim2real.servo.prediction import Prediction
 
 EVIL = "<script>alert('&')</script>"
-VOID = {"br"}
+VOID = {"br", "wbr"}
 
 
 class Fragment(HTMLParser):
@@ -66,7 +68,7 @@ def posterior_of(name):
         priors=SimpleNamespace(each=each),
         quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
-    return Posterior({"j1": servo}, {})
+    return Posteriors({"j1": servo}, {})
 
 
 def calibration_of(robot):
@@ -84,7 +86,7 @@ def recording():
     t = np.arange(500) * 0.02
     wave = 0.5 * np.sin(3 * t)
     command = np.stack([wave, 0 * t], axis=1)
-    position = command.copy()
+    position = np.stack([0.5 * np.sin(3 * (t - 0.08)), 0 * t], axis=1)
     position[20:27, 1] = np.nan
     return Recording("steps", "servo", ("j1", EVIL), t, command, position)
 
@@ -140,7 +142,7 @@ def test_what_a_diagnosis_says_is_shown(results):
     diagnosis, _ = results["diagnosis"]
     page = Fragment(diagnosis._repr_html_())
     assert "Verdict: unexplained" in page.text
-    assert "5.00 mrad against 1.00 mrad of noise" in page.text
+    assert "RMSE 5.00 mrad, noise 1.00 mrad" in page.text
 
 
 def test_notes_and_figures_of_a_fit_are_shown(results):

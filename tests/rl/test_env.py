@@ -396,3 +396,9 @@ def test_mixed_targets_are_near_as_often_as_far_and_all_in_the_pool():
     assert away.max() < 2.0
     assert np.median(away) == pytest.approx(np.sqrt(0.12 * 2.0), rel=0.05)
     assert np.abs(np.concatenate([pose[:, :2], target[:, 0]])).max() <= 1.4
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_a_fidelity_that_there_is_not_is_refused(make):
+    with pytest.raises(InputError, match=r"fidelity: found 'real', expected one of twin, fluid"):
+        make("sim2real/Fish-v0", fidelity="real")

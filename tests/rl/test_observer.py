@@ -11,7 +11,7 @@ import torch
 from rl.decisions import Decisions
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, write_policy
-from rl.deploy.forward import Policy, read_npz
+from rl.deploy.forward import read_npz
 from rl.deploy.header import c_header
 from rl.observer import PAPER, Observer, View
 from rl.randomize import Noise
@@ -143,16 +143,22 @@ def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model
     assert float((outside.joint.abs()).max()) > 0.05
 
 
-def swum(policy: Policy, world_of, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A swim of 60 s through latency with every tenth frame lost: what was seen, gone, sent."""
-    world = world_of(
-        1, replace(TASKS["pentagram"], steps=3000), Draws((model,), Noise(0.002, 0.01, (0.003,)))
-    )
+SWUM_STEPS = 1500
+
+
+@pytest.fixture(scope="module")
+def swum(trained, robot, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A swim of 30 s through latency with every tenth frame lost: what was seen, gone, sent."""
+    from rl.make import make_world
+
+    _, policy = trained
+    task = replace(TASKS["pentagram"], steps=SWUM_STEPS)
+    world = make_world(robot, task, Draws((model,), Noise(0.002, 0.01, (0.003,))), n_envs=1)
     controller, rng = PolicyController(policy), np.random.default_rng(0)
     controller.reset(np.ones(1, dtype=bool))
     seen, gone = world.reset(), -1
     rows, waits, sent = [], [], []
-    for _ in range(3000):
+    for _ in range(SWUM_STEPS):
         if gone < 0 or rng.random() > 0.1:
             rows.append(seen[0].numpy())
             waits.append(gone)
@@ -164,9 +170,9 @@ def swum(policy: Policy, world_of, model) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, world_of, model, tmp_path):
+def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, swum, tmp_path):
     _, policy = trained
-    rows, gone, sent = swum(policy, world_of, model)
+    rows, gone, sent = swum
     assert np.ptp(sent, axis=0).min() > 0.1
     write_policy(policy, tmp_path / "policy.npz", ("npz",))
     again = PolicyController(read_npz(tmp_path / "policy.npz"))
@@ -177,13 +183,13 @@ def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, world_of, model, tm
     assert np.abs(answered_in_c(tmp_path, gone, rows) - sent).max() < 1e-5
 
 
-def test_onnx_agrees_on_a_swim_with_lost_frames(trained, world_of, model, tmp_path):
+def test_onnx_agrees_on_a_swim_with_lost_frames(trained, swum, tmp_path):
     """Called where a decision is due; what is sent is its line, from where the lost frames left."""
     pytest.importorskip("onnx", reason="the extra 'onnx' is not installed")
     from onnx.reference import ReferenceEvaluator
 
     _, policy = trained
-    rows, gone, sent = swum(policy, world_of, model)
+    rows, gone, sent = swum
     assert (gone > 1).sum() > 100
     (file,) = write_policy(policy, tmp_path / "policy.npz", ("onnx",))
     graph, period = ReferenceEvaluator(str(file)), policy.view.period

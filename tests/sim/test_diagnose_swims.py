@@ -1,6 +1,7 @@
 """Diagnosis of swims that the twin itself made: what was concealed is named, and nothing else."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -174,6 +175,30 @@ LATE, SKIN = ("camera_latency", "camera"), ("skin_elasticity", "body")
 DRAG, ROUGH = ("linear_drag", "body"), ("form_drag", "body")
 
 
+@pytest.mark.parametrize("file", [law_error.FILE, law_error.IN_WATER])
+def test_every_decision_has_a_name_and_a_reason(file):
+    content = json.loads(file.read_text())
+    names = {n if n in content["reasons"] else re.split("[: ]", n)[0] for n in content["decisions"]}
+    assert names == set(content["reasons"])
+    assert all(content["reasons"].values())
+
+
+def test_a_file_that_numbers_its_weights_decides_alike(tmp_path):
+    """Files of before the weights had names."""
+    content = json.loads(law_error.FILE.read_text())
+    now, old = content["decisions"], {}
+    for new, before in (("name", "odds"), ("unlisted", "strange"), ("anything", "there")):
+        own = [value for name, value in now.items() if name.startswith(f"{new}: ")]
+        old |= {f"{before} {k}": value for k, value in enumerate(own)}
+    usual = [value for name, value in now.items() if name.startswith("usual misfit ")]
+    old |= {f"usual misfit {k // 3} {k % 3}": value for k, value in enumerate(usual)}
+    thresholds = ("cost", "temperature", "alike", "held_gain", "flagged from", "usual wave")
+    old |= {name: now[name] for name in thresholds}
+    path = tmp_path / "law_error.json"
+    path.write_text(json.dumps(content | {"decisions": old}))
+    assert read_law_error(path).decisions == LAW_ERROR.decisions
+
+
 def test_what_predicts_worse_is_not_offered():
     sets = [((), 0.0), ((LATE,), 60.0)]
     better = [((), 900.0, 0.03), ((LATE,), 800.0, 0.02)]
@@ -319,11 +344,11 @@ def test_a_mean_over_two_seconds_stands_beside_the_signals():
 def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):
     robot = ["--robot", "datasets/pool/robot.toml", "--out", str(tmp_path / "d.json")]
     assert main(["diagnose", "datasets/pool/p1.csv", *robot]) == 2
-    assert "MODEL.json of the servos" in capsys.readouterr().err
+    assert "the model of the servos" in capsys.readouterr().err
     model = ["--model", "datasets/pool/model.json"]
     both = ["datasets/pool/p1.csv", "datasets/servo_steps/steps.csv"]
     assert main(["diagnose", *both, *robot, *model]) == 2
-    assert "swims alone, or servos alone" in capsys.readouterr().err
+    assert "swims alone" in capsys.readouterr().err
     assert not (tmp_path / "d.json").exists()
 
 

@@ -184,7 +184,7 @@ def test_files_that_are_none_or_of_other_swims_are_told(water, tmp_path, capsys)
     assert "no swims in water" in capsys.readouterr().err
     write_water(tmp_path / "other.npz", water)
     assert main([*command, str(tmp_path / "other.npz")]) == 2
-    assert "not those of" in capsys.readouterr().err
+    assert "no simulation of the commands of" in capsys.readouterr().err
     assert not out.exists()
 
 

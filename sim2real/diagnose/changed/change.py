@@ -51,18 +51,10 @@ BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
 _MOST, _PARTNERS = 10, 2
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
-_UNSURE = 0.85
-"""Most that is said of what was seen at rest only, as a sensor may be bent there, where the law
-leaves far more of the case than of the references, and where the plain servo may be set anew."""
-_LAGS, _WHITE, _STILL = 2, 1.0, 0.01
+_LAGS, _WHITE = 2, 1.0
 """Memory in samples of the noise in which jitter is looked for; its whitening filter's least gain
 at frequency 0, so that it takes nothing for itself that repeats may have from the link, too; and
 the share of a sampling period below which jitter is none."""
-_BEYOND = 100.0
-"""Times what a law leaves of references, as a mean square, that is more than a law's own error: the
-bank of unchanged recordings has 4 at most."""
-_MORE = 4.0
-"""How many times less two changes must leave than one, which must leave so much to be told."""
 
 
 def read_bank(path: Path = BANK) -> dict[str, Unchanged]:
@@ -86,12 +78,12 @@ BANKS = read_bank()
 
 
 def _contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
-    return contrast(of, by, bank[of.way], _straight(of), DECISION.change_law_error)
+    return contrast(of, by, bank[of.way], _straight(of), DECISION.change.law_error)
 
 
 def _straight(of: Explained) -> float:
     """How many times as far as its start a change goes along a straight line."""
-    return DECISION.change_farthest if of.way == "law" else 1.0
+    return DECISION.change.farthest if of.way == "law" else 1.0
 
 
 @dataclass(frozen=True)
@@ -171,7 +163,7 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     by = directions(of)
     first = _contrast(of, by, bank)
     found = first
-    if first.evidence.max() > DECISION.change_worth:
+    if first.evidence.max() > DECISION.change.min_evidence:
         found = refined(of, first, by)
     one = _alone(of, found)
     if of.way == "repeat" and found is not first and _leaves_more(of, found):
@@ -179,12 +171,12 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     told = one.groups[0].probability >= DECISION.named
     rest = _without(of, one.row) if told else of
     wrong = max(_largest_step(of.left[r] - rest.left[r]) for r in of.case)
-    usual = max(step_rad, DECISION.change_law_error * wrong)
+    usual = max(step_rad, DECISION.change.law_error * wrong)
     if of.way == "rest":  # what is left may be nothing but a step of the sensor
         usual = max(usual, float(np.sqrt(12 * of.scale2)))
     windows = Steps(rest, usual).windows(bank[of.way].jump)
     law = of.way == "law" and not told
-    alien = law and energy(settled(of), of.case) > _BEYOND * of.scale2
+    alien = law and energy(settled(of), of.case) > DECISION.change.foreign_misfit * of.scale2
     likely = of.way == "repeat" and not told and (windows is None or _lasting(of, windows))
     late = _uneven(of, bank[of.way].known) if likely else None
     if late is not None or (windows is None and not alien):
@@ -212,7 +204,7 @@ def _uneven(of: Explained, known: float) -> Change | None:
     worst = max(of.case, key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other
         return None
-    null2 = max(_STILL * period, *late[: of.references]) ** 2
+    null2 = max(DECISION.change.jitter_min_share * period, *late[: of.references]) ** 2
     odds = student(late[worst] ** 2 / null2, known + of.references) + LOG_PRIOR
     sure = min(float(expit(odds)), DECISION.most_certain)
     if sure < DECISION.named:
@@ -250,18 +242,18 @@ def _alone(of: Explained, found: Contrast) -> Change:
     if of.way != "law":
         excess = max(float(found.gone[best] + found.left[best]) - found.scale2, 0.0)
         beyond = max(float(found.left[best]) - found.scale2, 0.0)
-        if beyond > (1 - DECISION.change_explained) * excess and beyond > found.scale2:
+        if beyond > (1 - DECISION.change.explained) * excess and beyond > found.scale2:
             strange = DECISION.nameless
     share = np.exp(weight - weight[best])
-    share *= [np.exp(DECISION.change_retuned) if n in BASE else 1.0 for n in found.effects]
+    share *= [np.exp(DECISION.change.retuned) if n in BASE else 1.0 for n in found.effects]
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
-    foreign = of.way == "law" and found.left[best] > _MORE * of.scale2
+    foreign = of.way == "law" and found.left[best] > DECISION.change.misfit_ratio * of.scale2
     foreign = foreign or (of.way == "repeat" and _leaves_more(of, found))
     anew = any(n in BASE for n in group.members)
     if of.way == "rest" or foreign or anew:
-        most = min(group.probability, _UNSURE)
+        most = min(group.probability, DECISION.change.most_certain)
         group = replace(group, probability=most, stability=most)
     row = found.rows[found.effects.index(group.members[0])]
     # A change, and no effect, unless it may well be one.
@@ -289,8 +281,8 @@ def _group(probability: Mapping[str, float]) -> Group:
 def _leaves_more(of: Explained, found: Contrast) -> bool:
     """Whether the best change leaves more than repeats do and than the error of its law."""
     best = int(np.argmin(found.left))
-    wrong = DECISION.change_law_error**2 * found.gone[best]
-    return bool(found.left[best] > max(_MORE * of.scale2, wrong))
+    wrong = DECISION.change.law_error**2 * found.gone[best]
+    return bool(found.left[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
 
 
 def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
@@ -323,8 +315,8 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     row, left = fits[best]
     whole = energy(of, of.case)
     beyond = max(left - of.scale2, 0.0)
-    strange = beyond > (1 - DECISION.change_explained) * whole and beyond > of.scale2
-    if strange or _MORE * left > float(found.left.min()):
+    strange = beyond > (1 - DECISION.change.explained) * whole and beyond > of.scale2
+    if strange or DECISION.change.misfit_ratio * left > float(found.left.min()):
         return None
     probability: dict[str, float] = {}
     groups = []
@@ -333,7 +325,7 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
         rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
         # As wrong as a law may be of what this one explains beside the other.
         alone = {e: m for e, m in zip(found.effects, found.left, strict=True)}.get(other, whole)
-        blurred = of.scale2 + DECISION.change_law_error**2 * max(alone - left, 0.0)
+        blurred = of.scale2 + DECISION.change.law_error**2 * max(alone - left, 0.0)
         weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
         total = sum(weight.values())
         mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}

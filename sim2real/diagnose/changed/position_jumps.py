@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.diagnose.changed.regression import Explained
+from sim2real.diagnose.decision import DECISION
 from sim2real.inference.segments import Window
 
 Array = NDArray[np.float64]
-
-_STAYS = 3.0
-"""How many times larger what is left is after something that stays."""
 
 
 class Steps:
@@ -63,7 +61,7 @@ class Steps:
         if before.size == 0 or after.size == 0:
             return False
         usual = max(float(np.mean(before)), self.of.scale2)
-        return float(np.mean(after)) > _STAYS**2 * usual
+        return float(np.mean(after)) > DECISION.change.lasting_ratio**2 * usual
 
 
 def _steps(t: Array, left: Array) -> tuple[Array, Array]:

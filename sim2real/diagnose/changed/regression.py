@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim2real.diagnose.changed.repeated_commands import ALIKE, alignment, freed_of_the_common
+from sim2real.diagnose.changed.repeated_commands import alignment, freed_of_the_common
 from sim2real.diagnose.changed.slow_sampling import beside_rest, is_slow
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import candidate, candidates
 from sim2real.effects import named
 from sim2real.identification.fit import STEPS_PER_RADIAN
@@ -101,7 +102,10 @@ def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
     every = [*references, *case]
     if is_slow(every):
         return "rest"
-    again = all(any(alignment(one, other)[1] < ALIKE for other in references) for one in case)
+    again = all(
+        any(alignment(one, other)[1] < DECISION.change.same_command for other in references)
+        for one in case
+    )
     return "repeat" if again else "law"
 
 

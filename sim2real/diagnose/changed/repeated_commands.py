@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.08
-"""Commands that differ by less of their standard deviation are one command."""
-_FARTHEST_S = 0.3
-_OVERLAP = 0.7
-"""Share of a recording that another must cover."""
 _LAGS = 61
 
 
@@ -45,7 +41,7 @@ def freed_of_the_common(
             if other is one:
                 continue
             lag, difference = alignment(one, other)
-            if difference < ALIKE:
+            if difference < DECISION.change.same_command:
                 seen = other.used
                 when, known = one.t + lag, other.t[seen]
                 part = np.interp(when, known, left[: seen.size][seen], np.nan, np.nan)
@@ -71,12 +67,14 @@ def alignment(one: Trace, other: Trace) -> tuple[float, float]:
 
     def difference(lag: float) -> float:
         inside = (one.t + lag >= other.t[0]) & (one.t + lag <= other.t[-1])
-        if inside.mean() < _OVERLAP:
+        if inside.mean() < DECISION.change.same_command_overlap:
             return float("inf")
         moved = np.interp(one.t[inside] + lag, other.t, other.command) - one.command[inside]
         return float(np.sqrt(np.mean(moved**2))) / size
 
-    lags = np.linspace(-_FARTHEST_S, _FARTHEST_S, _LAGS)
+    lags = np.linspace(
+        -DECISION.change.same_command_lag_s, DECISION.change.same_command_lag_s, _LAGS
+    )
     coarse = [difference(float(lag)) for lag in lags]
     k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
     if not np.isfinite(coarse[k]):

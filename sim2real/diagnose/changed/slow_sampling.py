@@ -12,22 +12,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-SLOW_S = 0.05
-"""Sampling periods from which on a servo, which settles in 0.1 to 0.5 s, is mostly seen at rest."""
-_SETTLED = 4
-"""Samples after a set-point before a servo may be at rest."""
-_STEADY = 2.5
-"""Steps of the sensor to the last and the next reading that are still rest."""
-_SAME_RAD = 1e-3
-
 
 def is_slow(traces: Sequence[Trace]) -> bool:
     """Whether these recordings show a servo mostly at rest."""
-    return float(np.median(np.concatenate([np.diff(trace.t) for trace in traces]))) > SLOW_S
+    return (
+        float(np.median(np.concatenate([np.diff(trace.t) for trace in traces])))
+        > DECISION.change.slow_sampling_s
+    )
 
 
 def beside_rest(
@@ -73,21 +69,29 @@ def beside_rest(
 
 
 def _rounded(command: Array) -> list[float]:
-    return [float(x) for x in np.round(command / _SAME_RAD) * _SAME_RAD]
+    return [
+        float(x)
+        for x in np.round(command / DECISION.change.same_set_point_rad)
+        * DECISION.change.same_set_point_rad
+    ]
 
 
 def _alike(one: tuple[float, float], other: tuple[float, float]) -> bool:
     """Whether two rests have one set-point and sides that may be the same; 0 is not known."""
-    return abs(one[0] - other[0]) < 2 * _SAME_RAD and one[1] * other[1] >= 0
+    return (
+        abs(one[0] - other[0]) < 2 * DECISION.change.same_set_point_rad and one[1] * other[1] >= 0
+    )
 
 
 def _resting(trace: Trace, step_rad: float) -> tuple[NDArray[np.bool_], Array]:
     """Which samples are at rest, and from which side each came, 0 where that is not known."""
     change = np.diff(trace.command, prepend=trace.command[:1])
-    recent = np.convolve(change != 0, np.ones(_SETTLED + 1))[: change.size] > 0
+    recent = (
+        np.convolve(change != 0, np.ones(DECISION.change.settling_samples + 1))[: change.size] > 0
+    )
     steps = np.abs(np.diff(trace.position))
-    quiet = steps < _STEADY * max(step_rad, 1e-9)
+    quiet = steps < DECISION.change.rest_steps * max(step_rad, 1e-9)
     still = trace.used & ~recent & np.append(True, quiet) & np.append(quiet, True)
-    still[:_SETTLED] = False
+    still[: DECISION.change.settling_samples] = False
     last = np.maximum.accumulate(np.where(change != 0, np.arange(change.size), 0))
     return still, np.sign(change[last])

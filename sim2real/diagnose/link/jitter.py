@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import (
     RATIOS,
     Noise,
@@ -19,7 +20,7 @@ from sim2real.diagnose.link.angle_noise import (
     normals,
     regress,
 )
-from sim2real.diagnose.link.lost_packets import ROUNDS, WORTH, Uneven
+from sim2real.diagnose.link.lost_packets import ROUNDS, Uneven
 from sim2real.servo.linearised import EARLIEST_S, spread
 
 Array = NDArray[np.float64]
@@ -158,11 +159,13 @@ def latency_jitter(joints: Sequence[NoisyJoint], worth: float = 0.0) -> Uneven:
             least = max(least, sum(j.alone(x) for j, x in zip(joints, noises, strict=True)))
         found = [one.at(sd_s) for one in every]
         gain = sum(one.loglikelihood for one in found) - least
-        if gain > max(best.gain, WORTH):
+        if gain > max(best.gain, DECISION.link.min_gain):
             period = [s.response.period_s for joint in joints for s in joint.segments]
             widest = halfwidth(sd_s, float(np.median(period)))
             best = Uneven("latency_jitter", gain, widest, error * widest / sd_s)
-        if gain < max(WORTH, worth * samples) or abs(gain - before) < max(WORTH, 0.01 * gain):
+        if gain < max(DECISION.link.min_gain, worth * samples) or abs(gain - before) < max(
+            DECISION.link.min_gain, 0.01 * gain
+        ):
             break
         before = gain
         sd_s = float(np.exp(np.mean([np.log(one.sd_s) for one in found])))

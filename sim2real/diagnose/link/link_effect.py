@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import with_noise
 from sim2real.diagnose.link.jitter import latency_jitter
-from sim2real.diagnose.link.lost_packets import TRIFLING, Uneven, packet_loss
+from sim2real.diagnose.link.lost_packets import Uneven, packet_loss
 from sim2real.processes import shared
 from sim2real.servo.linearised import Residual
 
@@ -30,7 +31,7 @@ def links(robots: Sequence[LinkData]) -> list[Uneven]:
 def link(robot: LinkData) -> Uneven:
     """The likelier of the two effects on one robot's link."""
     joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
-    worth = TRIFLING if robot.noticed else 0.0
+    worth = DECISION.link.negligible_gain if robot.noticed else 0.0
     found = max(latency_jitter(joints, worth), packet_loss(joints), key=lambda x: x.gain)
     samples = sum(joint.counts[0] for joint in joints)
     if found.gain < max(robot.noticed, worth * samples):

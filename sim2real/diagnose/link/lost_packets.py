@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import expit, xlogy
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import (
     Noise,
     NoisyJoint,
@@ -23,10 +24,8 @@ from sim2real.servo.linearised import spread
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WORTH, ROUNDS = 0.3, 5
+ROUNDS = 5
 """Gain below which another round can find nothing, and growth of the gain that ends them."""
-TRIFLING = 0.015
-"""Gain a sample, about the share by which the error grows, below which nobody would act on it."""
 _START, _LIMITS = 0.02, (1e-4, 0.5)
 """Probability of a loss with which the search starts; its bounds."""
 _SWEEPS, _LEAST_GAIN, _MEDIAN = 60, 1e-3, 1.4826
@@ -191,7 +190,7 @@ def packet_loss(joints: Sequence[NoisyJoint]) -> Uneven:
             q = share[~first]
             information = float(np.sum((q / p - (1 - q) / (1 - p)) ** 2))
             best = Uneven("packet_loss", gain, p, information**-0.5 if information else np.inf)
-        if before > 0 and gain < max(before + WORTH, 1.01 * before):
+        if before > 0 and gain < max(before + DECISION.link.min_gain, 1.01 * before):
             break
         before = gain
         every = [one.renewed(share) for one in every]

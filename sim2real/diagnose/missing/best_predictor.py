@@ -28,14 +28,9 @@ from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
 
-UNSEEN_SHARE = 0.632
-"""Weight of the error on unseen recordings; the rest is that of the fitted ones, as few folds make
-the former alone uncertain. Source: Efron, Journal of the American Statistical Association 78 (1983)
-316-331, whose folds are bootstraps."""
 BEFORE = 0.7
 """Share of the time that a diagnosis takes before it comes to this."""
 _MOST = 24
-_LEVEL = 0.01
 _NOTE = (
     "No set of effects explains the recordings whole: this model has those that predict unseen "
     "recordings best, which may stand in for something else."
@@ -68,7 +63,7 @@ def predicting(
     tried, problem = search(
         batch,
         baselines(batch),
-        level=_LEVEL,
+        level=DECISION.predictor.search_level,
         rng=rng,
         progress=lambda share: progress(BEFORE + 0.8 * (1 - BEFORE) * share),
     )
@@ -114,7 +109,12 @@ def _best(tried: Tried, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, fl
 def _error(figures: Mapping[str, float | None]) -> float:
     seen, unseen = figures["train"], figures["heldout"]
     assert seen is not None
-    return seen if unseen is None else (1 - UNSEEN_SHARE) * seen + UNSEEN_SHARE * unseen
+    return (
+        seen
+        if unseen is None
+        else (1 - DECISION.predictor.unseen_weight) * seen
+        + DECISION.predictor.unseen_weight * unseen
+    )
 
 
 def _shifted(

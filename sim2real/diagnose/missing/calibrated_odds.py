@@ -59,7 +59,6 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
 """How a measure enters a curve: what is none of these as it is."""
 
 
-_ALMOST = 0.89
 _BESIDE = ("excess_plain", "error_plain", "error")
 """Measures of the whole joint that count for each effect as well."""
 
@@ -145,7 +144,9 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         """That a name is right: what is missing has one, and it is this."""
         probability = (1 - unknown) * ODDS[curve].probability(features)
         # Not 0.9 where those that are said with 0.9 would too often be wrong.
-        return probability if probability >= DECISION.sure else min(probability, _ALMOST)
+        return (
+            probability if probability >= DECISION.sure else min(probability, DECISION.below_sure)
+        )
 
     groups = [
         replace(g, probability=stated("effect", told))

@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.diagnose.missing.servo_search import Job, ServoSearch
 from sim2real.effects import named
@@ -25,8 +26,6 @@ _CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 _BESIDE = 4
 """Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
 _STARTS = 2
-_WORTH = 5.0
-"""Evidence that nuisances must earn."""
 _RIVALS = 8
 """Sets of effects that nuisances are looked for beside in the end."""
 _PROMISE = 2.0
@@ -144,7 +143,9 @@ def beside_rivals(
         if _missing(h.members)
     ]
     behind = [before[one.case].evidence - h.evidence for one, h in pairs]
-    jobs = _jobs(problem, pairs, [max(x / _PROMISE, _WORTH) for x in behind])
+    jobs = _jobs(
+        problem, pairs, [max(x / _PROMISE, DECISION.nuisance_min_evidence) for x in behind]
+    )
     found = iter(problem.refit([job for some in jobs for job in some]))
     for (one, h), some in zip(pairs, jobs, strict=True):
         tried = [next(found) for _ in some]
@@ -206,7 +207,7 @@ def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> 
     small = beside.members | _small(top, large_rad)
     sets = [h for h in tried if h.members <= small and _small(h, large_rad) >= h.members & NAMES]
     best = max([beside, *sets], key=lambda h: h.evidence)
-    return best if best.evidence > beside.evidence + _WORTH else beside
+    return best if best.evidence > beside.evidence + DECISION.nuisance_min_evidence else beside
 
 
 def _small(found: Hypothesis, large_rad: float) -> Set:

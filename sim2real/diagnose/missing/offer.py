@@ -9,9 +9,6 @@ from sim2real.diagnose.missing.investigate import Finding
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set
 
-_HELPS = 0.01
-"""Share by which negligible effects must lower the held-out error for the model to keep them."""
-
 
 def simpler(finding: Finding, rich: Hypothesis, unseen: Mapping[Set, Unseen]) -> Set:
     """The effects of a servo without the negligible ones; all of them where that was not tried.
@@ -39,6 +36,10 @@ def offer(
         unseen: Errors on held-out data, by set of effects; of both.
     """
     less, more = unseen.get(fewer), unseen.get(rich.members)
-    if less is None or more is None or more.rmse < (1 - _HELPS) * less.rmse:
+    if (
+        less is None
+        or more is None
+        or more.rmse < (1 - DECISION.predictor.min_improvement) * less.rmse
+    ):
         return rich
     return finding.tried.tried[fewer]

@@ -26,8 +26,6 @@ from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 Array = NDArray[np.float64]
 
 _ROUNDS = 3
-_BREAKDOWN = 0.5
-"""Share of the time that may differ before a median tells nothing of the rest."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ def intermittent(
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
         length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
         inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
-        short = {j for j in found if inside_s[j] < _BREAKDOWN * length[j]}
+        short = {j for j in found if inside_s[j] < DECISION.segments_share * length[j]}
         found = {j: w for j, w in found.items() if any(w) and j in short}
         if not found:
             return {}

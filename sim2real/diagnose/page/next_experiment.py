@@ -21,7 +21,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_LEAST = 2.0
 _CLEAR = float(-2 * ndtri(DECISION.false_alarms))
 """Distance in noises at which one rival is seldom taken for the other."""
 _PERIOD_S = 0.02
@@ -199,7 +198,7 @@ def _for_plans(rival: Hypothesis, plans: Sequence[_Plan]) -> Servos:
 
 def _statement(plan: _Plan, score: float, members: Sequence[str], component: str) -> str:
     rivals = " and ".join(named(name).plain for name in members)
-    if score < _LEAST:
+    if score < DECISION.report.experiment_min_separation:
         return (
             f"No command or context of the menu tells {rivals} of {component} apart "
             f"({score:.1f} times the noise at best): a second sensor would."

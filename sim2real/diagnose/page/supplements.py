@@ -26,7 +26,6 @@ from sim2real.servo.linearised import residual_torque, smooth_speed
 Array = NDArray[np.float64]
 
 _NINE_IN_TEN = 1.28
-_MOST_RIVALS = 3
 
 
 def with_checks(
@@ -61,7 +60,7 @@ def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | N
             limits = robot.joint(one.name)
             if len(known) > 1 and limits is not None:
                 reach = 0.9 * min(abs(x) for x in limits.limits_rad)
-                members, fits = zip(*known[:_MOST_RIVALS], strict=True)
+                members, fits = zip(*known[: DECISION.report.experiment_rivals], strict=True)
                 return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
     return None
 

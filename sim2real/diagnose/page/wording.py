@@ -29,10 +29,7 @@ from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
 
-_RIVALS = 8
 _Q95 = 1.645
-_THROUGHOUT = 0.9
-"""Share of the time from which a mismatch is there all the time."""
 _WORDS = {
     "position": "the residual torque depends on the joint angle",
     "speed": "the residual torque depends on the joint speed, above all after reversals",
@@ -43,8 +40,6 @@ _WORDS = {
     "shaking": "the residual is a vibration at one frequency",
     "jump": "the residual changes at one instant and stays",
 }
-_TELLING = 12.0
-"""Gain in log-likelihood from which a state is said to drive a mismatch."""
 
 
 @dataclass(frozen=True)
@@ -211,9 +206,13 @@ def rivals(results: Mapping[str, JointFindings], said: Sequence[Said]) -> tuple[
         effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
         for effect in effects:
             p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
-            if (joint, effect) not in taken and finding.mismatch and p > 1e-3:
+            if (
+                (joint, effect) not in taken
+                and finding.mismatch
+                and p > DECISION.report.rival_min_probability
+            ):
                 found.append(Rival(effect, joint, p))
-    return tuple(sorted(found, key=lambda r: -r.probability)[:_RIVALS])
+    return tuple(sorted(found, key=lambda r: -r.probability)[: DECISION.report.most_rivals])
 
 
 def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
@@ -277,10 +276,10 @@ def _where(
     intermittent: bool,
 ) -> str:
     best = max(smooth.shares, key=lambda state: smooth.shares[state])
-    telling = smooth.shares[best] > _TELLING
+    telling = smooth.shares[best] > DECISION.report.driving_gain
     words = _WORDS[best] if telling else "the residual depends on no single state"
     shaded = sum(b - a for w in when for a, b in w)
-    if shaded > _THROUGHOUT * sum(float(t.t[-1] - t.t[0]) for t in traces):
+    if shaded > DECISION.report.throughout * sum(float(t.t[-1] - t.t[0]) for t in traces):
         return f"throughout: {words}" if telling else "throughout"
     if intermittent and any(when):
         segments = [

@@ -1,0 +1,160 @@
+"""Columns of a CSV file as numbers; every mistake is located by row and column."""
+
+from __future__ import annotations
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from sim2real.errors import InputError
+from sim2real.structured import check_size, nearest, shown
+
+Array = NDArray[np.float64]
+
+LARGEST_FILE_BYTES = 256 * 2**20
+LARGEST_ANGLE_RAD = 4 * np.pi
+_MOST_NAMED = 8
+"""Columns that a message names."""
+
+
+def read_table(csv: Path) -> pd.DataFrame:
+    """The cells of a CSV file.
+
+    Raises:
+        InputError: If it is not a table with a header and rows of equal length.
+    """
+    check_size(csv, LARGEST_FILE_BYTES, "; cut the recording into pieces")
+    try:
+        header = pd.read_csv(csv, skipinitialspace=True, compression=None, header=None, nrows=1)
+        table = pd.read_csv(csv, skipinitialspace=True, compression=None, low_memory=False)
+    except pd.errors.EmptyDataError:
+        raise InputError(csv, "", "an empty file", "a header and rows") from None
+    except UnicodeDecodeError:
+        raise InputError(csv, _undecodable_row(csv), "bytes that are not UTF-8", "text") from None
+    except (ValueError, OSError) as error:
+        long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        if long:
+            columns, row, cells = long.groups()
+            raise InputError(
+                csv, f"row {row}", f"{cells} cells", f"{columns}, as in the header"
+            ) from None
+        raise InputError(csv, "", f"no table ({error})", "comma-separated rows") from None
+    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
+        cells = table.index.nlevels + len(table.columns)
+        raise InputError(csv, "row 2", f"{cells} cells", f"{len(table.columns)}, as in the header")
+    names = header.iloc[0].dropna()
+    if names.duplicated().any():
+        found = f"{names[names.duplicated()].iloc[0]} twice"
+        raise InputError(csv, "header", found, "each column once")
+    if not len(table):
+        raise InputError(csv, "", "0 rows", "a header and at least two rows")
+    return table
+
+
+def _undecodable_row(csv: Path) -> str:
+    content = csv.read_bytes()
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        return f"row {row}"
+    return ""
+
+
+def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
+    """A column as numbers, NaN where a cell is empty, shape (T,).
+
+    Raises:
+        InputError: If there is none of that name, or a cell is not a number.
+    """
+    if name not in table:
+        columns = [str(column) for column in table.columns]
+        found = f"no column {name} among {_listed(columns)}"
+        close = nearest(name, columns) or _time_column(name, columns)
+        hint = f" (did you mean {close}?)" if close else ""
+        raise InputError(csv, "header", found, f"the column {name}{hint}")
+    cells = table[name]
+    if cells.dtype == object:  # integers beyond the range of a float, perhaps
+        cells = cells.map(lambda cell: np.inf if type(cell) is int and abs(cell) > 1e300 else cell)
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    wrong = np.flatnonzero((np.isnan(values) & table[name].notna().to_numpy()) | np.isinf(values))
+    if wrong.size:
+        found = shown(str(table[name].iloc[wrong[0]]))
+        raise InputError(csv, cell(csv, int(wrong[0]), name), found, "a number or an empty cell")
+    return values
+
+
+def _listed(columns: list[str]) -> str:
+    """The first columns of a header, as many as a message has room for."""
+    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
+    more = len(columns) - len(named)
+    return ", ".join(named) + (f" and {more} more" if more else "")
+
+
+def _time_column(name: str, columns: list[str]) -> str | None:
+    """What is probably the time where ``t_s`` is missing."""
+    if name != "t_s":
+        return None
+    return next((c for c in columns if c.lower() == "t" or "time" in c.lower()), None)
+
+
+def cell(csv: Path, index: int, column: str) -> str:
+    """Row as an editor numbers it (the header is row 1, blank lines count), and column."""
+    with csv.open(encoding="utf-8", errors="replace") as lines:
+        filled = (number for number, line in enumerate(lines, 1) if line.strip())
+        row = next(islice(filled, index + 1, None), index + 2)
+    return f"row {row}, {column}"
+
+
+def angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: str) -> Array:
+    """Columns ``J.QUANTITY`` of all joints in rad, shape (T, J).
+
+    Raises:
+        InputError: If one is missing, or an angle is too large to be in rad.
+    """
+    angles = np.stack([column(csv, table, f"{j}.{quantity}") for j in joints], axis=1)
+    wrong = np.argwhere(np.abs(angles) > LARGEST_ANGLE_RAD)
+    if wrong.size:
+        row, j = (int(x) for x in wrong[0])
+        place, found = cell(csv, row, f"{joints[j]}.{quantity}"), f"{angles[row, j]:g}"
+        expected = f"radians within {LARGEST_ANGLE_RAD:.1f} (degrees, perhaps?)"
+        raise InputError(csv, place, found, expected)
+    return angles
+
+
+def check_times(csv: Path, t: Array) -> None:
+    """Make sure that times (T,) are present and increase.
+
+    Raises:
+        InputError: If they do not.
+    """
+    if t.size < 2:
+        raise InputError(csv, "", f"{t.size} row", "at least two rows")
+    missing = np.flatnonzero(np.isnan(t))
+    if missing.size:
+        raise InputError(csv, cell(csv, int(missing[0]), "t_s"), "an empty cell", "a time in s")
+    back = np.flatnonzero(t[1:] <= t[:-1])
+    if back.size:
+        row = int(back[0]) + 1
+        found = f"{t[row]:g} after {t[row - 1]:g}"
+        raise InputError(csv, cell(csv, row, "t_s"), found, "times that increase")
+
+
+def check_commands(csv: Path, joints: tuple[str, ...], command: Array) -> None:
+    """Make sure that set-points (T, J) are missing at the end of a joint only.
+
+    Raises:
+        InputError: If one is missing before.
+    """
+    for j, joint in enumerate(joints):
+        given = np.isfinite(command[:, j])
+        last = int(np.flatnonzero(given)[-1]) if given.any() else 0
+        hole = np.flatnonzero(~given[: last + 1])
+        if hole.size:
+            place = cell(csv, int(hole[0]), f"{joint}.command_rad")
+            expected = "a set-point in rad (empty only at the end, where the torque is off)"
+            raise InputError(csv, place, "an empty cell", expected)
