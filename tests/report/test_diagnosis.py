@@ -191,7 +191,7 @@ def test_named_effect_is_told_with_its_probability_and_size():
 def test_a_search_that_its_budget_ended_is_told_on_page_terminal_and_in_the_file(tmp_path):
     ended = replace(EXPLAINED, unfinished=("j2",))
     text, _ = said(ended)
-    sentence = "The search for combinations of effects on j2 was ended by its budget"
+    sentence = "The search for combinations of effects on j2 was ended by its simulation budget"
     assert sentence in text and sentence in str(ended)
     assert "budget" not in explained()[0] and "budget" not in str(EXPLAINED)
     for one in (ended, EXPLAINED):

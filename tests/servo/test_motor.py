@@ -311,7 +311,7 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, {"j1": Load(INERTIA)})
     (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
     assert "loop_period_s" not in joint.motor
-    said = [note for note in joint.notes if "looks in step with their samples" in note]
+    said = [note for note in joint.notes if "synchronous with their samples" in note]
     assert len(said) == (0 if odd else 1)
     if said:
         assert "at 100 Hz" in said[0]
