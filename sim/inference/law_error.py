@@ -117,7 +117,7 @@ def named_decisions(decisions: Mapping[str, float]) -> dict[str, float]:
     if not any(name in decisions for name in _NUMBERED):
         return dict(decisions)
     renamed = {_NUMBERED.get(name, name): value for name, value in decisions.items()}
-    return read_json(FILE, SCHEMA)["decisions"] | renamed
+    return {**read_json(FILE, SCHEMA)["decisions"], **renamed}
 
 
 LAW_ERROR = read_law_error()
