@@ -17,7 +17,6 @@ from sim2real.servo.trace import Trace, split
 
 Array = NDArray[np.float64]
 
-_STEPS_PER_RADIAN = 16.0
 _INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 _MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
@@ -147,7 +146,7 @@ def splits(traces: Sequence[Trace], unseen: Unseen) -> list[Split]:
     ]
 
 
-def simulated(trace: Trace, theta: Array) -> Array:
+def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> Array:
     """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
     rows = np.array(theta)
     rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
@@ -155,6 +154,6 @@ def simulated(trace: Trace, theta: Array) -> Array:
     inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
     # One length for all, or differences between them would be of the integration.
-    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
+    step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
     angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
     return np.ascontiguousarray(angle[:, :, 0])

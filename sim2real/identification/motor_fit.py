@@ -21,20 +21,51 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_CANDIDATES, _STARTS = 64, 4
-_ROUNDS, _FIRST, _LATER = 4, 20, 10
-"""Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
-_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
-"""Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
-_DIFFERENCE = 1e-3
-_SETTLED = 1e-3
-_LONGEST_S = 0.002
-_STEPS_PER_RADIAN = 32.0
-_COARSER = 4.0
-"""Times as long as they are in the end, sub-steps are while starts are still far from a minimum."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
+
+
+@dataclass(frozen=True)
+class MotorSearch:
+    """How a motor is searched.
+
+    Attributes:
+        candidates: Servos that are drawn from the prior.
+        starts: The best of them, from which searches start.
+        rounds: Rounds, with the scale of the residual taken anew.
+        first_steps: Most steps of a search in the first round.
+        later_steps: Most steps in later ones.
+        soft_s: Times of sticking and creeping to start from: about none, MuJoCo's, and more.
+        difference: Step of the derivatives, in units.
+        settled: Gain below which a search has ended.
+        longest_substep_s: Longest sub-step.
+        steps_per_radian: Sub-steps while the fastest mode turns by one radian.
+        coarser: Times as long as they are in the end, sub-steps are while starts are still far from
+            a minimum.
+        same: Distance in units within which two searches are on their way to one minimum.
+        behind: A search is given up where its loss would stay so far above the best.
+        promise: Times the gain that its quadratic model promises, which it may still make.
+    """
+
+    candidates: int = 64
+    starts: int = 4
+    rounds: int = 4
+    first_steps: int = 20
+    later_steps: int = 10
+    soft_s: tuple[tuple[float, float], ...] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
+    difference: float = 1e-3
+    settled: float = 1e-3
+    longest_substep_s: float = 0.002
+    steps_per_radian: float = 32.0
+    coarser: float = 4.0
+    same: float = 0.1
+    behind: float = 60.0
+    promise: float = 5.0
+
+
+MOTOR_SEARCH = MotorSearch()
+"""The defaults."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +77,7 @@ class _MotorProblem:
     free: tuple[int, ...]
     substep_s: float
     simulator: Simulator
+    search: MotorSearch
 
     def rows(self, x: Array) -> Array:
         """Rows of the servo's parameters for those searched, (B, F) to (B, P).
@@ -63,7 +95,9 @@ class _MotorProblem:
     @property
     def coarse(self) -> _MotorProblem:
         """The same with longer sub-steps, for what is far from a minimum yet."""
-        return replace(self, substep_s=min(_LONGEST_S, _COARSER * self.substep_s))
+        return replace(
+            self, substep_s=min(self.search.longest_substep_s, self.search.coarser * self.substep_s)
+        )
 
     def residuals(self, x: Array) -> Array:
         """Simulated minus measured angles of all traces, shape (B, n)."""
@@ -91,7 +125,11 @@ class _MotorProblem:
     def slopes(self, x: Array, here: Array) -> Array:
         """Derivatives of the residuals ``here`` (n,) by the free parameters, in units, (n, F)."""
         _, high, unit = self.box
-        step = np.where(x[list(self.free)] + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+        step = np.where(
+            x[list(self.free)] + self.search.difference * unit > high,
+            -self.search.difference,
+            self.search.difference,
+        )
         return np.asarray(((self.residuals(self._beside(x, step)) - here) / step[:, None]).T)
 
     def prior_slopes(self, x: Array) -> tuple[Array, Array]:
@@ -193,6 +231,7 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
+    search: MotorSearch = MOTOR_SEARCH,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; what is not free has no effect.
 
@@ -210,14 +249,15 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else they stay those of the plain servo.
+        search: Settings of the search.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(_LONGEST_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = _MotorProblem(traces, prior, free, substep, Simulator(traces))
+    substep = float(min(search.longest_substep_s, 1 / (search.steps_per_radian * fastest)))
+    problem = _MotorProblem(traces, prior, free, substep, Simulator(traces), search)
     x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
@@ -226,17 +266,17 @@ def fit_motor(
         near = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(near.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[:_STARTS]]
+        x = x[np.argsort(size)[: search.starts]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation, loss = 1.0, 1.0, np.zeros(x.shape[0])
-    for number in range(_ROUNDS):
+    for number in range(search.rounds):
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
         if number:
-            x, loss = _descend(problem, x, scale, inflation, _LATER)
+            x, loss = _descend(problem, x, scale, inflation, search.later_steps)
         else:
-            x, loss = _descend(problem.coarse, x, scale, inflation, _FIRST)
+            x, loss = _descend(problem.coarse, x, scale, inflation, search.first_steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -247,8 +287,9 @@ def fit_motor(
     return _result(problem, x[0], scale, inflation, loss)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
+def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorFit]:
     """The fit gone on with from servos ``x`` (B, F), which have a loop; the best first."""
+    steps = motor.problem.search.later_steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     free = tuple(sorted({*motor.problem.free, period}))
     problem = replace(motor.problem, free=free)
@@ -272,8 +313,8 @@ def averaged(fits: Sequence[MotorFit]) -> MotorFit:
 
 def softer(motor: MotorFit) -> Array:
     """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
-    x = np.tile(motor.x, (len(_SOFT_S), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+    x = np.tile(motor.x, (len(motor.problem.search.soft_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = motor.problem.search.soft_s
     return x
 
 
@@ -296,7 +337,7 @@ def _starts(
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    N = _CANDIDATES
+    N = problem.search.candidates
     x = np.full((N, len(prior.beliefs)), -np.inf)
     for k, belief in enumerate(prior.beliefs):
         x[:, k] = 0.0 if not belief.log else -np.inf
@@ -342,7 +383,7 @@ def _descend(
         damping[worse] *= 6
         best[better], least[better] = trial[better], loss[won]
         damping[better] = np.maximum(damping[better] / 5, 1e-6)
-        settled = won & (gain < _SETTLED) & (step > 2)
+        settled = won & (gain < problem.search.settled) & (step > 2)
         moves = won & ~settled  # what fits worse needs no slopes
         for s, here in zip(active[moves], error[moves], strict=True):
             by = problem.slopes(best[s], here)
@@ -352,7 +393,16 @@ def _descend(
             normal[s] = by.T @ weighted + belief_by.T @ belief_by
             slope[s] = weighted.T @ here + belief_by.T @ belief
         active = active[~settled & (damping[active] < 1e5)]
-        active = worth_following(active, best[:, free] / unit, least, normal, slope)
+        active = worth_following(
+            active,
+            best[:, free] / unit,
+            least,
+            normal,
+            slope,
+            same=problem.search.same,
+            behind=problem.search.behind,
+            optimism=problem.search.promise,
+        )
         if not active.size:
             break
         for s in active:

@@ -39,11 +39,6 @@ Names = tuple[str, ...]
 
 _DIFFERENCE = 1e-3
 _GAINS = BASE[:3]
-_EVALUATIONS = 40
-_FORGOTTEN_S = (0.05, 0.4)
-"""Shortest and longest time after a gap for which nothing is looked at."""
-_SUBSTEPS = 8
-"""Sub-steps between two samples."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +82,14 @@ class Explained:
         return simulated([self.traces[r] for r in places], rows, self.row)
 
 
-def simulated(traces: Sequence[Trace], rows: Array, servo: Array) -> list[Array]:
+def simulated(
+    traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8
+) -> list[Array]:
     """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
     simulator = Simulator(traces, threads=1)
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
     period = min(float(np.median(np.diff(trace.t))) for trace in traces)
-    longest = min(LONGEST_SUBSTEP_S, period / _SUBSTEPS)
+    longest = min(LONGEST_SUBSTEP_S, period / substeps)
     step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
     return simulator.angles(rows, min(step, longest))
 
@@ -151,12 +148,12 @@ def _noise(trace: Trace) -> float:
     return noise_floor(trace.t, trace.command, trace.position)
 
 
-def _settles_s(row: Array, inertia: float) -> float:
+def _settles_s(row: Array, inertia: float, *, limits_s: tuple[float, float] = (0.05, 0.4)) -> float:
     """Time in which a servo forgets all but e^-12 of what was sent: six of a million."""
     total = inertia + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
-    return float(np.clip(latency + 12 / max(rate, 1e-9), *_FORGOTTEN_S))
+    return float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
 
 
 def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
@@ -337,7 +334,9 @@ def settled(of: Explained) -> Explained:
     return replace(of, left=tuple(left - slopes @ law for left, slopes in pairs))
 
 
-def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
+def fitted(
+    of: Explained, effects: Sequence[str], starts: Sequence[Array], *, evaluations: int = 40
+) -> tuple[Array, float]:
     """The servo (P,) with these effects as they explain the case best, and what they leave, rad2.
 
     The servo itself stays; an effect may be a parameter of the plain servo.
@@ -346,6 +345,7 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
         of: The recordings.
         effects: Names of the effects.
         starts: Servos to start from, shape (P,) each.
+        evaluations: Evaluations of each fit at most.
     """
     kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
     columns: list[int] = []
@@ -384,7 +384,7 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
     best, least = of.row, np.inf
     for start in starts:
         x0 = np.clip(start[columns] / scale, *box)
-        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": _EVALUATIONS, "ftol": 1e-6}
+        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": evaluations, "ftol": 1e-6}
         found = least_squares(alone, x0, slopes, bounds=box, **options)
         mean = 2 * float(found.cost) / max(found.fun.size, 1)
         if mean < least:

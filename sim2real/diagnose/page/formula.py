@@ -16,18 +16,12 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-MOST_TERMS = 2
-WAVES_PER_RAD = (2, 3, 4, 6, 8, 12, 16)
-"""``k`` of sin(k position): from a lever's to a gear tooth's."""
-SMALL_SPEED = 0.05
-"""Speed in rad/s below which its sign is not known for the noise of the sensor."""
-_SEGMENTS = 4
 _GAINS = 3
-_LAGS = 3
-"""Samples after a gap that do not count."""
 
 
-def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[str, Trace]) -> Left:
+def what_is_left(
+    trace: Trace, residual: Array, theta: Array, others: Mapping[str, Trace], *, lags: int = 3
+) -> Left:
     """What a fitted servo leaves of one recording.
 
     Args:
@@ -35,6 +29,7 @@ def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[st
         residual: Simulated minus measured angle in rad, shape (T,) or longer.
         theta: Parameters of the servo, shape (P,).
         others: The same recording of other joints, by name.
+        lags: Samples after a gap that do not count.
     """
     kp, kd, latency = (float(x) for x in theta[:3])
     t, load = trace.t, trace.load
@@ -48,7 +43,7 @@ def what_is_left(trace: Trace, residual: Array, theta: Array, others: Mapping[st
     step = float(np.median(np.diff(t)))
     return Left(
         residual=row,
-        counts=counting(trace.used, _LAGS),
+        counts=counting(trace.used, lags),
         measured=state(_position(trace)),
         simulated=state(simulated(trace, theta[None])[0]),
         command=trace.command,
@@ -96,14 +91,19 @@ class FormulaTerm:
     value: Array
 
 
-def terms(state: State) -> list[FormulaTerm]:
+def terms(
+    state: State,
+    *,
+    waves_per_rad: tuple[int, ...] = (2, 3, 4, 6, 8, 12, 16),
+    small_speed_rad_s: float = 0.05,
+) -> list[FormulaTerm]:
     """All of them, in the same order for every recording.
 
     Speed alone and distance from the command are not among them: they are the servo's own gains.
     Neither is acceleration: with them it would be the servo's whole equation, true of any motion.
     """
     q, v, t = state.position, state.speed, state.t
-    sign = np.tanh(v / SMALL_SPEED)
+    sign = np.tanh(v / small_speed_rad_s)
     listed = [
         FormulaTerm("1", "", np.ones_like(q)),
         FormulaTerm("position", "/rad", q),
@@ -124,7 +124,7 @@ def terms(state: State) -> list[FormulaTerm]:
         FormulaTerm("time · sgn(speed)", "/s", t * sign),
         FormulaTerm("time · load", None, t * state.load),
     ]
-    for k in WAVES_PER_RAD:
+    for k in waves_per_rad:
         listed += [
             FormulaTerm(f"sin({k} position)", "", np.sin(k * q)),
             FormulaTerm(f"cos({k} position)", "", np.cos(k * q)),
@@ -161,7 +161,7 @@ class Left:
     response: Filter
 
 
-def formula(given: Sequence[Left], torque_unit: str, least: float) -> str:
+def formula(given: Sequence[Left], torque_unit: str, least: float, *, most_terms: int = 2) -> str:
     """The one or two terms that explain most of what is left, or nothing where none generalises.
 
     With the measured motion, the servo's own equation gives ``measured - simulated`` as the
@@ -176,6 +176,7 @@ def formula(given: Sequence[Left], torque_unit: str, least: float) -> str:
         given: The joint's recordings.
         torque_unit: ``"N m"``.
         least: Share of the squared error on what was left out that a term must take away.
+        most_terms: Terms at most.
 
     Returns:
         ``"−0.031 N m · sgn(speed) + 0.2 N m/rad³ · position³"``, or nothing.
@@ -183,7 +184,7 @@ def formula(given: Sequence[Left], torque_unit: str, least: float) -> str:
     problem = _problem(given)
     chosen: list[int] = []
     error2 = whole = _unseen(problem, chosen)
-    while len(chosen) < MOST_TERMS:
+    while len(chosen) < most_terms:
         left = [k for k in range(len(problem.terms)) if k not in chosen]
         scores = [_unseen(problem, [*chosen, k]) for k in left]
         best = int(np.argmin([score.sum() for score in scores]))
@@ -228,12 +229,12 @@ class _FormulaFit:
         return [*range(_GAINS), *(_GAINS + k for k in chosen)]
 
 
-def _problem(given: Sequence[Left]) -> _FormulaFit:
+def _problem(given: Sequence[Left], *, segments: int = 4) -> _FormulaFit:
     rows = [[_rows(left, state) for left in given] for state in ("measured", "simulated")]
     targets = [_white(left, -left.residual[:, None])[:, 0] for left in given]
     folds = []
     for r, left in enumerate(given):
-        segment = np.arange(left.counts.size) * _SEGMENTS // left.counts.size
+        segment = np.arange(left.counts.size) * segments // left.counts.size
         fold = segment if len(given) == 1 else np.full(left.counts.size, r)
         folds.append(fold[left.counts])
     measured, simulated = (np.concatenate(some) for some in rows)

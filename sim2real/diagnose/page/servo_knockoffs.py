@@ -21,11 +21,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-COPIES = 40
-"""Knockoffs of each start of each effect, for all folds together."""
-_AWAY_S, _SEGMENT_S, _TURN_S = 2.0, (1.5, 4.0), 0.25
-"""Shortest delay, range of the lengths of segments, and time over which a sign flips, in s."""
-
 
 def changes(
     traces: Sequence[Trace], servo: Servos, candidates: Sequence[Candidate] = ()
@@ -61,7 +56,15 @@ def _with(row: Array, candidate: Candidate, start: Array) -> Array:
     return changed
 
 
-def meaningless(response: Array, t: Array, rng: np.random.Generator) -> Array:
+def meaningless(
+    response: Array,
+    t: Array,
+    rng: np.random.Generator,
+    *,
+    least_delay_s: float = 2.0,
+    segment_s: tuple[float, float] = (1.5, 4.0),
+    turn_s: float = 0.25,
+) -> Array:
     """Responses to effects, delayed by a random time and with the sign of random segments flipped.
 
     A delay alone is not enough: where the command is periodic, a delayed response may still fit.
@@ -70,20 +73,23 @@ def meaningless(response: Array, t: Array, rng: np.random.Generator) -> Array:
         response: Change of the angle by each effect, shape (T, S).
         t: Times in s, shape (T,).
         rng: Source of the delay, the segments and the signs.
+        least_delay_s: Shortest delay.
+        segment_s: Range of the lengths of segments.
+        turn_s: Time over which a sign flips.
 
     Returns:
         The knockoffs, shape (T, S).
     """
     step = float(np.median(np.diff(t)))
-    away = max(1, min(round(_AWAY_S / step), t.size // 4))
+    away = max(1, min(round(least_delay_s / step), t.size // 4))
     delay = int(rng.integers(away, max(t.size - away, away + 1)))
-    cuts = t[0] + np.cumsum(rng.uniform(*_SEGMENT_S, size=int((t[-1] - t[0]) / _SEGMENT_S[0]) + 1))
+    cuts = t[0] + np.cumsum(rng.uniform(*segment_s, size=int((t[-1] - t[0]) / segment_s[0]) + 1))
     # The weight passes through 0 where the delayed end meets the start, too, to avoid a jump.
     cuts = np.sort(np.append(cuts, t[min(delay, t.size - 1)]))
     segment = np.searchsorted(cuts, t)
     nearest = np.abs(t[:, None] - cuts[None]).min(axis=1)
     sign = rng.choice([-1.0, 1.0], size=cuts.size + 1)[segment]
-    weight = sign * np.minimum(1.0, nearest / _TURN_S)
+    weight = sign * np.minimum(1.0, nearest / turn_s)
     return np.asarray(np.roll(response, delay, axis=0) * weight[:, None])
 
 
@@ -93,7 +99,7 @@ def best_knockoff(
     effects: Sequence[Array],
     folds: Sequence[Split],
     rng: np.random.Generator,
-    copies: int = COPIES,
+    copies: int = 40,
 ) -> float:
     """Held-out error of the plain servo with the best knockoff, rad.
 

@@ -19,13 +19,12 @@ from sim2real.diagnose.page.next_experiment import next_experiment
 from sim2real.diagnose.page.servo_knockoffs import best_knockoff, changes
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
 from sim2real.identification.held_out import splits
+from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
 
 Array = NDArray[np.float64]
-
-_NINE_IN_TEN = 1.28
 
 
 def with_checks(
@@ -161,7 +160,7 @@ def detection_limits(
         candidates: The candidates, as the screen counts them.
         component: The joint.
     """
-    needed = float(np.sqrt(2 * DECISION.detection_gain)) + _NINE_IN_TEN
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
     limits = []
     for k, option in enumerate(candidates):
         mine = seen.candidate == k
