@@ -127,7 +127,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
 def _words(name: str) -> str:
     for unit in ("_Nms_per_rad", "_Nm_per_rad", "_rad_s", "_kgm2", "_Nm", "_s"):
         name = name.removesuffix(unit)
-    return name.removeprefix("motor.").replace("_", " ")
+    return name.removeprefix("motor.").replace("no_load", "no-load").replace("_", " ")
 
 
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
@@ -153,13 +153,14 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
 
 
 def _short(name: str) -> str:
-    return _SHORT.get(name, name)
+    return _SHORT.get(name, _words(name) if name.startswith("motor.") else name)
 
 
 def _open(names: list[str]) -> str:
     if len(names) == 1:
         return f"{names[0]} cannot be determined from these recordings"
-    return f"{' and '.join(names)} cannot be determined separately from these recordings"
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{listed} cannot be determined separately from these recordings"
 
 
 def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The fitted numbers of a joint as a person reads them: scaled, rounded, with unit and interval."""
+"""The fitted parameters of a joint for display: scaled and rounded, with unit and interval."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _MOTOR = {
     "stall_torque_Nm": ("stall torque", "N m", "1/s²"),
     "no_load_speed_rad_s": ("no-load speed", "rad/s", "rad/s"),
     "resistance_rise": ("resistance rise", "", ""),
-    "rotor_inertia_kgm2": ("rotor", "kg m²", ""),
-    "coulomb_Nm": ("dry friction", "N m", "1/s²"),
-    "motor_friction": ("of motor torque", "", ""),
-    "load_friction": ("of load torque", "", ""),
-    "stribeck_motor_friction": ("of motor, slow", "", ""),
-    "stribeck_load_friction": ("of load, slow", "", ""),
-    "stribeck_speed_rad_s": ("slow below", "rad/s", "rad/s"),
-    "stick_time_s": ("stops within", "s", "s"),
-    "creep_time_s": ("creeps over", "s", "s"),
+    "rotor_inertia_kgm2": ("rotor inertia", "kg m²", ""),
+    "coulomb_Nm": ("Coulomb friction", "N m", "1/s²"),
+    "motor_friction": ("motor friction", "", ""),
+    "load_friction": ("load friction", "", ""),
+    "stribeck_motor_friction": ("Stribeck, motor", "", ""),
+    "stribeck_load_friction": ("Stribeck, load", "", ""),
+    "stribeck_speed_rad_s": ("Stribeck speed", "rad/s", "rad/s"),
+    "stick_time_s": ("stick time", "s", "s"),
+    "creep_time_s": ("creep time", "s", "s"),
     "loop_period_s": ("loop period", "s", "s"),
     "loop_phase_s": ("loop phase", "s", "s"),
 }
@@ -36,14 +36,15 @@ _MOTOR = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """One parameter of a joint, in the unit it is shown in.
+    """One parameter of a joint, in the unit of the display.
 
     Attributes:
-        name: ``"kp"``, ``"kd"``, ``"latency"``, ``"inertia"``, or what the motor has.
-        unit: Its unit, such as ``"N m/rad"``.
+        name: ``"kp"``, ``"kd"``, ``"latency"``, ``"inertia"``, or a parameter of the motor.
+        unit: Unit, such as ``"N m/rad"``.
         value: The estimate.
-        interval: 90 % interval, an end infinite where the data set no bound; None if not estimated.
-        origin: Where a number without an interval comes from.
+        interval: 90 % interval, with an infinite end where the data do not constrain the value;
+            None if it was not estimated.
+        origin: Origin of a value without an interval.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Quantity:
 
     @property
     def unbounded(self) -> str:
-        """``"unbounded"``, ``"unbounded above"``, ``"unbounded below"`` or nothing."""
+        """``"unbounded"``, ``"unbounded above"``, ``"unbounded below"`` or an empty string."""
         below, above = (math.isinf(end) for end in self.interval or (0.0, 0.0))
         if below and above:
             return "unbounded"
@@ -62,14 +63,14 @@ class Quantity:
 
     @property
     def percent(self) -> float | None:
-        """Half the width of the interval in percent of the value; None where that says nothing."""
+        """Half the width of the interval in percent of the value; None if it is not defined."""
         if self.interval is None or self.unbounded or not self.value:
             return None
         return 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
 
     @property
     def texts(self) -> tuple[str, str, str]:
-        """Value, lower and upper end, rounded alike; the ends empty where there is no interval."""
+        """Value, lower and upper end with the same rounding; empty ends without an interval."""
         if self.interval is None:
             return f"{self.value:.4g}", "", ""
         places = _decimal_places(self.value, self.interval)
@@ -151,8 +152,10 @@ def milliradians(angle_rad: float | None) -> str:
 
 
 def short_name(parameter: str) -> str:
-    """``"kp"`` for ``"kp_Nm_per_rad"``; other names as they are."""
-    return printable(_SHORT.get(parameter.strip(), parameter.strip()))
+    """``"kp"`` for ``"kp_Nm_per_rad"``, ``"stall torque"`` for ``"motor.stall_torque_Nm"``."""
+    name = parameter.strip()
+    motor = _MOTOR.get(name.removeprefix("motor."))
+    return printable(motor[0] if motor else _SHORT.get(name, name))
 
 
 def printable(text: str) -> str:

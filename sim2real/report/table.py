@@ -1,4 +1,4 @@
-"""The fit as a table of plain text, for a terminal, a pipe or a log."""
+"""The fitted model as a text table, for a terminal, a pipe or a log."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _LABEL = 14
 
 
 def fit_report(model: Model) -> str:
-    """The fitted parameters of every joint, how well they are known and how well they fit.
+    """Fitted parameters of every joint with their intervals, and the errors of the fit.
+
+    Parameters whose interval has an infinite end are listed on one line per joint, as the
+    recordings do not determine them.
 
     Args:
         model: The fitted simulator.
@@ -33,13 +36,15 @@ def fit_report(model: Model) -> str:
     Returns:
         Lines of at most 100 columns, the last without a line break.
     """
-    rows = {name: [_cells(q) for q in quantities(joint)] for name, joint in model.joints.items()}
+    known = {name: quantities(joint) for name, joint in model.joints.items()}
+    rows = {name: [_cells(q) for q in each if not q.unbounded] for name, each in known.items()}
     every = [_HEADER, *(row for block in rows.values() for row in block)]
     widths = [max(len(row[column]) for row in every) for column in range(len(_HEADER))]
     lines = [_line(_HEADER, widths)]
     for name, joint in model.joints.items():
         lines += ["", textwrap.shorten(printable(name), WIDTH, placeholder="...") or "(no name)"]
         lines += [_line(row, widths) for row in rows[name]]
+        lines += _not_determined(known[name])
         lines += _quality(model.fit.get(f"{name}.position_rad", {}))
         lines += _remarks(joint)
     if model.effects:
@@ -72,7 +77,7 @@ def _cells(quantity: Quantity) -> tuple[str, ...]:
     value, low, high = quantity.texts
     between = f"{low} to {high}" if quantity.interval else ""
     percent = quantity.percent
-    remark = quantity.origin or quantity.unbounded
+    remark = quantity.origin
     if percent is not None:
         remark = f"± {percent:.2g} %" if percent < 100 else f"± {percent:.0f} %"
         remark = remark if percent < 1000 else "over ± 1000 %"
@@ -88,6 +93,13 @@ def _pointed(number: str, before: int = 6, after: int = 6) -> str:
 def _line(cells: Iterable[str], widths: list[int]) -> str:
     padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
     return ("  " + "  ".join(padded)).rstrip()
+
+
+def _not_determined(each: Iterable[Quantity]) -> list[str]:
+    names = ", ".join(quantity.name for quantity in each if quantity.unbounded)
+    indent = " " * _LABEL
+    first = "  not determined: "
+    return textwrap.wrap(first + names, WIDTH, subsequent_indent=indent) if names else []
 
 
 def _quality(figures: Mapping[str, float | None]) -> list[str]:

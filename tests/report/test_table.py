@@ -27,17 +27,35 @@ def test_latency_is_in_milliseconds(bench):
     assert "66.0" in line and " ms " in line and "64.3 to 67.7" in line
 
 
-def test_infinite_ends_are_flagged():
+def test_parameters_with_an_infinite_end_share_one_line():
     infinite = {
-        "kp_Nm_per_rad": (1.5, math.inf),
+        "kp_Nm_per_rad": (1.5, 2.5),
         "kd_Nms_per_rad": (-math.inf, math.inf),
         "latency_s": (-math.inf, 0.07),
+        "motor.rotor_inertia_kgm2": (0.0, math.inf),
+        "motor.coulomb_Nm": (0.0, 0.05),
     }
-    table = fit_report(one_joint(interval=infinite))
-    assert row(table, "j1", "kp").endswith("1.50 to inf    unbounded above")
-    assert row(table, "j1", "kd").endswith("unbounded")
-    assert row(table, "j1", "latency").endswith("unbounded below")
-    assert "nan" not in table
+    motor = {"rotor_inertia_kgm2": 0.002, "coulomb_Nm": 0.01}
+    table = fit_report(one_joint(interval=infinite, law="motor", motor=motor))
+    named = [line for line in table.splitlines() if "not determined" in line]
+    assert named == ["  not determined: kd, latency, rotor inertia"]
+    assert row(table, "j1", "kp").endswith("± 25 %")
+    assert row(table, "j1", "Coulomb").endswith("± 250 %")
+    assert table.count("kd") == table.count("latency") == table.count("rotor inertia") == 1
+    assert "inf" not in table and "nan" not in table
+
+
+def test_a_joint_whose_parameters_are_all_determined_has_no_such_line():
+    ends = {"kp_Nm_per_rad": (1.5, 2.5), "kd_Nms_per_rad": (0.04, 0.06)}
+    assert "not determined" not in fit_report(one_joint(interval=ends))
+
+
+def test_many_undetermined_parameters_are_wrapped():
+    motor = {f"a_parameter_with_a_long_name_{k}": 1.0 for k in range(12)}
+    ends = {f"motor.{name}": (0.0, math.inf) for name in motor}
+    table = fit_report(one_joint(interval=ends, law="motor", motor=motor))
+    assert all(table.count(name + ",") + table.endswith(name) for name in list(motor)[:-1])
+    assert all(len(line) <= WIDTH for line in table.splitlines())
 
 
 def test_says_where_the_inertia_comes_from(bench):
