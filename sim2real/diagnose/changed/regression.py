@@ -1,12 +1,8 @@
-"""What recordings of one joint show beyond the servo that its references tell.
+"""Regression of a recording on what could have changed since its references.
 
-An unchanged recording is explained as well as the references allow:
-
-- ``repeat``: where the case repeats a command of theirs, by the mean of what the servo's law leaves
-  of those; the repeatability of the servo then decides what can be told, not the law;
-- ``rest``: where the servo is sampled so slowly that it is mostly seen at rest, by where the
-  references came to rest (``residuals.at_rest``);
-- ``law``: else by the law, its parameters the references' and the case's.
+The prediction of an unchanged recording is, in this order, the mean residual of references with the
+same command (``repeat``), where the references came to rest if the servo is sampled slowly
+(``rest``, see ``slow_sampling``), or the servo's law with the references' parameters (``law``).
 """
 
 from __future__ import annotations
