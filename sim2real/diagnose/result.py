@@ -170,15 +170,11 @@ class Ladder:
     Attributes:
         baseline: The plain servo.
         enriched: The offered simulator; equal to ``baseline`` where that has nothing more.
-        best_knockoff: With the best knockoff (it means nothing), chosen where it was fitted.
-        black_box: With a black box that knows no physics, only commands and the plain servo.
         noise: Standard deviation of the measurement noise: no predictor does better.
     """
 
     baseline: float
     enriched: float
-    best_knockoff: float | None
-    black_box: float | None
     noise: float
 
 
@@ -223,7 +219,6 @@ class Diagnosis(NotebookDisplay):
         negligible: What was left out and hardly changes the held-out error, likeliest first.
         rivals: What was considered beside them, likeliest first.
         unknown: By joint, the probability that what is missing is not in the catalogue.
-        hypothesis: By joint, a formula for what no effect explains: a guess, not a finding.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
         enriched_fit: The same of the offered simulator.
         ladders: By signal.
@@ -246,7 +241,6 @@ class Diagnosis(NotebookDisplay):
     baseline_fit: Mapping[str, Mapping[str, float | None]]
     enriched_fit: Mapping[str, Mapping[str, float | None]]
     model: Model
-    hypothesis: Mapping[str, str] = field(default_factory=dict)
     ladders: Mapping[str, Ladder] = field(default_factory=dict)
     detection_limits: tuple[DetectionLimit, ...] = ()
     next_experiment: Experiment | None = None
@@ -278,8 +272,6 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
-        for joint, formula in self.hypothesis.items():
-            lines.append(f"  {joint}: hypothesis, not a finding: {formula}")
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
         if self.next_experiment is not None:
@@ -336,7 +328,6 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "negligible": [asdict(effect) for effect in diagnosis.negligible],
         "rivals": [asdict(rival) for rival in diagnosis.rivals],
         "unknown": dict(diagnosis.unknown),
-        "hypothesis": dict(diagnosis.hypothesis),
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
