@@ -20,11 +20,12 @@ from sim2real.diagnose.result import (
 )
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report import diagnosis_section
+from sim2real.report import diagnosis_section, diagnosis_what, svg
 from sim2real.report.diagnosis_plots import POINTS, binned, outline
 from sim2real.report.diagnosis_words import how_sure, plain, spoken
 from sim2real.report.diagnosis_words import size as with_unit
 from sim2real.report.page import Figure, Note, Table, Text, render_page
+from sim2real.report.style import WIDE
 
 NOISE = 0.0015
 EVIL = "<script>alert(1)</script>"
@@ -154,8 +155,13 @@ def explained():
 
 
 def said(diagnosis):
-    """Everything that the section says, as one text; and its blocks."""
-    section = diagnosis_section(diagnosis)
+    """Everything that the section says, as one text; and its blocks.
+
+    Figures are drawn for a wide screen alone: a narrow one's say the same.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(diagnosis_what, "svg", lambda f, width=WIDE: svg(f) if width == WIDE else "")
+        section = diagnosis_section(diagnosis)
     words = []
     for block in section.blocks:
         if isinstance(block, Text):
