@@ -1,4 +1,4 @@
-"""Swimming robots as Gymnasium's environments: one of them, and a batch."""
+"""Gymnasium environments of one swimming robot and of a batch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float32]
 
 
 def observation_space(world: World, view: View) -> spaces.Box:
-    """What a policy sees of a world: cut to these bounds."""
+    """Space of the observations, which are clipped to its bounds."""
     J = len(world.low)
     if view.scaled:
         bound = np.full(view.size(J), LARGEST, dtype=np.float32)
@@ -39,11 +39,11 @@ def action_space(world: World) -> spaces.Box:
 
 
 def reward_terms(task: Task, step: Step) -> dict[str, Tensor]:
-    """The terms that add up to the reward of a step, as ``info`` has them, each of shape (E,).
+    """Terms of the reward of a step, as in ``info``, each of shape (E,); their sum is the reward.
 
-    ``reward_progress`` is what coming nearer to the target earns, ``reward_bonus`` what arriving
-    earns or leaving the pool costs, ``reward_energy`` (never positive) the price of the joints'
-    squared rates; see ``rl.task``.
+    ``reward_progress`` rewards the approach to the target, ``reward_bonus`` arrival (positive) or
+    leaving the pool (negative), and ``reward_energy`` (never positive) penalises the squared joint
+    rates; see ``rl.task``.
     """
     energy = -task.energy * step.effort
     return {
@@ -59,10 +59,10 @@ def succeeded(task: Task, step: Step) -> Tensor:
 
 
 class FishEnv(gymnasium.Env[Array, Array]):
-    """One robot at its task, in the fluid or in the twin.
+    """Environment of one robot, in the fluid or in the twin.
 
-    A step is one decision of ``view``: 80 ms unless it is the paper's. Observations are the view's
-    columns; actions are desired joint angles, -1 and 1 at the ends of each joint's range.
+    A step is one decision of ``view``: 80 ms, or 20 ms for ``PAPER``. Observations are the columns
+    of the view; actions are desired joint angles, -1 and 1 at the ends of each joint's range.
     ``info`` has ``is_success``, ``reached`` (waypoints so far) and the terms of the reward, see
     ``reward_terms``.
     """
@@ -82,10 +82,10 @@ class FishEnv(gymnasium.Env[Array, Array]):
         """Wrap a world.
 
         Args:
-            world: Of one environment.
-            view: How a policy looks at it.
-            render_mode: ``rgb_array`` for pictures of the pool from above, ``human`` for a window
-                that shows them in real time; None for none.
+            world: World with one environment.
+            view: Definition of observation and decision period.
+            render_mode: ``rgb_array`` for images of the pool from above, ``human`` for a window
+                that shows them in real time (extra ``render``); None for no rendering.
 
         Raises:
             ValueError: If it has several environments, or there is no such mode.
@@ -110,7 +110,7 @@ class FishEnv(gymnasium.Env[Array, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode."""
+        """Start an episode."""
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
@@ -119,7 +119,7 @@ class FishEnv(gymnasium.Env[Array, Array]):
         return seen, {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Take a decision and go on to the next; the next episode is for ``reset`` to begin."""
+        """Apply a decision and simulate until the next; ``reset`` starts the next episode."""
         given = torch.as_tensor(action, device=self.world.device)[None]
         step = self.decisions.step(given, begin=False)
         terms = reward_terms(self.world.task, step)
@@ -138,9 +138,10 @@ class FishEnv(gymnasium.Env[Array, Array]):
         )
 
     def render(self) -> Any:  # noqa: ANN401 - Gymnasium's
-        """The pool from above, shape (height, width, 3), 8 bits a channel.
+        """Image of the pool from above, shape (height, width, 3), 8 bits per channel.
 
-        None without a mode, and with ``human``, where ``reset`` and ``step`` show it already.
+        None without a render mode, and with ``human``, where ``reset`` and ``step`` update the
+        window.
         """
         return self._picture() if self.render_mode == "rgb_array" else None
 
@@ -161,13 +162,13 @@ class FishEnv(gymnasium.Env[Array, Array]):
 
 
 class FishVectorEnv(VectorEnv[Array, Array, Array]):
-    """All robots of a world, one batched simulator underneath.
+    """Vector environment of a batch of robots in one simulator.
 
-    With ``autoreset_mode`` ``NEXT_STEP``, Gymnasium's default, the step after an episode's last
-    begins the next episode: its action counts for nothing, its reward is zero and its observation
-    the first of the new episode. With ``SAME_STEP`` an episode that ends begins anew in the same
-    step; its last observation stands in ``infos["final_obs"]``, where ``infos["_final_obs"]`` is
-    true. ``infos`` has ``reached``, ``is_success`` and the terms of the reward, shape (E,) each.
+    With ``autoreset_mode`` ``NEXT_STEP``, Gymnasium's default, the step after the last one of an
+    episode resets it: its action is ignored, its reward is zero and its observation is the first of
+    the new episode. With ``SAME_STEP`` an episode is reset in the step in which it ends; its last
+    observation is in ``infos["final_obs"]``, where ``infos["_final_obs"]`` is true. ``infos`` has
+    ``reached``, ``is_success`` and the terms of the reward, each of shape (E,).
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -182,10 +183,10 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         """Wrap a world.
 
         Args:
-            world: The robots at their task.
-            view: How a policy looks at it.
-            autoreset_mode: When an episode begins anew, of Gymnasium's or its value:
-                ``NextStep`` or ``SameStep``.
+            world: The batch of robots with their task.
+            view: Definition of observation and decision period.
+            autoreset_mode: Gymnasium's ``AutoresetMode`` or its value, ``NextStep`` or
+                ``SameStep``.
 
         Raises:
             ValueError: If there is no such mode, or it is ``Disabled``.
@@ -206,7 +207,7 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode everywhere; of several seeds the first counts, for the whole batch."""
+        """Start all episodes; of several seeds, the first is used for the whole batch."""
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first)
         if first is not None:
@@ -215,7 +216,7 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         return self.decisions.reset().cpu().numpy(), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Any, Any, dict[str, Any]]:
-        """Take a decision everywhere and go on to the next."""
+        """Apply a decision of each robot and simulate until the next."""
         given = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
         same = self.autoreset_mode is AutoresetMode.SAME_STEP
         step = self.decisions.step(given, begin=same)

@@ -1,10 +1,10 @@
-"""What ``gymnasium.make("sim2real/Fish-v0")`` and ``gymnasium.make_vec`` make.
+"""The environments of ``gymnasium.make("sim2real/Fish-v0")`` and ``gymnasium.make_vec``.
 
     env = gymnasium.make("sim2real/Fish-v0", task="turn")
     envs = gymnasium.make_vec("sim2real/Fish-v0", num_envs=64, fidelity="fluid")
 
-Without files of one's own it is the three-joint fish of Lin, Liu and Wang (IEEE RA-L 2025), its
-body calibrated to the first shipped swim (``datasets/pool``), in the twin.
+By default they simulate the three-joint fish of Lin, Liu and Wang (IEEE RA-L 2025) in the twin,
+with its body calibrated to the first shipped swim (``datasets/pool``).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def make_fish(
     view: View = View(),  # noqa: B008 - frozen
     **options: Any,  # noqa: ANN401
 ) -> FishEnv:
-    """One robot, seen as ``view`` says; other options as for ``world_of``."""
+    """Environment of one robot, observed through ``view``; other options as for ``world_of``."""
     return FishEnv(world_of(1, **options), view, render_mode=render_mode)
 
 
@@ -47,9 +47,9 @@ def make_fish_vec(
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     **options: Any,  # noqa: ANN401
 ) -> FishVectorEnv:
-    """Robots in one batch, seen as ``view`` says; other options as for ``world_of``.
+    """Batch of robots, observed through ``view``; other options as for ``world_of``.
 
-    ``autoreset_mode`` says when an episode that ended begins anew, see ``FishVectorEnv``.
+    ``autoreset_mode`` is the step in which an episode is reset, see ``FishVectorEnv``.
     """
     return FishVectorEnv(world_of(num_envs, **options), view, autoreset_mode=autoreset_mode)
 
@@ -66,22 +66,23 @@ def world_of(
     cell_m: float = 0.02,
     seed: int = 0,
 ) -> World:
-    """The robots at their task.
+    """A batch of robots with their task, for ``FishEnv``, ``FishVectorEnv`` and ``FishVecEnv``.
 
     Args:
         n_envs: Number of robots.
         robot: The robot, or its ``robot.toml``.
-        model: Its servos and body, or ``MODEL.json``.
-        ranges: What episodes are drawn from, or ``ranges.json``; every episode the same robot
-            without noise where None.
-        task: ``point``, ``near``, ``mixed``, ``turn`` or ``pentagram``; see ``rl.task``.
+        model: Model of its servos and body, or ``MODEL.json``.
+        ranges: Randomization ranges, or ``ranges.json``; without them every episode has the same
+            robot and no noise.
+        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``; see
+            ``rl.task``.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid, in m.
-        seed: Of what is drawn before the first ``reset(seed=...)``.
+        seed: Seed of random numbers until the first ``reset(seed=...)``.
 
     Raises:
-        InputError: If a file is not as its format says, or there is no such task or fidelity.
+        InputError: If a file does not conform to its format, or there is no such task or fidelity.
     """
     check_choice("sim2real/Fish-v0", "task", task, TASKS)
     check_choice("sim2real/Fish-v0", "fidelity", fidelity, get_args(Fidelity))

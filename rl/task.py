@@ -1,4 +1,4 @@
-"""The task, as the paper states it: swim to a target. Read it from top to bottom.
+"""The task of the paper: swim to a target.
 
 Lin, Liu, Wang, "Learning Agile Swimming: An End-to-End Approach without CPGs" (IEEE RA-L 2025),
 Sec. III-A. Arrays have a leading axis of E environments; angles in rad, the rest SI.
@@ -19,17 +19,17 @@ Array = NDArray[np.float64]
 CONTROL_S = 0.02
 """Control period."""
 DOMAIN_M = (3.6, 3.6)
-"""The pool; its middle is the origin."""
+"""Length and width of the pool; its centre is the origin."""
 MARGIN_M = 0.4
-"""Starts and targets keep this far from its walls."""
+"""Smallest distance of starts and targets from the walls."""
 BEHIND = 0.4
-"""Share of the episodes of ``chain`` that begin with the target behind."""
+"""Share of the episodes of ``chain`` that start with the target behind the robot."""
 
 
 def observation(
     velocity: Tensor, joint: Tensor, rate: Tensor, pose: Tensor, target: Tensor
 ) -> Tensor:
-    """What the policy sees, shape (E, 5 + 2 J).
+    """The paper's observation, shape (E, 5 + 2 J).
 
     Args:
         velocity: Surge, sway, yaw rate, shape (E, 3).
@@ -50,12 +50,12 @@ def observation_names(joints: tuple[str, ...]) -> list[str]:
 
 
 def observation_bounds(J: int) -> list[float]:
-    """Largest size of each column of an observation; what is beyond is cut."""
+    """Bounds of the magnitude of each column of an observation, which is clipped to them."""
     return [10.0, 10.0, 50.0, *[4.0] * J, *[100.0] * J, 20.0, 20.0]
 
 
 def in_body_frame(pose: Tensor, target: Tensor) -> Tensor:
-    """The target as the robot sees it: ahead and to the left, shape (E, 2)."""
+    """The target in the body frame: distance ahead and to the left, shape (E, 2)."""
     dx, dy = (target - pose[:, :2]).unbind(1)
     c, s = torch.cos(pose[:, 2]), torch.sin(pose[:, 2])
     return torch.stack([c * dx + s * dy, c * dy - s * dx], dim=1)
@@ -64,18 +64,18 @@ def in_body_frame(pose: Tensor, target: Tensor) -> Tensor:
 def reward(
     task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
 ) -> Tensor:
-    """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 where it arrives, -10 where it leaves)."""
+    """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 on arrival, -10 on leaving the pool)."""
     gain = progress(task, before, distance) + bonus(task, reached, outside)
     return gain - task.energy * effort(rate)
 
 
 def progress(task: Task, before: Tensor, distance: Tensor) -> Tensor:
-    """The reward's term for coming nearer to the target, shape (E,)."""
+    """Term of the reward for the approach to the target, shape (E,)."""
     return task.approach * (before - distance)
 
 
 def bonus(task: Task, reached: Tensor, outside: Tensor) -> Tensor:
-    """The reward's term for arriving (positive) or leaving the pool (negative), shape (E,)."""
+    """Term of the reward for arrival (positive) or leaving the pool (negative), shape (E,)."""
     return task.bonus * (reached.float() - outside.float())
 
 
@@ -86,14 +86,14 @@ def effort(rate: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Task:
-    """One task.
+    """Definition of a task.
 
     Attributes:
-        name: Its name.
-        place: Draws n first poses (n, 3), joint angles (n, J) and waypoints (n, W, 2) from a
-            generator of random numbers, given n and J.
-        waypoints: Number of waypoints W; the episode ends at the last.
-        steps: Longest episode, in control periods.
+        name: Name of the task.
+        place: Function of a random generator, n and J that draws initial poses (n, 3), joint
+            angles (n, J) and waypoints (n, W, 2).
+        waypoints: Number of waypoints W; an episode ends at the last.
+        steps: Time limit of an episode, in control periods.
         arrive_m: Distance at which a waypoint is reached.
         approach, energy, bonus: Weights of the reward's terms.
         domain_m: Length and width of the pool; outside it an episode ends.
@@ -111,14 +111,14 @@ class Task:
 
 
 def point(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """Starts and targets anywhere in the pool, any heading, joints a little bent."""
+    """Random start and target in the pool, random heading and small joint angles."""
     half = np.array(DOMAIN_M) / 2 - MARGIN_M
     pose = np.column_stack([rng.uniform(-half, half, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
     return pose, rng.uniform(-0.2, 0.2, (n, J)), rng.uniform(-half, half, (n, 1, 2))
 
 
 def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """As ``point``, the target 0.3 to 1 m away in any direction: for quick training."""
+    """As ``point``, with the target 0.3 to 1 m away in a random direction, for quick training."""
     pose, joint, _ = point(rng, n, J)
     pose[:, :2] *= 0.4
     away, around = rng.uniform(0.3, 1.0, n), rng.uniform(-np.pi, np.pi, n)
@@ -127,10 +127,10 @@ def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
 
 
 def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """As ``point``, targets from 0.12 to 2 m away, as many near as far: for training.
+    """As ``point``, with targets 0.12 to 2 m away, for training.
 
-    The logarithm of the distance is uniform. What swimming is worth is learned from targets that
-    chance may reach; what ``point`` asks for is learned on the way.
+    The logarithm of the distance is uniform: near targets, which are reached by chance, give the
+    first rewards, and far ones teach what ``point`` requires.
     """
     half = np.array(DOMAIN_M) / 2 - MARGIN_M
     pose, joint, target = point(rng, n, J)
@@ -146,11 +146,11 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
 
 
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """Three targets one after the other, each as far from the last as in ``mixed``.
+    """Three successive targets, each at a distance from the previous one as in ``mixed``.
 
-    What comes after a target matters too, and an episode that goes well is not over at once. So
-    many as ``BEHIND`` begin as ``turn`` does, straight and with the first target behind: the
-    hardest start, and where agents differ most.
+    Episodes continue after a target is reached, so the state at arrival matters. A share ``BEHIND``
+    of the episodes start as in ``turn``, straight and with the first target behind the robot: the
+    most difficult start, in which agents differ most.
     """
     pose, joint, first = mixed(rng, n, J)
     behind = rng.uniform(size=n) < BEHIND
@@ -177,7 +177,7 @@ def _onward(rng: np.random.Generator, last: Array) -> Array:
 
 
 def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """A 180 degree turn: at rest, straight, the target 1.5 m behind; anywhere it fits."""
+    """A turn by 180 degrees: at rest, straight, the target 1.5 m behind, at a random place."""
     heading = rng.uniform(-np.pi, np.pi, n)
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     middle = rng.uniform(-0.3, 0.3, (n, 2))
@@ -186,9 +186,9 @@ def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
 
 
 def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """A five-pointed star of 1.2 m radius: 21 waypoints, four a side and the start again.
+    """A five-pointed star with a radius of 1.2 m: 21 waypoints, four per side and the first again.
 
-    The robot begins near the first point, heading for the second.
+    The robot starts near the first corner, heading for the second.
     """
     angle = np.pi / 2 + 4 * np.pi / 5 * np.arange(6)
     corner = 1.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -214,5 +214,5 @@ TASKS = {
 
 
 def shortened(task: Task, steps: int) -> Task:
-    """The same task with shorter episodes."""
+    """The task with another time limit, in control periods."""
     return replace(task, steps=steps)

@@ -1,4 +1,4 @@
-"""Many swimming robots as one vector environment of Stable-Baselines3."""
+"""Stable-Baselines3 vector environment of a batch of swimming robots."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Array = NDArray[np.float32]
 
 
 class FishVecEnv(VecEnv):
-    """All robots of a world, one batched simulator underneath; a step is one decision of ``view``.
+    """Vector environment of a batch of robots in one simulator; a step is one decision of ``view``.
 
-    ``infos[e]`` has the terms of the reward (see ``rl.env.reward_terms``) and, where an episode
-    ends, ``is_success``, its last observation as ``terminal_observation`` and as ``episode`` what
-    Monitor would record.
+    ``infos[e]`` has the terms of the reward (see ``rl.env.reward_terms``). At the end of an episode
+    it also has ``is_success``, the last observation as ``terminal_observation``, and the statistics
+    of Monitor as ``episode``.
     """
 
     def __init__(self, world: World, view: View = View()) -> None:  # noqa: B008 - frozen
@@ -34,7 +34,7 @@ class FishVecEnv(VecEnv):
         self._action = torch.zeros(world.n_envs, len(world.low), device=world.device)
 
     def reset(self) -> Array:
-        """Begin an episode everywhere; seeds given by ``seed`` count from the first."""
+        """Start all episodes; the first seed of ``seed`` is used for the whole batch."""
         if self._seeds[0] is not None:
             self.world.seed(self._seeds[0])
             self._reset_seeds()
@@ -46,7 +46,7 @@ class FishVecEnv(VecEnv):
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Go on by one decision."""
+        """Simulate until the next decision."""
         step = self.decisions.step(self._action)
         value = step.reward.cpu().numpy()
         ended = (step.terminated | step.truncated).cpu().numpy()

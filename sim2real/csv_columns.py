@@ -1,4 +1,4 @@
-"""Columns of a CSV file as numbers; every mistake is located by row and column."""
+"""Read columns of a CSV file as numbers; errors name row and column."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 LARGEST_FILE_BYTES = 256 * 2**20
 LARGEST_ANGLE_RAD = 4 * np.pi
 _MOST_NAMED = 8
-"""Columns that a message names."""
+"""Largest number of columns that a message lists."""
 
 
 def read_table(csv: Path) -> pd.DataFrame:

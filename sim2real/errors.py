@@ -1,4 +1,4 @@
-"""The one exception that means: the input is at fault, not the program."""
+"""The exception for invalid input."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from os import PathLike
 
 
 class InputError(Exception):
-    """Input that can't be used, said in one line: where, what was found, what was expected.
+    """Invalid input, with a message of one line: place, what was found, what was expected.
 
-    The command line prints ``str(error)`` and leaves with status 2.
+    The command line prints ``str(error)`` and exits with status 2.
 
     Args:
-        file: The file (or recording) at fault.
-        where: Row, field or column inside it; empty if the whole file is meant.
-        found: What is there.
-        expected: What should be there.
+        file: File or recording with the error.
+        where: Row, field or column inside it; empty for the whole file.
+        found: What was found.
+        expected: What was expected.
     """
 
     def __init__(self, file: str | PathLike[str], where: str, found: str, expected: str) -> None:
@@ -23,5 +23,5 @@ class InputError(Exception):
         super().__init__(" ".join(f"{place}: found {found}, expected {expected}".splitlines()))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
-        """Pickle its four parts, so that it crosses from one process to another."""
+        """Pickle the four arguments, so that the error can be passed between processes."""
         return type(self), (self.file, self.where, self.found, self.expected)

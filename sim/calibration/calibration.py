@@ -30,7 +30,7 @@ THREADS = 2
 
 @dataclass(frozen=True)
 class FluidSettings:
-    """How the fluid is simulated: side of a cell in m, Warp device, rollouts of a batch."""
+    """Settings of the fluid: side of a cell in m, Warp device, rollouts per batch."""
 
     cell_m: float = 0.02
     device: str = "cpu"
@@ -39,16 +39,16 @@ class FluidSettings:
 
 @dataclass(frozen=True)
 class Calibration(NotebookDisplay):
-    """A body fitted to swims.
+    """Result of a calibration.
 
     Attributes:
         model: The calibrated model, with intervals (``body``) and errors (``fit``).
-        before: The model that the fit started from.
+        before: The model before the calibration.
         robot: The robot.
         swims: The fitted swims, whose last parts were held out.
         twin: Parameters, standard deviations and errors of the fit in the twin.
-        in_fluid: Those of the fit in the fluid, where that was asked for.
-        fluid: How the fluid was simulated.
+        in_fluid: The same of the fit in the fluid, if there was one.
+        fluid: Settings of the fluid.
     """
 
     model: Model
@@ -61,7 +61,7 @@ class Calibration(NotebookDisplay):
 
     @property
     def fitted(self) -> Calibrated | InFluid:
-        """The last fit."""
+        """The fit in the fluid if there was one, else that in the twin."""
         return self.in_fluid or self.twin
 
     def __str__(self) -> str:
@@ -73,7 +73,7 @@ class Calibration(NotebookDisplay):
         return text
 
     def plot(self, swim: int = 0) -> Figure:
-        """One swim as measured, and simulated before and after the calibration."""
+        """One swim: measured, and simulated before and after the calibration."""
         from sim.view.calibration_plot import comparison
 
         shown = self.swims[swim]

@@ -1,4 +1,4 @@
-"""Robots that swim: servos, links and water, one robot in each box, all boxes at once."""
+"""Swimming robots in the lattice-Boltzmann fluid, one robot per box, in a batch of boxes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 CONTROL_S = 0.02
 """Control period of the robot: 50 Hz."""
 TOP_SPEED_M_S = 1.2
-"""Speed of the tail that the step is made for: it then moves 0.15 cells a step."""
+"""Design speed of the tail, at which it moves 0.15 cells per time step."""
 LEAST_VISCOSITY = 3e-4
-"""Viscosity in lattice units where none is stated; it hardly matters: ``reports/resolution``."""
+"""Default viscosity in lattice units; its influence is small, see ``reports/resolution``."""
 SMAGORINSKY = 0.17
 """Lilly's constant of the sub-grid viscosity."""
 _FASTEST = 0.15
@@ -40,31 +40,31 @@ _SPONGE = 0.5
 
 
 def steps_of(cell_m: float) -> int:
-    """Steps of the lattice in a control period, even: the tail moves 0.15 cells in one."""
+    """Time steps of the fluid per control period, an even number."""
     return 2 * int(np.ceil(CONTROL_S * TOP_SPEED_M_S / _FASTEST / cell_m / 2))
 
 
 def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
-    """Viscosity in m2/s that is taken in cells of this size where none is stated."""
+    """Default viscosity in m2/s for cells of this size."""
     step_s = CONTROL_S / (substeps or steps_of(cell_m))
     return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
 
 
 @dataclass(frozen=True)
 class State:
-    """Where the robots are and how they move, copied from the device; world frame, SI.
+    """State of the robots, copied from the device; world frame, SI units.
 
     Attributes:
         pose: x, y of the head's centre of mass and its heading, shape (E, 3).
-        velocity: Surge, sway and yaw rate of the head, in its own frame, shape (E, 3).
+        velocity: Surge, sway and yaw rate of the head, in its body frame, shape (E, 3).
         joint: Joint angles, shape (E, J).
         rate: Joint rates, shape (E, J).
-        measured: Angles that the joints' sensors show, shape (E, J).
+        measured: Angles measured by the joints' sensors, shape (E, J).
         torque: Torques of the servos in N m, shape (E, J).
-        force: Force of the water on each link in N and torque about its centre of mass in N m,
+        force: Force of the fluid on each link in N and torque about its centre of mass in N m,
             world frame, shape (E, L, 3).
         time: Seconds since the start, shape (E,).
-        stopped: Cell at which a box was stopped by the guard, -1 where none was, shape (E,).
+        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
     """
 
     pose: Array
@@ -79,14 +79,14 @@ class State:
 
 
 class Swimmer:
-    """A batch of swimming robots with one robot file, each with its own parameters.
+    """A batch of robots in the fluid: one robot file, separate parameters for each.
 
     Attributes:
         robot: The robot.
         n_envs: Number of boxes E.
-        units: Size of a cell and of a step.
-        substeps: Steps of the lattice in a control period.
-        fluid, bodies: The water and what swims in it; their Warp arrays are the live state.
+        units: Size of a cell and of a time step.
+        substeps: Time steps of the fluid per control period.
+        fluid, bodies: Fluid and robots; their Warp arrays are the current state.
         step_count: Control periods since the start.
     """
 
@@ -110,33 +110,33 @@ class Swimmer:
         storage: str = "float32",
         threads: int = 1,
     ) -> None:
-        """Make the boxes, with the robots straight, at rest, at the origin, heading along x.
+        """Create the boxes, with the robots straight, at rest, at the origin, heading along x.
 
         Args:
             robot: Links, joints and data sheets.
-            model: The servos, and the body's normalised density where it has one; one for all, or
-                one for each box.
+            model: Servos and body, including the normalised density if present; one for all, or one
+                for each box.
             n_envs: Number of boxes.
             device: Warp device.
             cell_m: Side of a cell.
             dimensions: 2 (plan view) or 3.
             box_m: Length, width and depth of a box.
-            walls: Close the box with walls; else it goes with the robot.
-            wall: How the robot touches the water: slipping along it, its friction a stress, which
-                suits robots of decimetres; ``NO_SLIP`` where cells resolve the boundary layer.
-            depth_m: Depth of the robot's middle below the surface, its heights scaled so that it
-                neither rises nor sinks. Where None it floats as deep as its mass takes it; one
-                that would sink swims half-way down.
-            viscosity_m2_s: Viscosity of the water away from the wall, one or one for each box: its
-                own, 1e-6, or more; the model's or that of ``least_viscosity`` where None.
+            walls: Whether the box has walls; otherwise it moves with the robot.
+            wall: Wall model: by default slip along the surface with skin friction as a stress, for
+                robots of decimetres; ``NO_SLIP`` if cells resolve the boundary layer.
+            depth_m: Depth of the robot's centre below the surface, with its heights scaled for
+                neutral buoyancy. By default it floats at the draught of its mass; a robot that
+                would sink swims at half depth.
+            viscosity_m2_s: Viscosity of the fluid away from the wall, one or one for each box, at
+                least that of water, 1e-6; by default the model's or ``least_viscosity``.
             smagorinsky: Constant of the sub-grid viscosity.
-            substeps: Steps of the lattice in a control period, even; by ``TOP_SPEED_M_S`` if None.
-            hull: The links' shape; from the robot's file where None.
+            substeps: Time steps per control period, even; by default from ``TOP_SPEED_M_S``.
+            hull: Shape of the links; by default from the robot's file.
             storage: ``float32`` or ``float16`` for the populations.
             threads: CPU threads.
 
         Raises:
-            InputError: If robot, model and box do not go together.
+            InputError: If robot, model and box do not agree.
         """
         self.robot, self.n_envs = robot, n_envs
         models = [model] * n_envs if isinstance(model, Model) else list(model)

@@ -1,8 +1,8 @@
-"""A reduced-order twin of the swimmer: the same robots and servos in water that is a force law.
+"""The twin: the robots and servos of the swimmer, with a reduced-order force law for the fluid.
 
 Thousands of times faster than the fluid, for fits, sampling, tests and quick training. Its
-coefficients are fitted to the fluid (``benchmarks/twin_fit.py``, which states the error); it is
-never passed off as the fluid. Where the robot floats, only what is under water counts.
+coefficients are fitted to the fluid (``benchmarks/twin_fit.py`` states the error). Of a floating
+robot, the forces act on the submerged part.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from sim2real.servo.parameters import CELLS
 Array = NDArray[np.float64]
 
 SUBSTEPS = 8
-"""Sub-steps of a control period: halving them moves a swim of 10 s by less than 1 % of its way."""
+"""Sub-steps per control period: twice as many change a swim of 10 s by less than 1 % of its path."""
 
 
 class Twin:
-    """A batch of swimming robots with one robot file, each with its own parameters.
+    """A batch of robots in the twin: one robot file, separate parameters for each.
 
     The interface is that of ``sim.robot.swimmer.Swimmer``.
 
@@ -61,21 +61,22 @@ class Twin:
         hull: Hull | None = None,
         period_s: float = CONTROL_S,
     ) -> None:
-        """Put robots into the water, straight, at rest, at the origin, heading along x.
+        """Create the robots, straight, at rest, at the origin, heading along x.
 
         Args:
             robot: Links, joints and data sheets.
             model: Servos and body; one for all, or one for each robot.
             n_envs: Number of robots.
             device: Warp device.
-            coefficients: The water's law; the model's (``body.twin``) or the fitted one where None.
-            substeps: Sub-steps of a control period.
+            coefficients: Coefficients of the force law; by default the model's (``body.twin``) or
+                those fitted to the fluid.
+            substeps: Sub-steps per control period.
             threads: CPU threads.
-            hull: The links' shape; from the robot's file where None.
+            hull: Shape of the links; by default from the robot's file.
             period_s: Control period in s.
 
         Raises:
-            InputError: If robot and model do not go together.
+            InputError: If robot and model do not agree.
         """
         self.robot, self.n_envs, self.substeps, self.threads = robot, n_envs, substeps, threads
         self.period_s = period_s

@@ -32,12 +32,12 @@ class Mismatch:
     Attributes:
         signal: The measured signal, ``"j2.position_rad"``.
         component: The part that the mismatch belongs to: a joint, ``supply`` or ``link``.
-        rmse: Error of the plain servo on data it was not fitted to, rad.
+        rmse: Root mean square error of the plain servo on held-out data, rad.
         noise: Standard deviation of the measurement noise, rad.
         share: Share of the error's variance that is not noise, 0 to 1.
-        windows_s: For each recording, by name, the segments in which the mismatch stands out.
-        where: In which states it shows, in words.
-        dependence: Share of the residual torque's variance that each state explains by itself.
+        windows_s: For each recording, by name, the segments in which the mismatch is largest, in s.
+        where: Description of the states in which it occurs.
+        dependence: Share of the residual torque's variance that each state explains alone.
     """
 
     signal: str
@@ -50,14 +50,14 @@ class Mismatch:
     dependence: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """The error and the noise, in mrad of a joint, in m/s or rad/s of a body."""
+        """The error and the noise: mrad for a joint, m/s or rad/s for a body."""
         return self.described()
 
     def described(self, remaining: float | None = None) -> str:
-        """The error and the noise in words.
+        """Description of the error and the noise.
 
         Args:
-            remaining: Error of the enriched model, in the unit of ``rmse``; not stated where None.
+            remaining: Error of the enriched model, in the unit of ``rmse``; omitted if None.
         """
         unit, scale, digits = "mrad", 1e3, 2
         name = self.component
@@ -85,19 +85,19 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """Physics that was left out, as far as these recordings tell.
+    """An effect that a diagnosis reports as missing from the model.
 
     Attributes:
-        effect: Likeliest member of the group.
+        effect: Most probable member of the group.
         component: The joint, ``supply`` or ``link``.
-        probability: That one of the group is there.
-        group: Effects that these recordings cannot tell apart, likeliest first.
-        parameters: What the fit says of the likeliest one.
-        heldout: ``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, by refits that
-            have not seen the recording they are scored on.
-        baseline_shift: How far each parameter of the plain servo moved when the effect was added.
-        stability: Share of block bootstraps in which one of the group came first.
-        statement: One sentence.
+        probability: Probability that one of the group is present.
+        group: Effects that these recordings cannot distinguish, most probable first.
+        parameters: Estimated parameters of ``effect``.
+        heldout: ``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, from refits
+            that do not use the recording they are scored on.
+        baseline_shift: Change of each parameter of the plain servo when the effect is added.
+        stability: Share of block bootstraps in which one of the group was the most probable.
+        statement: The finding, in one sentence.
     """
 
     effect: str
@@ -122,10 +122,10 @@ class Rival:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """How small an effect these recordings could have shown, at best.
+    """Lower bound of the size of an effect that these recordings could have shown.
 
-    The noise model, fitted anew, takes up a part of a weak effect: one is noticed nine times in ten
-    only from several times this size.
+    The refitted noise model absorbs a part of a weak effect: to be detected in nine of ten cases,
+    an effect must be several times as large.
     """
 
     effect: str
@@ -135,17 +135,17 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record next to tell the members of a group apart.
+    """A recommended recording that distinguishes the members of a group.
 
     Attributes:
         component: The joint that the group belongs to.
         separates: The members of the group.
-        command: Kind of command signal, in words.
-        context: Change of context: ``none``, ``torque_off``, ``added_inertia``, ...
-        separation: How far apart the two closest rivals' predictions would then be, in units of
-            the noise (the norm of the whitened difference after refitting).
+        command: Description of the command signal.
+        context: Change of the experiment: ``none``, ``torque_off``, ``added_inertia``, ...
+        separation: Distance of the predictions of the two closest rivals, in standard deviations
+            of the noise (norm of the whitened difference after refitting).
         duration_s: Length of the recording.
-        statement: One sentence.
+        statement: The recommendation, in one sentence.
         file: Command CSV that ``record`` can play, relative to the diagnosis file.
         t: Times of the commands, s, shape (T,).
         signal: The commands, rad, shape (T,).
@@ -165,12 +165,12 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Ladder:
-    """Held-out error of ever better informed predictors of one signal, rad.
+    """Held-out errors of several predictors of one signal, rad.
 
     Attributes:
         baseline: The plain servo.
-        enriched: The offered simulator; equal to ``baseline`` where that has nothing more.
-        noise: Standard deviation of the measurement noise: no predictor does better.
+        enriched: The enriched model; equal to ``baseline`` if it has no effects.
+        noise: Standard deviation of the measurement noise, a lower bound.
     """
 
     baseline: float
@@ -180,18 +180,18 @@ class Ladder:
 
 @dataclass(frozen=True)
 class JointSeries:
-    """What one joint did in one recording, for a person to look at.
+    """Signals of one joint in one recording, for figures.
 
     Attributes:
-        joint: Its name.
-        recording: The recording's name.
+        joint: Name of the joint.
+        recording: Name of the recording.
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, NaN where missing, shape (T,).
         baseline: Angles of the plain servo in rad, shape (T,).
-        enriched: Angles of the offered servo in rad, shape (T,).
+        enriched: Angles of the enriched model in rad, shape (T,).
         speed: Smoothed speed in rad/s, shape (T,).
-        torque: Torque that the plain servo lacks, smoothed, N m (per kg m2 where the load is
+        torque: Residual torque of the plain servo, smoothed, in N m (per kg m2 if the load is
             unknown), shape (T,).
         torque_sd: Its standard deviation, shape (T,).
     """
@@ -210,27 +210,28 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class Diagnosis(NotebookDisplay):
-    """All that ``diagnose`` found.
+    """Result of ``diagnose``.
 
     Attributes:
-        verdict: See the field ``verdict`` of the format.
-        mismatch: Where simulation and recording differ.
-        effects: What was left out, likeliest first.
-        negligible: What was left out and hardly changes the held-out error, likeliest first.
-        rivals: What was considered beside them, likeliest first.
-        unknown: By joint, the probability that what is missing is not in the catalogue.
+        verdict: ``consistent``, ``unchanged``, ``explained``, ``ambiguous``,
+            ``partly_explained`` or ``unexplained``.
+        mismatch: Where simulation and recording differ by more than the noise.
+        effects: Missing effects, most probable first.
+        negligible: Missing effects that hardly change the held-out error, most probable first.
+        rivals: Effects that were considered and not reported, most probable first.
+        unknown: By joint, the probability that missing physics is not in the catalogue.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
-        enriched_fit: The same of the offered simulator.
-        ladders: By signal.
-        detection_limits: How small an effect could have been seen.
-        next_experiment: What to record next, where a group has several members.
-        gate: What the data gate found: timing, gaps, units; one sentence each.
-        model: The simulator that is offered: with what is named, or with all of the likeliest
-            set where that foretells left-out recordings better.
-        baseline: The simulator as fitted before anything was added.
-        evidence: For the report.
+        enriched_fit: By signal, the same errors of the enriched model.
+        ladders: By signal, held-out errors of several predictors.
+        detection_limits: Sizes of effects that the recordings could have shown.
+        next_experiment: Recommended recording, if a group has several members.
+        gate: Findings about timing, gaps and units of the data, one sentence each.
+        model: The enriched model: with the reported effects, or with the whole most probable set
+            of effects if that predicts held-out recordings better.
+        baseline: The model without effects.
+        evidence: Signals of the joints, for the report.
         unfinished: Joints whose search for sets of effects was ended by its budget.
-        provenance: As ``sim2real.output.provenance`` gives it.
+        provenance: As returned by ``sim2real.output.provenance``.
     """
 
     verdict: Verdict
@@ -252,7 +253,7 @@ class Diagnosis(NotebookDisplay):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def remaining(self, signal: str) -> float | None:
-        """Error of the enriched model, on held-out data where there are any; None if unchanged.
+        """Error of the enriched model, on held-out data if there are any; None if unchanged.
 
         Args:
             signal: The measured signal, ``"j2.position_rad"``.
@@ -264,7 +265,7 @@ class Diagnosis(NotebookDisplay):
         return None if rich == plain else rich
 
     def __str__(self) -> str:
-        """The diagnosis in a few lines."""
+        """Verdict, effects and mismatches, one per line."""
         lines = [f"verdict: {self.verdict.replace('_', ' ')}"]
         for effect in self.effects:
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement}")
@@ -280,7 +281,7 @@ class Diagnosis(NotebookDisplay):
 
     @property
     def search_ended(self) -> str:
-        """One sentence about joints whose search was ended by its budget; empty if there are none.
+        """Statement on joints whose search was ended by its budget; empty if there are none.
 
         The budget is ``search_substeps`` of ``decision.json``.
         """
@@ -288,18 +289,18 @@ class Diagnosis(NotebookDisplay):
             return ""
         return (
             f"The search for combinations of effects on {', '.join(self.unfinished)} was ended by"
-            " its budget of simulation: every effect was tried by itself, but not every combination"
-            " that looked promising."
+            " its simulation budget: every effect was tested alone, but not every promising"
+            " combination."
         )
 
     def plot(self) -> Figure:
-        """How probable what was named is, and what was considered beside it."""
+        """Probabilities of the reported effects and of their rivals."""
         figure: Figure = from_report("diagnosis_what.candidate_figure")(self)
         return figure
 
 
 def percent(share: float) -> str:
-    """A probability as terminal and pages state it; never 0 or 100 %, as nothing is certain."""
+    """A probability for display, between ``"<1 %"`` and ``">99 %"``."""
     return ">99 %" if share > 0.99 else "<1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 

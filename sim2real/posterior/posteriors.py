@@ -24,8 +24,8 @@ class Posteriors(NotebookDisplay):
 
     Attributes:
         joints: The posterior of each joint that moved.
-        checks: The posterior predictive check of each on the held-out recording, if there is one.
-        seed: The seed that they were sampled with.
+        checks: Posterior predictive check of each joint on the held-out recording, if there is one.
+        seed: Seed of the chains.
     """
 
     joints: Mapping[str, ServoPosterior]

@@ -20,21 +20,21 @@ Period = Literal["episode", "step"]
 
 @dataclass(frozen=True)
 class Range:
-    """What one parameter is drawn from.
+    """Randomization range of one parameter.
 
-    Names: ``command_latency_s`` (of all joints), ``J.latency_offset_s`` (of joint J beyond it),
+    Names: ``command_latency_s`` (all joints), ``J.latency_offset_s`` (deviation of joint J),
     ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER``, ``J.position_noise_rad``,
     ``body.position_noise_m``, ``body.yaw_noise_rad``, ``body.normalised_density.LINK``,
     ``body.EFFECT.PARAMETER``, ``EFFECT.PARAMETER`` (supply and link).
 
     Attributes:
-        parameter: Its name.
-        distribution: Uniform between ``first`` and ``second``, or normal of mean ``first`` and
+        parameter: Name of the parameter.
+        distribution: Uniform between ``first`` and ``second``, or normal with mean ``first`` and
             standard deviation ``second``.
-        first, second: See ``distribution``; SI.
-        unit: Their unit; empty for a pure number.
-        period: Whether it is drawn once an episode or anew at every step.
-        source: Which recordings and which quantiles it comes from, in words.
+        first, second: See ``distribution``; SI units.
+        unit: Unit of both; empty for a dimensionless number.
+        period: Whether it is drawn once per ``episode`` or at every ``step``.
+        source: Description of the recordings and quantiles that it is derived from.
     """
 
     parameter: str
@@ -47,14 +47,14 @@ class Range:
 
     @property
     def constant(self) -> bool:
-        """Whether every draw is the same: nothing says how far the number may be off."""
+        """Whether all draws are equal, because the uncertainty is not known."""
         return self.distribution == "uniform" and self.first == self.second
 
     def numbers(self, digits: int) -> str:
         """Low and high, or mean and standard deviation, without the unit.
 
         Args:
-            digits: Significant digits; there are more where two ends would read the same.
+            digits: Significant digits; more are used if both ends would be printed alike.
         """
         if self.constant:
             return f"{self.first:.{digits}g}"
@@ -65,7 +65,7 @@ class Range:
         return f"{self.first:.{digits}g} to {self.second:.{digits}g}"
 
     def content(self) -> dict[str, Any]:
-        """The entry as it stands in the file."""
+        """The entry in ``ranges.json``."""
         names = ("low", "high") if self.distribution == "uniform" else ("mean", "sd")
         return {
             "parameter": self.parameter,
@@ -93,13 +93,13 @@ def normal(
 
 @dataclass(frozen=True)
 class Ranges(NotebookDisplay):
-    """All ranges of one robot.
+    """The randomization ranges of a robot.
 
     Attributes:
         entries: The ranges.
         posterior: File of the joint posterior sample, relative to the file of the ranges; empty
-            where none was sampled.
-        notes: What a user must know, one sentence each.
+            if none was sampled.
+        notes: Remarks, one sentence each.
         provenance: Command line, versions, seed and SHA-256 of the inputs.
     """
 
@@ -113,7 +113,7 @@ class Ranges(NotebookDisplay):
         return next((entry for entry in self.entries if entry.parameter == parameter), None)
 
     def __str__(self) -> str:
-        """The ranges, a line each, and what a user must know."""
+        """One line per range, and notes."""
         width = max((len(entry.parameter) for entry in self.entries), default=0)
         lines = []
         for entry in self.entries:

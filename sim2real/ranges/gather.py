@@ -1,4 +1,4 @@
-"""From recordings and a model to randomization ranges: each number from data."""
+"""Randomization ranges from recordings and a model."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CLEAR = 3.0
-"""Standard deviations from which an offset between joints, or a spread, is taken for real."""
+"""Standard deviations above which an offset between joints, or a spread, is significant."""
 
 
 @dataclass(frozen=True)
 class Gathered(NotebookDisplay):
-    """Ranges and what they come from.
+    """Ranges and the estimates that they are derived from.
 
     Attributes:
         ranges: The ranges.
-        posteriors: Of each joint that was sampled.
-        checks: What each predicts of the recording held out, if there is one.
-        latencies: Latency of every episode; None where no joint moves.
-        spread: What they were drawn from, likewise.
-        density: Of the robot's links, where they state mass and length.
+        posteriors: Posterior of each sampled joint.
+        checks: Posterior predictive check of each joint on the held-out recording, if there is one.
+        latencies: Latency fitted to each recording or window; None if no joint moves.
+        spread: Distribution of the latencies; None if no joint moves.
+        density: Normalised density of the links, if they state mass and length.
     """
 
     ranges: Ranges
@@ -62,11 +62,11 @@ class Gathered(NotebookDisplay):
     density: Density | None
 
     def __str__(self) -> str:
-        """A line a range, and what a user must know."""
+        """One line per range, and notes."""
         return str(self.ranges)
 
     def plot(self) -> Figure:
-        """Latencies and their range; without any, how the mass is spread along the robot.
+        """Latencies and their range, or else the normalised densities.
 
         Raises:
             InputError: If there is neither.
@@ -81,14 +81,14 @@ class Gathered(NotebookDisplay):
 
 @dataclass(frozen=True)
 class Sampling:
-    """How posteriors are sampled.
+    """Settings of the posterior sampling.
 
     Attributes:
-        steps, walkers: Of each chain.
-        seed: Of everything random.
-        held_out: Name of the recording to check on and not sample; the last one where None.
-        file: Where the chain of a joint lives; in memory only where it gives None.
-        progress: Called with a joint and the steps made.
+        steps, walkers: Steps and walkers of each chain.
+        seed: Seed of the random numbers.
+        held_out: Name of the recording to check on and not to sample; by default the last one.
+        file: Function from a joint to the file of its chain; None keeps the chain in memory.
+        progress: Called with a joint and the number of completed steps.
     """
 
     steps: int = STEPS

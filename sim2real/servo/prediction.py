@@ -45,7 +45,7 @@ class Prediction(NotebookDisplay):
         return errors
 
     def recording(self, index: int = 0, *, source: str = "Simulated, not measured.") -> Recording:
-        """A recording with the predicted angles in the place of the measured ones."""
+        """Recording number ``index`` with the predicted instead of the measured angles."""
         return replace(
             self.recordings[index],
             position=self.angles[index],
