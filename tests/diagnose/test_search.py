@@ -8,7 +8,7 @@ import pytest
 from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing import effect_search as searching
+from sim2real.diagnose.missing import servo_search as searching
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.effect_search import BREADTH, search
 from sim2real.diagnose.missing.screening import FITTED, candidate
