@@ -95,10 +95,8 @@ def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
     every = [*references, *case]
     if is_slow(every):
         return "rest"
-    again = all(
-        any(alignment(one, other)[1] < DECISION.change.same_command for other in references)
-        for one in case
-    )
+    limit = DECISION.change.same_command
+    again = all(any(alignment(one, other)[1] < limit for other in references) for one in case)
     return "repeat" if again else "law"
 
 
@@ -128,7 +126,8 @@ def explained(
         triples = zip(left, freed, every, strict=True)
         left = [part + (f.position - t.position) for part, f, t in triples]
         telling = repeated[:R].tolist()
-        spread2 = 0.0 if any(telling) else 4 * max(_noise(t) for t in references) ** 2
+        if not any(telling):
+            spread2 = 4 * max(noise_floor(t.t, t.command, t.position) for t in references) ** 2
     if way == "law":
         shared, precision = _derivatives(every, row, servo)
     parts = [x[np.isfinite(x)] for x, tells in zip(left, telling, strict=False) if tells]
@@ -138,10 +137,6 @@ def explained(
     correlated = float(np.mean([correlation_samples(x) for x in parts])) if parts else 1.0
     variance = scale2 * (correlated if way == "law" else 1.0)
     return Explained(way, tuple(every), R, tuple(left), row, shared, precision, variance, scale2)
-
-
-def _noise(trace: Trace) -> float:
-    return noise_floor(trace.t, trace.command, trace.position)
 
 
 def _settles_s(row: Array, inertia: float, *, limits_s: tuple[float, float] = (0.05, 0.4)) -> float:
