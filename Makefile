@@ -3,6 +3,8 @@ DEVICE ?= cpu
 JOBS ?= auto
 PIP_EXTRA ?=
 BIN = .venv/bin
+# Compiled files are kept: each of the processes that tests start would else compile all of it anew
+PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 .PHONY: demo test test-all docs validate bench
 
@@ -13,10 +15,10 @@ test: .venv/installed   ## lint, types and tests, in as many processes as there 
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --num-workers $(JOBS)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-all: test   ## the slow tests too
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m slow
+	$(PYTEST) -m slow
 
 docs: .venv/installed   ## the documentation, in build/site; a warning is an error
 	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
@@ -29,7 +31,8 @@ validate: .venv/installed   ## accuracy: known servos recovered, real ones fitte
 	$(BIN)/sim2real validate --device $(DEVICE)
 	if [ $(DEVICE) != cpu ]; then $(BIN)/python benchmarks/resolution.py --device $(DEVICE) --cells 0.02 0.01 0.005; fi
 
-bench: .venv/installed   ## speed and memory, as ratios
+bench: .venv/installed   ## speed and memory, as ratios; first how fast the machine is
+	$(BIN)/python benchmarks/machine.py
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/first_hour.py
 	$(BIN)/python benchmarks/fluid_speed.py

@@ -9,7 +9,9 @@ Writes ``sim2real/diagnose/decision.json`` and ``reports/decisions.json``, the c
 read from. No sealed set is looked at before it is answered. Four logistic curves
 (``decision_curves``) say how likely a finding is: an effect, anything missing, something without a
 name, an uneven link. A number or a curve with too few cases behind it stays as it was; one that
-is a choice ("chosen") is none that data could make, and what is "kept" was set by hand.
+is a choice ("chosen"), or was read elsewhere, is none that these cases could make, and what is
+"kept" was set by hand: values of either sort, those of groups ("change.same_command") included,
+stay as they are.
 """
 
 from __future__ import annotations

@@ -1,62 +1,52 @@
 """Grade three parts of the report that decide no verdict: black box, best knockoff and formula.
 
-python datasets/foreign/make_foreign.py CASES --null 10 --single 10 --double 4 --outside 12
-python benchmarks/page_parts.py CASES DIAGNOSES RESULTS.json
+    python datasets/foreign/make_foreign.py CASES --null 10 --single 10 --double 4 --outside 12
+    python benchmarks/page_parts.py CASES DIAGNOSES RESULTS.json
 
-The diagnoses are computed once; those on disk are read. For each case and part the script compares
-a reader's conclusion with the part, the conclusion without it, and the truth:
+The parts failed and were deleted: run it on the sources of commit 36e3dae, the last to have them.
+For each case it compares a reader's conclusion with a part, the one without it, and the truth:
 
 - black box: "something is still missing". With it: its held-out error is below 90 % of the
   enriched model's. Without it: the verdict says so; or that error exceeds the noise by 10 %.
 - knockoff: "the effect named first is there". With it: the enriched model's held-out error is 5 %
   below that of the plain servo and of the best knockoff. Without it: 5 % below the plain servo's.
-- formula: "the missing torque depends on this state", any state in the formula. Without it: the
-  state that the report's sentence on the mismatch gives, or none. A formula where nothing is
-  hidden, or on another joint, is wrong.
+- formula: "the missing torque depends on this state", any state in it; wrong where nothing
+  is hidden in the joint. Without it: the state in the report's sentence on the mismatch, or none.
 
-A part corrects a case where the conclusion is right only with it, and misleads where the conclusion
-is wrong only with it. It is kept if it corrects more cases than it misleads, by at least 10 % of
-all cases; the black box must do so against both conclusions that a reader has without it.
+A part corrects where only the conclusion with it is right, and misleads where only that is wrong.
+It is kept if it corrects 10 % of the cases more than it misleads, the black box against both.
 """
-
-from __future__ import annotations
 
 import json
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.result import write_diagnosis
-from sim2real.model import read_model, write_model
 from sim2real.output import write_json
-from sim2real.recording import read_recording
-from sim2real.robot import read_robot
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets" / "concealed"))
 from grade import DETECTABLE, GIVEN_UP, SHARED, judge  # noqa: E402
+from solve import _case, _write, plain_model  # noqa: E402
 
 Row = dict[str, Any]
 Pair = tuple[bool | None, bool | None]
 BLACK_BOX, NOISE, GAIN, KEEP_SHARE = 0.9, 1.1, 0.95, 0.1
-TRUE_STATES = {"speed_sign": {"speed"}, "jam": {"time", "speed"}}
-"""States by effect or driver of the generator; the driver itself for the others."""
+TRUE_STATES = {"speed_sign": {"speed"}, "jam": {"time", "speed"}}  # else the driver itself
 SENTENCES = [("angle", "position"), ("joint speed", "speed"), ("position error", "load"),
              ("time", "time"), ("segments", "time"), ("vibration", "time"), ("instant", "time"),
              ("another joint", "other_joint")]  # fmt: skip
-"""Words of the report's sentence on a mismatch, and the state that they mean."""
 
 
 def main(cases: Path, diagnoses: Path, results: Path) -> None:
-    """Diagnose, grade, write and print."""
+    """Diagnose what is not on disk yet, grade and write."""
     rows, truths = [], json.loads((cases / "answers.json").read_text())
     for truth in truths:
         folder = diagnoses / truth["case"]
-        if not (folder / "diagnosis.json").exists():
+        if not folder.exists():
             answer(cases / "inputs" / truth["case"], folder)
         judged = judge(truth, folder, cases / "heldout" / truth["case"])
         rows.append(graded(truth, judged, json.loads((folder / "diagnosis.json").read_text())))
@@ -64,19 +54,13 @@ def main(cases: Path, diagnoses: Path, results: Path) -> None:
     joints = separation([joint for row in rows for joint in row["joints"]])
     seed = str(truths[0]["seed"][0])
     write_json(results, {"seed": seed, "parts": parts, "joints": joints, "cases": rows})
-    print(json.dumps({"parts": parts, "joints": joints}, indent=1))
 
 
 def answer(inputs: Path, folder: Path) -> None:
     """Diagnose one case with all that a report shows, and write what ``judge`` reads."""
-    recordings = [read_recording(path) for path in sorted(inputs.glob("[ab].csv"))]
-    given = inputs / "model.json"
-    model = read_model(given) if given.exists() else None
-    found = diagnose(recordings, read_robot(inputs / "robot.toml"), model=model)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_model(found.model, folder / "enriched.json")
-    write_model(found.baseline or found.model, folder / "baseline.json")
-    write_diagnosis(found, folder / "diagnosis.json", "enriched.json")
+    case = _case(inputs)
+    found = diagnose(case.recordings, case.robot, model=case.model)
+    _write(folder, found, plain_model(found))
 
 
 def graded(truth: Row, judged: Row, said: Row) -> Row:
@@ -96,21 +80,13 @@ def graded(truth: Row, judged: Row, said: Row) -> Row:
             parts[f"black box{which} against {name}"] = right
     parts["best knockoff"] = knockoff(judged["entries"], shown)
     parts["formula"] = formula(truth, said["hypothesis"], where)
-    kept = {key: judged[key] for key in ("case", "kind", "plant", "truth", "verdict", "entries")}
-    joints = [
-        {"joint": j, "shown": j in shown, "missing": bool({j, *SHARED} & missing), **x}
-        for j, x in ladders.items()
-    ]
-    return {
-        **kept,
-        "joints": joints,
-        "formulas": said["hypothesis"],
-        "where": where,
-        "parts": parts,
-    }
+    joints = [{"joint": j, "shown": j in shown, "missing": bool({j, *SHARED} & missing), **x}
+              for j, x in ladders.items()]  # fmt: skip
+    row = {key: judged[key] for key in ("case", "kind", "plant", "truth", "verdict", "entries")}
+    return row | {"joints": joints, "formulas": said["hypothesis"], "where": where, "parts": parts}
 
 
-def still_missing(truth: Row, entries: Sequence[Row]) -> set[str]:
+def still_missing(truth: Row, entries: list[Row]) -> set[str]:
     """Components of hidden physics that can be detected and has no right name."""
     hidden, oracle = truth["effects"], truth["oracle"]
     if truth["kind"] == "outside" or not hidden:
@@ -118,18 +94,17 @@ def still_missing(truth: Row, entries: Sequence[Row]) -> set[str]:
     ratios = oracle.get("llr_of_each", {0: oracle["llr_total"]}).values()
     useful = oracle.get("practical_of_each", {0: oracle["practical"]}).values()
     named = [name for entry in entries for name in entry["group"]]
-    every = zip(hidden, ratios, useful, strict=True)
-    open_ones = [one for one, ratio, use in every if ratio >= DETECTABLE and use]
-    return {one["component"] for one in open_ones if one["effect"] not in named}
+    return {one["component"] for one, ratio, use in zip(hidden, ratios, useful, strict=True)
+            if ratio >= DETECTABLE and use and one["effect"] not in named}  # fmt: skip
 
 
-def knockoff(entries: Sequence[Row], shown: Row) -> Pair | None:
+def knockoff(entries: list[Row], shown: Row) -> Pair | None:
     """Whether the first name is rightly believed, with the knockoff and without; None if none."""
-    if not entries or not shown:
+    some = [x for j, x in shown.items() if entries and entries[0]["component"] in (j, *SHARED)]
+    if not some:
         return None
-    some = [x for j, x in shown.items() if entries[0]["component"] in (j, *SHARED)]
     gains = [x for x in some if x["enriched"] < GAIN * x["baseline"]]
-    beats = any(x["enriched"] < GAIN * x["best_knockoff"] for x in gains)
+    beats = any(x["enriched"] < GAIN * float(x["best_knockoff"]) for x in gains)
     return beats == entries[0]["right"], bool(gains) == entries[0]["right"]
 
 
@@ -138,32 +113,30 @@ def formula(truth: Row, formulas: Row, where: Row) -> Pair | None:
     true: dict[str, set[str]] = {}
     for one in truth["effects"]:
         states = TRUE_STATES.get(one["effect"]) or TRUE_STATES.get(one["driver"], {one["driver"]})
-        true.setdefault(one["component"], set()).update(states)
+        true[one["component"]] = true.get(one["component"], set()) | states
     found = []
     for joint, text in formulas.items():
         told = [state for words, state in SENTENCES if words in where[joint]]
+        there = set().union(*(true.get(part, set()) for part in (joint, *SHARED)))
         own = re.sub(r"(speed|acceleration) of \w+", "other_joint", text)
-        there = true.get(joint, set())
-        right = bool(there & set(re.findall(r"position|speed|load|time|other_joint", own)))
-        found.append((right, told[0] in there if told else None))
+        states = set(re.findall(r"position|speed|load|time|other_joint", own))
+        found.append((bool(there & states), told[0] in there if told else None))
     return max(found, key=lambda pair: pair[0]) if found else None
 
 
-def summary(pairs: Sequence[Pair | None]) -> Row:
+def summary(pairs: list[Pair | None]) -> Row:
     """Cases that a part corrects and misleads, and whether it is kept."""
     shown = [pair for pair in pairs if pair is not None]
     corrected = sum(a is True and b is not True for a, b in shown)
     misled = sum(a is False and b is not False for a, b in shown)
-    row = {"shown": len(shown), "right_with": sum(a is True for a, _ in shown)}
-    row |= {"right_without": sum(b is True for _, b in shown)}
-    kept = (corrected - misled) / len(pairs) >= KEEP_SHARE
-    return row | {"corrected": corrected, "misled": misled, "of": len(pairs), "kept": kept}
+    return {"of": len(pairs), "shown": len(shown), "corrected": corrected, "misled": misled,
+            "kept": (corrected - misled) / len(pairs) >= KEEP_SHARE}  # fmt: skip
 
 
-def separation(joints: Sequence[Row]) -> Row:
+def separation(joints: list[Row]) -> Row:
     """How black box and noise tell joints that miss something from those that miss nothing."""
-    found: Row = {}
-    for name, some in (("all", joints), ("shown", [x for x in joints if x["shown"]])):
+    found: Row = {"all": joints, "shown": [x for x in joints if x["shown"]]}
+    for name, some in found.items():
         two = [[x for x in some if x["missing"] == missing] for missing in (True, False)]
         lower = [sum(x["black_box"] < BLACK_BOX * x["enriched"] for x in y) for y in two]
         found[name] = {"missing": len(two[0]), "nothing": len(two[1]), "black_box_lower": lower}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import Z90
 from sim2real.model import Model
 from sim2real.robot import Robot
 
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-
-Z90 = 1.645
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,12 @@ from scipy.special import chdtri, logsumexp, ndtr
 
 Array = NDArray[np.float64]
 
-FINEST_STEP_RAD = 5e-6  # smaller steps cannot be distinguished from printing with six decimals
-COARSEST_STEP_RAD = 0.05  # 126 counts a turn
 BLOCK = 10  # samples over which a joint at rest may drift along a line
-FEWEST_BLOCKS = 4  # 32 degrees of freedom: the standard deviation is good to 12 %
-STILL_COMMAND_RAD = 1e-4
-DIFFERENCES = 20  # in a block
 
 
-def quantization_step(position: Array) -> float:
+def quantization_step(
+    position: Array, *, finest_rad: float = 5e-6, coarsest_rad: float = 0.05
+) -> float:
     """Step of the grid on which all positions lie.
 
     The step is the greatest common divisor of the gaps between the visited levels, up to the
@@ -29,6 +26,8 @@ def quantization_step(position: Array) -> float:
 
     Args:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
+        finest_rad: Smallest step; below it none can be told from printing with six decimals.
+        coarsest_rad: Largest step, by default that of 126 counts a turn.
 
     Returns:
         The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
@@ -45,11 +44,11 @@ def quantization_step(position: Array) -> float:
     for divisor in range(1, candidates + 1):
         step = _refined(gaps, float(gaps.min()) / divisor)
         error = float(np.abs(gaps - step * np.round(gaps / step)).max())
-        if step < FINEST_STEP_RAD or error > min(1.1 * printed, step / 5):
+        if step < finest_rad or error > min(1.1 * printed, step / 5):
             continue
         chance = min(1.0, (2 * error + printed) / step)  # that a gap of any length fits
         if repeated or (gaps.size - 1) * np.log(chance) < np.log(1e-4 / candidates):
-            return step if step <= COARSEST_STEP_RAD else 0.0
+            return step if step <= coarsest_rad else 0.0
     return 0.0
 
 
@@ -71,7 +70,7 @@ def _refined(gaps: Array, step: float) -> float:
     return step
 
 
-def noise_floor(t: Array, command: Array, position: Array) -> float:
+def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int = 4) -> float:
     """Standard deviation of the measurement noise, including quantization.
 
     It is estimated from segments where the command is constant and the joint has settled: variance
@@ -86,6 +85,8 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad, shape (T,); NaN where there is none.
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
+        fewest_blocks: Blocks of 10 samples at rest that the estimate takes; 4 have 32 degrees of
+            freedom, with which the standard deviation is good to 12 %.
 
     Returns:
         The standard deviation in rad, at least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
@@ -95,7 +96,7 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
     t, command, position = t[given], command[given], position[given]
     blocks, variance = _quiet_blocks(t, command, position, step)
     sd = difference_noise(t, position)
-    if len(blocks) >= FEWEST_BLOCKS:
+    if len(blocks) >= fewest_blocks:
         at_rest = float(np.sqrt(variance.mean()))
         if at_rest < 0.6 * step:
             sd = float(np.hypot(_noise_before_rounding(blocks / step) * step, step / np.sqrt(12)))
@@ -104,7 +105,7 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
     return max(sd, step / float(np.sqrt(12)))
 
 
-def difference_noise(t: Array, position: Array) -> float:
+def difference_noise(t: Array, position: Array, *, block: int = 20) -> float:
     """Standard deviation of the noise on a moving joint, from differences of high order.
 
     Each ``order + 1`` neighbouring samples are combined with the weights of the divided
@@ -116,6 +117,7 @@ def difference_noise(t: Array, position: Array) -> float:
     Args:
         t: Times in s, shape (T,), increasing.
         position: Measured angles in rad, shape (T,), none missing.
+        block: Samples of a block.
 
     Returns:
         The standard deviation in rad; 0.0 for fewer than 6 samples.
@@ -131,7 +133,7 @@ def difference_noise(t: Array, position: Array) -> float:
         weight = 1 / np.stack([between.prod(axis=1) for between in apart], axis=1)
         weight /= np.linalg.norm(weight, axis=1, keepdims=True)
         square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
-        size = min(DIFFERENCES, square.size)
+        size = min(block, square.size)
         blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
         # Neighbouring differences share samples, so that fewer of a block's are free.
         free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
@@ -169,11 +171,11 @@ def _quietest(variance: Array, freedom: float) -> float:
     return float(np.quantile(variance, 0.2)) * freedom / float(chdtri(freedom, 0.8))
 
 
-def _still_edges(command: Array) -> list[int]:
+def _still_edges(command: Array, *, still_rad: float = 1e-4) -> list[int]:
     """Starts of the segments of constant command, and the end of the last."""
     edges = [0]
     for k in np.flatnonzero(np.diff(command)) + 1:
-        if abs(command[k] - command[edges[-1]]) > STILL_COMMAND_RAD:
+        if abs(command[k] - command[edges[-1]]) > still_rad:
             edges.append(int(k))
     return [*edges, command.size]
 

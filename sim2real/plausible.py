@@ -5,6 +5,8 @@ What is merely odd is a finding of ``check``; what is refused here can only be a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,31 +18,54 @@ from sim2real.robot import Joint, Robot, match_joints
 
 Array = NDArray[np.float64]
 
-FAR_BEYOND = 6.0
-"""Times half the joint's range, from its middle: degrees read as radians are 57 times too large."""
-MUCH_FASTER = 4.0
-"""Times the no-load speed of the data sheet, which servos exceed by half at a higher voltage."""
-MUCH_STRONGER = 6.0
-"""Times the stall torque of the data sheet, which servos exceed by half at a higher voltage."""
-SPEED_WINDOW_S, TORQUE_WINDOW_S = 0.1, 0.06
-USUALLY = 0.99
-"""Quantile of speed and acceleration that counts, so that an outlier or an end stop does not."""
-FEWEST_SAMPLES = 20
+
+@dataclass(frozen=True)
+class PlausibleLimits:
+    """What no recording of a servo exceeds, unless by a mistake.
+
+    Attributes:
+        range_ratio: Distance of a command from the middle of the joint's range, in half ranges:
+            degrees read as radians are 57 times too large.
+        speed_ratio: Times the no-load speed of the data sheet, which servos exceed by half at a
+            higher voltage.
+        torque_ratio: Times the stall torque of the data sheet, which servos exceed by half at a
+            higher voltage.
+        speed_window_s: Time over which a speed is measured.
+        torque_window_s: Time over which an acceleration is measured.
+        quantile: Quantile of speed and acceleration that counts, so that an outlier or an end stop
+            does not.
+        fewest_samples: With fewer samples speed and torque are not checked.
+    """
+
+    range_ratio: float = 6.0
+    speed_ratio: float = 4.0
+    torque_ratio: float = 6.0
+    speed_window_s: float = 0.1
+    torque_window_s: float = 0.06
+    quantile: float = 0.99
+    fewest_samples: int = 20
 
 
-def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
+PLAUSIBLE = PlausibleLimits()
+"""The defaults."""
+
+
+def validate_recording(
+    recording: Recording, robot: Robot | None = None, *, limits: PlausibleLimits = PLAUSIBLE
+) -> None:
     """Refuse a recording whose times, commands or measured angles can only be a mistake.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded; without it units of angles and loads are not checked.
+        limits: What counts as a mistake.
 
     Raises:
         InputError: If the robot lacks a joint, the sampling period is none of a servo bus, a column
             is both command and position, a joint moves before its command, or angles, speeds or
             torques are many times those that the robot's file states.
     """
-    validate_commands(recording, robot)
+    validate_commands(recording, robot, limits=limits)
     for j, joint in enumerate(recording.joints):
         powered = recording.powered(j)
         t, command = recording.t[:powered], recording.command[:powered, j]
@@ -49,12 +74,19 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
             _check_columns(recording, joint, t, command, position)
         sheet = robot.joint(joint) if robot else None
         if sheet is not None:
-            _check_speed(recording, sheet, recording.position[:, j])
-            _check_torque(recording, sheet, recording.position[:, j])
+            _check_speed(recording, sheet, recording.position[:, j], limits=limits)
+            _check_torque(recording, sheet, recording.position[:, j], limits=limits)
 
 
-def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
+def validate_commands(
+    recording: Recording, robot: Robot | None = None, *, limits: PlausibleLimits = PLAUSIBLE
+) -> None:
     """Refuse times and commands that can only be a mistake; what was measured is not looked at.
+
+    Args:
+        recording: The recording.
+        robot: The robot that was recorded; without it only the times are checked.
+        limits: What counts as a mistake.
 
     Raises:
         InputError: If the robot lacks a joint, the sampling period is none of a servo bus, or a
@@ -71,7 +103,7 @@ def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
         low, high = joint.limits_rad
         away = np.abs(command - (low + high) / 2)
         row = int(np.nanargmax(away))
-        if away[row] > FAR_BEYOND * (high - low) / 2:
+        if away[row] > limits.range_ratio * (high - low) / 2:
             raise InputError(
                 recording.file,
                 f"{name}.command_rad at {recording.t[row]:.4g} s",
@@ -107,34 +139,38 @@ def _check_columns(
         )
 
 
-def _check_speed(recording: Recording, joint: Joint, position: Array) -> None:
+def _check_speed(
+    recording: Recording, joint: Joint, position: Array, *, limits: PlausibleLimits
+) -> None:
     """Refuse angles that change much faster than the servo turns, as degrees do."""
     if not joint.servo.states("no_load_speed_rad_s"):
         return
     seen = np.isfinite(position)
-    if seen.sum() < FEWEST_SAMPLES:
+    if seen.sum() < limits.fewest_samples:
         return
     t, angle = recording.t[seen], position[seen]
-    window = _window(t, SPEED_WINDOW_S)
+    window = _window(t, limits.speed_window_s)
     change = np.abs(
         np.interp(t[t <= t[-1] - window] + window, t, angle) - angle[t <= t[-1] - window]
     )
     stated = joint.servo.no_load_speed_rad_s
     if (
-        change.size < FEWEST_SAMPLES
-        or np.quantile(change, USUALLY) <= MUCH_FASTER * stated * window
+        change.size < limits.fewest_samples
+        or np.quantile(change, limits.quantile) <= limits.speed_ratio * stated * window
     ):
         return
     raise InputError(
         recording.file,
         f"{joint.name}.position_rad",
-        f"motion at {np.quantile(change, USUALLY) / window:.3g} rad/s",
+        f"motion at {np.quantile(change, limits.quantile) / window:.3g} rad/s",
         f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in degrees, "
         "the times in another unit, or is that number wrong?)",
     )
 
 
-def _check_torque(recording: Recording, joint: Joint, position: Array) -> None:
+def _check_torque(
+    recording: Recording, joint: Joint, position: Array, *, limits: PlausibleLimits
+) -> None:
     """Refuse a load that the servo is too weak for to have accelerated as it was seen to.
 
     The second difference over a window is a mean of the acceleration, so it never exceeds the
@@ -144,18 +180,18 @@ def _check_torque(recording: Recording, joint: Joint, position: Array) -> None:
     if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
         return
     seen = np.isfinite(position)
-    if seen.sum() < FEWEST_SAMPLES:
+    if seen.sum() < limits.fewest_samples:
         return
     t, angle = recording.t[seen], position[seen]
-    window = _window(t, TORQUE_WINDOW_S)
+    window = _window(t, limits.torque_window_s)
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
-    if middle.size < FEWEST_SAMPLES:
+    if middle.size < limits.fewest_samples:
         return
     before, now, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
     acceleration = np.abs(after - 2 * now + before) / window**2
-    usual = float(np.quantile(acceleration, USUALLY)) - 2 * float(np.median(acceleration))
+    usual = float(np.quantile(acceleration, limits.quantile)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
-    if torque <= MUCH_STRONGER * stated:
+    if torque <= limits.torque_ratio * stated:
         return
     raise InputError(
         recording.file,

@@ -79,7 +79,6 @@ def findings(
         effects=tuple(named),
         rivals=tuple(rivals),
         unknown={},
-        hypothesis={},
         baseline_fit=figures(0),
         enriched_fit=figures(1),
         ladders={},

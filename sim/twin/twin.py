@@ -33,7 +33,7 @@ from sim2real.servo.parameters import CELLS
 Array = NDArray[np.float64]
 
 SUBSTEPS = 8
-"""Sub-steps per control period: twice as many change the path of a 10 s swim by less than 1 %."""
+"""Sub-steps per control period: doubling them changes a path of 10 s by less than 1 %."""
 
 
 class Twin:

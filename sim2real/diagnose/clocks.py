@@ -23,8 +23,6 @@ from sim2real.servo.parameters import COLUMNS
 Array = NDArray[np.float64]
 
 _DRIFT = COLUMNS.index("clock_drift.s_per_s")
-_STEP = 1e-4
-"""Drift whose response stands for that of any."""
 
 
 def on_one_clock(
@@ -67,17 +65,20 @@ def on_one_clock(
     return found
 
 
-def _known(batch: Batch, best: Hypothesis, recordings: int) -> tuple[Array, Array]:
+def _known(
+    batch: Batch, best: Hypothesis, recordings: int, *, step: float = 1e-4
+) -> tuple[Array, Array]:
     """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,).
 
-    After the parameters that all recordings share have taken up what they can.
+    After the parameters that all recordings share have taken up what they can. The response to a
+    drift of ``step`` stands for that to any.
     """
     servos = best.fit.servos
     own = variants(servos)
     free = np.flatnonzero(servos.columns[0] != _DRIFT)
     theta = np.concatenate([own.theta[:, :1], own.theta[:, 1 + free], own.theta[:, :1]], axis=1)
-    theta[0, -1, _DRIFT] += _STEP
-    scale = np.concatenate([own.scale[:, :1], own.scale[:, 1 + free], [[1 / _STEP]]], axis=1)
+    theta[0, -1, _DRIFT] += step
+    scale = np.concatenate([own.scale[:, :1], own.scale[:, 1 + free], [[1 / step]]], axis=1)
     given = best.fit.autoregression
     gram = batch.evaluate(Problems(servos.joint, theta, scale), autoregression=given).gram[0]
     gram = gram[:recordings] * float(best.fit.count[0] / best.fit.error2[0])

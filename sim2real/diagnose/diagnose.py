@@ -98,16 +98,15 @@ def diagnose_all(
         negligible: As of ``diagnose``.
         seed: Seed of the bootstraps.
         device: Warp device.
-        thorough: Whether to work out knockoffs, the black box, detection limits, the next
-            experiment and what the figures show as well.
+        thorough: Whether to work out detection limits, the next experiment and what the figures
+            show as well.
         progress: Called with the share that is done.
     """
-    rng = np.random.default_rng(seed)
     found = []
     for case, joints in examined(cases, seed=seed, device=device, progress=progress):
         found.append(diagnosis(case, joints, negligible, seed))
         if thorough:
-            found[-1] = with_checks(found[-1], case, joints, rng)
+            found[-1] = with_checks(found[-1], case, joints)
     return found
 
 

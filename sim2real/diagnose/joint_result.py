@@ -19,12 +19,12 @@ from sim2real.identification.servo_problem import Hypothesis, Set
 from sim2real.identification.torque_speed_line import with_stated_line
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.folds import rms
+from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import COLUMNS, stated
 
 Array = NDArray[np.float64]
 
-_Q95 = 1.645
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
 
@@ -139,7 +139,7 @@ class JointFindings:
         link, step = self.finding.link, self.finding.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:
-            ends = max(link.value - _Q95 * link.sd, 0.0), link.value + _Q95 * link.sd
+            ends = max(link.value - Z90 * link.sd, 0.0), link.value + Z90 * link.sd
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
@@ -153,7 +153,7 @@ class JointFindings:
             mean = float(servos.theta[0, servos.columns[0, k]])
             law = 0.0 if name.endswith("phase_rad") else DECISION.law_error * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
-            low, high = mean - _Q95 * sd, mean + _Q95 * sd
+            low, high = mean - Z90 * sd, mean + Z90 * sd
             low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
             found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
         return found
@@ -193,7 +193,7 @@ def includes_zero(found: Hypothesis, effect: str) -> bool:
     if is_limit(size) or not free.size:
         return False
     sd = float(np.sqrt(_spread2(found)[free[0]]) * servos.unit[0, free[0]])
-    return abs(float(servos.theta[0, column])) <= _Q95 * sd
+    return abs(float(servos.theta[0, column])) <= Z90 * sd
 
 
 def servo(joint: JointCase, theta: Array, hypothesis: Hypothesis) -> JointModel:

@@ -170,16 +170,11 @@ class Ladder:
     Attributes:
         baseline: The plain servo.
         enriched: The enriched model; equal to ``baseline`` if it has no effects.
-        best_knockoff: With the best knockoff, a synthetic effect without a cause, selected on the
-            data of the fit.
-        black_box: With a black-box model of the commands and the plain servo's prediction.
         noise: Standard deviation of the measurement noise, a lower bound.
     """
 
     baseline: float
     enriched: float
-    best_knockoff: float | None
-    black_box: float | None
     noise: float
 
 
@@ -225,7 +220,6 @@ class Diagnosis(NotebookDisplay):
         negligible: Missing effects that hardly change the held-out error, most probable first.
         rivals: Effects that were considered and not reported, most probable first.
         unknown: By joint, the probability that missing physics is not in the catalogue.
-        hypothesis: By joint, a formula for what no effect explains; not a finding.
         baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
         enriched_fit: By signal, the same errors of the enriched model.
         ladders: By signal, held-out errors of several predictors.
@@ -248,7 +242,6 @@ class Diagnosis(NotebookDisplay):
     baseline_fit: Mapping[str, Mapping[str, float | None]]
     enriched_fit: Mapping[str, Mapping[str, float | None]]
     model: Model
-    hypothesis: Mapping[str, str] = field(default_factory=dict)
     ladders: Mapping[str, Ladder] = field(default_factory=dict)
     detection_limits: tuple[DetectionLimit, ...] = ()
     next_experiment: Experiment | None = None
@@ -280,8 +273,6 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
-        for joint, formula in self.hypothesis.items():
-            lines.append(f"  {joint}: hypothesis, not a finding: {formula}")
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
         if self.next_experiment is not None:
@@ -338,7 +329,6 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "negligible": [asdict(effect) for effect in diagnosis.negligible],
         "rivals": [asdict(rival) for rival in diagnosis.rivals],
         "unknown": dict(diagnosis.unknown),
-        "hypothesis": dict(diagnosis.hypothesis),
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],

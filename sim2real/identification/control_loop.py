@@ -21,23 +21,49 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-RATES_HZ = 90.0, 1100.0
-"""Rates of controllers that are looked for; a faster one cannot be told from none."""
-_MOST_STEPS, _LARGE = 60, 0.1
-"""Steps of a recording whose delay is measured; the least, as a share of the largest."""
-_DELAY_S = 1e-3
-"""Delay by which it is measured what one does."""
-_DELAY_SD_S = 0.004
-"""Spread of the delays beside their mean."""
-_IN_STEP = 0.95
-"""Length of the mean phase of set-points from which on they keep step with a loop."""
-_FEWEST = 12
-"""Steps from which a period can be told."""
-_CANDIDATES, _LATENCIES, _STEPS, _FINE, _BEST, _ROUNDS = 6, 16, 8, 64, 2, 3
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 
 
-def sampled(motor: MotorFit) -> MotorFit | None:
+@dataclass(frozen=True)
+class LoopSearch:
+    """How the period of a sampled controller is searched.
+
+    Attributes:
+        rates_Hz: Rates of controllers that are looked for; a faster one cannot be told from none.
+        most_steps: Steps of a recording whose delay is measured.
+        least_step: Least of these steps, as a share of the largest.
+        delay_s: Delay by which it is measured what one does.
+        delay_sd_s: Prior standard deviation of the delays about their mean.
+        in_step: Length of the mean phase of set-points from which on they keep step with a loop.
+        fewest_steps: Steps from which a period can be told.
+        candidates: Rates that are tried, besides those they may be harmonics of.
+        latencies: Latencies that are tried with each rate.
+        first_steps: Most steps of the first fits.
+        phases: Phases that are tried about a fit.
+        best: The best of these, which are refitted.
+        rounds: Rounds of phases and refits.
+    """
+
+    rates_Hz: tuple[float, float] = (90.0, 1100.0)
+    most_steps: int = 60
+    least_step: float = 0.1
+    delay_s: float = 1e-3
+    delay_sd_s: float = 0.004
+    in_step: float = 0.95
+    fewest_steps: int = 12
+    candidates: int = 6
+    latencies: int = 16
+    first_steps: int = 8
+    phases: int = 64
+    best: int = 2
+    rounds: int = 3
+
+
+LOOP_SEARCH = LoopSearch()
+"""The defaults."""
+
+
+def sampled(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> MotorFit | None:
     """The fit with the sampled loop that explains the recordings best; its gain is not judged.
 
     From a fit without a loop, to whose latency the wait for the next look has added. All recordings
@@ -45,21 +71,22 @@ def sampled(motor: MotorFit) -> MotorFit | None:
 
     Args:
         motor: A fit without a loop.
+        search: Settings of the search.
 
     Returns:
         None where too few steps tell.
     """
-    sent, delay, spread = arrivals(motor)
-    if sent.size < _FEWEST:
+    sent, delay, spread = arrivals(motor, search=search)
+    if sent.size < search.fewest_steps:
         return None
-    rates = _rates(sent + delay, spread)
-    coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread) for hz in rates])
+    rates = _rates(sent + delay, spread, search=search)
+    coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread, search=search) for hz in rates])
     loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
     near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    found = refitted(motor, near, _STEPS)[0]
-    for _ in range(_ROUNDS):
-        fine = np.concatenate([found.x[None], _nearby(found)])
-        found = refitted(found, fine[np.argsort(found.rough_losses(fine))[:_BEST]])[0]
+    found = refitted(motor, near, search.first_steps)[0]
+    for _ in range(search.rounds):
+        fine = np.concatenate([found.x[None], _nearby(found, search=search)])
+        found = refitted(found, fine[np.argsort(found.rough_losses(fine))[: search.best]])[0]
     return found
 
 
@@ -78,7 +105,7 @@ class Hidden:
     kd: float
 
 
-def hidden(motor: MotorFit) -> Hidden | None:
+def hidden(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Hidden | None:
     """The slowest sampled loop that the recordings cannot tell from none.
 
     One whose looks keep step with the set-points: each then waits as long as any other, which is as
@@ -86,6 +113,7 @@ def hidden(motor: MotorFit) -> Hidden | None:
 
     Args:
         motor: A fit without a loop.
+        search: Settings of the search.
 
     Returns:
         None where set-points come at odd times, or where the fit has a loop.
@@ -97,33 +125,38 @@ def hidden(motor: MotorFit) -> Hidden | None:
     if times.size < 2:
         return None
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
-    for n in range(1, 1 + int(RATES_HZ[1] * sampling)):
+    for n in range(1, 1 + int(search.rates_Hz[1] * sampling)):
         period = sampling / n
-        if 1 / period < RATES_HZ[0]:
+        if 1 / period < search.rates_Hz[0]:
             continue
-        if abs(np.exp(2j * np.pi * times / period).mean()) > _IN_STEP:
+        if abs(np.exp(2j * np.pi * times / period).mean()) > search.in_step:
             return Hidden(period, *_held_gains(motor, period))
     return None
 
 
-def arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
-    """When large steps of the command were sent, how late they acted, its spreads, in s, (K,)."""
+def arrivals(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> tuple[Array, Array, Array]:
+    """When large steps of the command were sent, how late they acted, its spreads, in s, (K,).
+
+    Args:
+        motor: A fit without a loop.
+        search: Settings of the search.
+    """
     times, delays, spreads = [], [], []
     scale = motor.fit.scale_rad
     for trace, error, slopes in zip(
         motor.problem.traces, motor.fit.residuals, motor.fit.jacobians, strict=True
     ):
         jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
-        step = np.flatnonzero(jump > _LARGE * jump.max())
-        step = np.sort(step[np.argsort(-jump[step])[:_MOST_STEPS]])
+        step = np.flatnonzero(jump > search.least_step * jump.max())
+        step = np.sort(step[np.argsort(-jump[step])[: search.most_steps]])
         step = step[(step > 0) & (step < trace.t.size - 1)]
         if not step.size:
             continue
-        late = _effect_of_delay(motor, trace, step)[trace.used]
+        late = _effect_of_delay(motor, trace, step, search=search)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
         every = np.hstack([late, slopes / units])
         believed = np.concatenate(
-            [np.full(step.size, (scale / _DELAY_SD_S) ** 2), 1e-9 + 0 * units]
+            [np.full(step.size, (scale / search.delay_sd_s) ** 2), 1e-9 + 0 * units]
         )
         precision = every.T @ every + np.diag(believed)
         inverse = np.linalg.inv(precision)
@@ -136,11 +169,13 @@ def arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
     return np.concatenate(times), np.concatenate(delays), np.concatenate(spreads)
 
 
-def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> Array:
+def _effect_of_delay(
+    motor: MotorFit, trace: Trace, step: NDArray[np.intp], *, search: LoopSearch
+) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     moved = [trace]
     for k in step:
-        later = min(_DELAY_S, 0.5 * float(trace.t[k + 1] - trace.t[k]))
+        later = min(search.delay_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
         command = np.insert(trace.command, k, trace.command[k - 1])
         moved.append(
             replace(
@@ -159,10 +194,10 @@ def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> A
     return np.stack(late, axis=1)
 
 
-def _rates(times: Array, spread: Array) -> Array:
+def _rates(times: Array, spread: Array, *, search: LoopSearch) -> Array:
     """Rates in Hz at which the times lie best on a lattice, best first."""
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
-    rates = np.arange(*RATES_HZ, fine)
+    rates = np.arange(*search.rates_Hz, fine)
     power = np.empty(rates.size)
     block = max(1, 10**6 // times.size)
     turned = np.exp(2j * np.pi * fine * np.arange(min(block, rates.size))[:, None] * times)
@@ -176,15 +211,23 @@ def _rates(times: Array, spread: Array) -> Array:
     for k in np.argsort(-power):
         if all(abs(rates[k] - other) > 5 * fine for other in chosen):
             chosen.append(float(rates[k]))
-        if len(chosen) == _CANDIDATES:
+        if len(chosen) == search.candidates:
             break
     for slower in [one / n for one in chosen for n in (2, 3)]:  # whose harmonics they may be
-        if slower > RATES_HZ[0] and all(abs(slower - other) > 5 * fine for other in chosen):
+        if slower > search.rates_Hz[0] and all(abs(slower - other) > 5 * fine for other in chosen):
             chosen.append(slower)
     return np.array(chosen)
 
 
-def _looped(motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array) -> Array:
+def _looped(
+    motor: MotorFit,
+    period_s: float,
+    sent: Array,
+    delay: Array,
+    spread: Array,
+    *,
+    search: LoopSearch,
+) -> Array:
     """Servos as searched with a loop of that period, one a latency, shape (latencies, F).
 
     The phase is that of the arrivals; the latency is shorter than any delay by up to a period.
@@ -192,8 +235,8 @@ def _looped(motor: MotorFit, period_s: float, sent: Array, delay: Array, spread:
     prior = motor.problem.prior
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
-    x = np.tile(motor.x, (_LATENCIES, 1))
-    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, _LATENCIES)
+    x = np.tile(motor.x, (search.latencies, 1))
+    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, search.latencies)
     x[:, _LATENCY] = np.maximum(shortest, 0.0)
     x[:, prior.index(LOOP[0])] = period_s
     x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
@@ -217,11 +260,11 @@ def _held_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
     return more * kp, more * (kd + kp * half)
 
 
-def _nearby(found: MotorFit) -> Array:
+def _nearby(found: MotorFit, *, search: LoopSearch) -> Array:
     """Servos as searched, set-points of which wait for an earlier or a later look."""
     prior = found.problem.prior
     length, phase = found.x[prior.index(LOOP[0])], prior.index(LOOP[1])
-    near = np.linspace(-0.5, 0.5, _FINE + 1) * length
+    near = np.linspace(-0.5, 0.5, search.phases + 1) * length
     x = np.tile(found.x, (near.size, 1))
     x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - near, 0.0)  # the looks stay where they are
     x[:, phase] = (found.x[phase] + found.x[_LATENCY] - x[:, _LATENCY]) % length

@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 STRENGTHS = (0.3, 1.0, 3.0, 10.0)
 """Multiples of the typical value from which each parameter of an effect starts."""
-_MOST_STARTS = 256
 
 
 def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) -> Fit:
@@ -44,11 +43,16 @@ def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) 
 
 
 def _starts(
-    traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect], added: Sequence[Parameter]
+    traces: Sequence[Trace],
+    plain: Fit,
+    effects: Sequence[Effect],
+    added: Sequence[Parameter],
+    *,
+    most_starts: int = 256,
 ) -> Array:
     """For each strength of each parameter the combination that fits best, gains as fitted."""
     choices = [[min(max(s * p.nominal, p.low), p.high) for s in STRENGTHS] for p in added]
-    every = len(STRENGTHS) ** len(choices) <= _MOST_STARTS
+    every = len(STRENGTHS) ** len(choices) <= most_starts
     grid = np.array(
         list(itertools.product(*choices)) if every else list(zip(*choices, strict=True))
     )

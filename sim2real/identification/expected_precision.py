@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sim2real.identification.fit import fit, gains, inertia_left_out
 from sim2real.identification.initial_guess import first_guess
+from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Recording
@@ -14,7 +15,6 @@ from sim2real.servo.trace import traces
 
 Array = NDArray[np.float64]
 
-_Z90 = 1.645
 _NAMES = ("kp", "kd", "latency", "inertia left out")
 
 
@@ -44,7 +44,7 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
     scaled = slopes * unit / noise
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
-    half = _Z90 * np.sqrt(variance) * unit
+    half = Z90 * np.sqrt(variance) * unit
     seen = np.sqrt(variance) < 1
     can = [_precision(k, half[i], start) for i, k in enumerate(free) if seen[i]]
     cannot = [_NAMES[k] for i, k in enumerate(free) if not seen[i]]

@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 64.0
 """Sub-steps per radian of the fastest mode, where there is no exact solution."""
-_DIFFERENCE = 1e-4
-"""Step of the central differences, in natural units."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +110,7 @@ def fit(
     *,
     rounds: int = 3,
     evaluations: int = 60,
+    difference: float = 1e-4,
 ) -> Fit:
     """Fit some parameters to all traces at once; the rest of the row stays.
 
@@ -123,12 +122,13 @@ def fit(
         free: What to fit.
         rounds: Most robust rounds after the plain one.
         evaluations: Most evaluations in one round.
+        difference: Step of the central differences, in natural units.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
     unit, low, high = (column(free, name) for name in ("typical", "low", "high"))
     box = low / unit, high / unit
-    step = np.full(len(free), _DIFFERENCE)
+    step = np.full(len(free), difference)
 
     def rows(x: Array) -> Array:
         every = np.tile(row, (len(x), 1))

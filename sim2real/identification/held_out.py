@@ -17,7 +17,6 @@ from sim2real.servo.trace import Trace, split
 
 Array = NDArray[np.float64]
 
-_STEPS_PER_RADIAN = 16.0
 _INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 _MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
@@ -94,60 +93,7 @@ def held_out(
     ]
 
 
-@dataclass(frozen=True)
-class Side:
-    """A servo on one recording of one side of a fold.
-
-    Attributes:
-        recording: Index of the recording among the joint's.
-        trace: The recording; ``used`` tells which samples belong to this side of the split.
-        angle: Simulated angle in rad, shape (T,).
-    """
-
-    recording: int
-    trace: Trace
-    angle: Array
-
-    @property
-    def residual(self) -> Array:
-        """Simulated minus measured angle in rad where used, shape (used,)."""
-        used = self.trace.used
-        return np.asarray(self.angle[used] - self.trace.position[used])
-
-
-@dataclass(frozen=True)
-class Split:
-    """A fold: the servo fitted to one side of it, on both sides.
-
-    Attributes:
-        theta: Its parameters, shape (P,).
-        fitted: The side that was fitted.
-        scored: The side that the fit has not seen.
-    """
-
-    theta: Array
-    fitted: tuple[Side, ...]
-    scored: tuple[Side, ...]
-
-
-def splits(traces: Sequence[Trace], unseen: Unseen) -> list[Split]:
-    """The folds of ``held_out`` with simulations of both sides."""
-    place = {id(trace): k for k, trace in enumerate(traces)}
-
-    def side(given: Sequence[Trace], theta: Array) -> tuple[Side, ...]:
-        return tuple(
-            # Of a lone recording there are two copies, one a side.
-            Side(place.get(id(one), 0), one, simulated(one, theta[None])[0])
-            for one in given
-        )
-
-    return [
-        Split(theta, side(fitted, theta), side(scored, theta))
-        for (fitted, scored), theta in zip(folds(traces), unseen.theta, strict=True)
-    ]
-
-
-def simulated(trace: Trace, theta: Array) -> Array:
+def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> Array:
     """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
     rows = np.array(theta)
     rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
@@ -155,6 +101,6 @@ def simulated(trace: Trace, theta: Array) -> Array:
     inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
     # One length for all, or differences between them would be of the integration.
-    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
+    step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
     angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
     return np.ascontiguousarray(angle[:, :, 0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +16,46 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 1024
-ELITE = 16
-NARROWER = (0.1, 0.04, 0.015)
-"""Spread of the candidates around the best ones, round by round, as a share of the ranges."""
-NEARLY, FAR, MOST_RIVALS = 1.03, 0.08, 4
-"""A rival's error, relative to the least; how far its gain must be, as a share of the range."""
 WINDOW_S = 8.0
-_STEPS_PER_RADIAN, _SHORTEST_SUBSTEP_S = 6.0, 0.5e-3
-"""Sub-steps of the candidates. What a strongly damped one does in less time is over at once."""
 FREQUENCY_RAD_S = (2.0, 300.0)
 DAMPING_RATIO = (0.05, 4.0)
 LATENCY_S = (0.0, 0.3)
 
 
-def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class GuessSearch:
+    """How the first guess of a servo is searched.
+
+    Attributes:
+        candidates: Servos that are simulated first.
+        elite: The best of them, about which further ones are drawn.
+        spreads: Standard deviation of the candidates about the best ones, round by round, as a
+            share of the ranges.
+        rival_error: Largest error of a rival, relative to the least.
+        rival_distance: Least difference of its gain, as a share of the range.
+        most_rivals: Rivals at most.
+        steps_per_radian: Sub-steps while the fastest mode of a candidate turns by one radian.
+        shortest_substep_s: Shortest sub-step. What a strongly damped candidate does in less time is
+            over at once.
+    """
+
+    candidates: int = 1024
+    elite: int = 16
+    spreads: tuple[float, float, float] = (0.1, 0.04, 0.015)
+    rival_error: float = 1.03
+    rival_distance: float = 0.08
+    most_rivals: int = 4
+    steps_per_radian: float = 6.0
+    shortest_substep_s: float = 0.5e-3
+
+
+GUESS_SEARCH = GuessSearch()
+"""The defaults."""
+
+
+def first_guess(
+    traces: Sequence[Trace], rng: np.random.Generator, *, search: GuessSearch = GUESS_SEARCH
+) -> tuple[Array, Array]:
     """All parameters of a servo that roughly does what was recorded, and of very different rivals.
 
     Simulates a low-discrepancy set of servos over the liveliest segment in one batch, then, in a
@@ -39,6 +65,7 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
     Args:
         traces: The recorded joint, one trace a recording.
         rng: For the candidates.
+        search: Settings of the search.
 
     Returns:
         The best candidate, shape (P,), and rivals that did nearly as well though their gain is far
@@ -47,26 +74,29 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
     windows = [trace.window(WINDOW_S) for trace in traces]
     seen = [window for window in windows if window.moves() and window.used.any()]
     trace = max(seen or [trace for trace in traces if trace.used.any()], key=Trace.activity)
-    points = qmc.Sobol(3, rng=rng).random(CANDIDATES)
-    error = _errors(points, trace)
-    for spread in NARROWER:
-        best = np.argsort(error)[:ELITE]
+    points = qmc.Sobol(3, rng=rng).random(search.candidates)
+    error = _errors(points, trace, search=search)
+    for spread in search.spreads:
+        best = np.argsort(error)[: search.elite]
         points, error = points[best], error[best]
-        around = np.repeat(points, CANDIDATES // (4 * ELITE), axis=0)
+        around = np.repeat(points, search.candidates // (4 * search.elite), axis=0)
         near = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
-        points, error = np.vstack([points, near]), np.append(error, _errors(near, trace))
+        points, error = (
+            np.vstack([points, near]),
+            np.append(error, _errors(near, trace, search=search)),
+        )
     order = np.argsort(error)
-    equal = order[error[order] < NEARLY * error[order[0]]]
+    equal = order[error[order] < search.rival_error * error[order[0]]]
     chosen = [equal[0]]
     for candidate in equal[1:]:
         apart = np.abs(points[chosen, 0] - points[candidate, 0]).min()
-        if apart > FAR and len(chosen) <= MOST_RIVALS:
+        if apart > search.rival_distance and len(chosen) <= search.most_rivals:
             chosen.append(candidate)
     rows = np.array([plain_row(*one) for one in _parameters(points[chosen], trace)])
     return rows[0], rows[1:]
 
 
-def _errors(points: Array, trace: Trace) -> Array:
+def _errors(points: Array, trace: Trace, *, search: GuessSearch) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
     theta = np.zeros((points.shape[0], len(COLUMNS)))
     theta[:, :3] = _parameters(points, trace)
@@ -75,8 +105,8 @@ def _errors(points: Array, trace: Trace) -> Array:
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        substep = longest_substep(theta, theta[:, 3], _STEPS_PER_RADIAN)
-        substep = np.maximum(substep, _SHORTEST_SUBSTEP_S)
+        substep = longest_substep(theta, theta[:, 3], search.steps_per_radian)
+        substep = np.maximum(substep, search.shortest_substep_s)
         command = trace.command[:, None]
         angle = rollout(theta, trace.t, command, substep_s=substep, threads=2)[:, :, 0]
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))

@@ -13,21 +13,32 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_NOT_LINEAR = 0.15
-"""Half-width, in natural units, from which symmetric ends are not trusted."""
-_STEPS, _BISECTIONS = 24, 3
 _CHI2_90 = 6.251
 """90 % quantile of chi-square with three degrees of freedom: the region may be of many islands."""
 
 
 def intervals(
-    best: Fit, rivals: list[Fit], spread: Uncertainty, units: Array, fitted: list[Trace]
+    best: Fit,
+    rivals: list[Fit],
+    spread: Uncertainty,
+    units: Array,
+    fitted: list[Trace],
+    *,
+    largest_symmetric: float = 0.15,
 ) -> dict[str, tuple[float, float]]:
     """90 % interval of every plain parameter and of inertia, if that is free, by name.
 
     Symmetric ends from the covariance where that is small and no rival is elsewhere; else by
     profile likelihood. An upper end is infinite where the recordings set none; no end is below what
     is possible. An interval spans every rival that accounts for the recordings as well.
+
+    Args:
+        best: The fit.
+        rivals: Fits of very different gains.
+        spread: Covariance of the fit.
+        units: Natural unit of each fitted parameter, shape (F,).
+        fitted: The recordings.
+        largest_symmetric: Half-width, in natural units, from which symmetric ends are not trusted.
     """
     equal = [one for one in rivals if _excess(one, best, spread.inflation) < _CHI2_90]
     wide = {k for direction in spread.open_directions for k in direction}
@@ -37,7 +48,7 @@ def intervals(
         ends = (max(value - half, p.low), min(value + half, p.high))
         values = [float(one.row[COLUMNS.index(p.name)]) for one in (best, *equal)]
         elsewhere = any(abs(other - value) > half for other in values)
-        if k in wide or elsewhere or half > _NOT_LINEAR * units[k]:
+        if k in wide or elsewhere or half > largest_symmetric * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
                 _profiled(best, k, -first, p.low, fitted, spread.inflation),
@@ -79,7 +90,15 @@ def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[flo
 
 
 def _profiled(
-    best: Fit, k: int, first: float, limit: float, fitted: list[Trace], inflation: float
+    best: Fit,
+    k: int,
+    first: float,
+    limit: float,
+    fitted: list[Trace],
+    inflation: float,
+    *,
+    steps: int = 24,
+    bisections: int = 3,
 ) -> float:
     """End of the interval of one parameter: ``limit`` where the recordings set none before it.
 
@@ -105,13 +124,13 @@ def _profiled(
         return True
 
     inside, outside = 0.0, first
-    for _ in range(_STEPS):
+    for _ in range(steps):
         if not accounts(moved(outside)):
             break
         if moved(outside) == limit:
             return limit
         inside, outside = outside, 2 * outside
-    for _ in range(_BISECTIONS):
+    for _ in range(bisections):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if accounts(moved(middle)) else (inside, middle)
     return moved(0.5 * (inside + outside))

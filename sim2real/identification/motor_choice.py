@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sim2real.identification.control_loop import sampled
@@ -16,16 +18,32 @@ from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
 
-_CLEAR = 6.0
-"""What a choice must gain beyond chance."""
-_OF_A_LOOP = 12
-"""What a sampled loop counts for: the best of a thousand periods and phases."""
 FACTORS = (0.5, 2.0)
 """How much narrower and wider the prior of losses may be as well."""
-_WHITE = 0.1
-"""Lag-1 autocorrelation of a residual in which nothing is left."""
-_TOO_MUCH, _NEARLY = 15.0, 1.5
-"""Times the noise: what may be left without a loop, and with it, for it to be told."""
+
+
+@dataclass(frozen=True)
+class MotorCriteria:
+    """From when on a part of the motor's law is taken.
+
+    Attributes:
+        min_gain: What a choice must gain beyond chance.
+        loop_parameters: Parameters that a sampled loop counts for: the best of a thousand periods
+            and phases.
+        white: Lag-1 autocorrelation of a residual in which nothing is left.
+        loop_error_before: Largest residual without a loop, in noises, for one to be told.
+        loop_error_after: Largest residual with it, in noises.
+    """
+
+    min_gain: float = 6.0
+    loop_parameters: int = 12
+    white: float = 0.1
+    loop_error_before: float = 15.0
+    loop_error_after: float = 1.5
+
+
+MOTOR_CRITERIA = MotorCriteria()
+"""The defaults."""
 
 
 def choose_motor(
@@ -37,14 +55,15 @@ def choose_motor(
     known: ServoType | None = None,
     *,
     average: bool = False,
+    criteria: MotorCriteria = MOTOR_CRITERIA,
 ) -> MotorFit:
     """The motor's line alone where that explains the recordings, else its losses as well.
 
     Where the linear servo explains them the gains stay, and the line comes as near as they allow.
     Losses are taken where they lower the loss by more than chance and their number account for:
-    twice the number of parameters, as Akaike's criterion has it, and ``_CLEAR`` more. So are, while
-    something is left, friction that stops softly and a sampled loop. A servo of a known type has
-    the losses of its type.
+    twice the number of parameters, as Akaike's criterion has it, and ``criteria.min_gain`` more. So
+    are, while something is left, friction that stops softly and a sampled loop. A servo of a known
+    type has the losses of its type.
 
     Args:
         fitted: The joint's recordings.
@@ -56,18 +75,19 @@ def choose_motor(
         average: Whether losses that leave something are averaged over how wide their prior may be,
             which nothing on the recordings says: half and twice as wide as well, if the load is
             known.
+        criteria: What must be gained.
     """
     prior = motor_prior(servo, fitted)
     if known is not None:
         prior = known.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
     if rms(plain.residuals) < EXPLAINED * noise:
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
-    chosen = _continuous(fitted, plain, prior, noise, rng, known)
+    chosen = _continuous(fitted, plain, prior, noise, rng, known, criteria=criteria)
     left = rms(chosen.fit.residuals) / noise
-    explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
-    looped = None if explained or left > _TOO_MUCH else sampled(chosen)
-    if looped is not None and rms(looped.fit.residuals) <= _NEARLY * noise:
-        return _better(chosen, looped, _OF_A_LOOP)
+    explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < criteria.white
+    looped = None if explained or left > criteria.loop_error_before else sampled(chosen)
+    if looped is not None and rms(looped.fit.residuals) <= criteria.loop_error_after * noise:
+        return _better(chosen, looped, criteria.loop_parameters, criteria=criteria)
     names = [prior.names[k] for k in chosen.problem.free[3:]]
     stated = fitted[0].load is not PER_INERTIA  # else minima lie too far apart to be averaged
     if not (average and stated) or known is not None or left < EXPLAINED or LOSSES[0] not in names:
@@ -83,6 +103,8 @@ def _continuous(
     noise: float,
     rng: np.random.Generator,
     known: ServoType | None,
+    *,
+    criteria: MotorCriteria,
 ) -> MotorFit:
     """The motor whose controller looks all the time."""
     line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
@@ -93,15 +115,17 @@ def _continuous(
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
     full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
-    chosen = _better(first, full, len(LOSSES))
+    chosen = _better(first, full, len(LOSSES), criteria=criteria)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
     soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=softer(full))
-    return _better(chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0))
+    return _better(
+        chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0), criteria=criteria
+    )
 
 
-def _better(fewer: MotorFit, more: MotorFit, added: int) -> MotorFit:
+def _better(fewer: MotorFit, more: MotorFit, added: int, *, criteria: MotorCriteria) -> MotorFit:
     """The fit with so many more parameters, where they gain more than chance."""
     scale, inflation = more.fit.scale_rad, more.inflation
     gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
-    return more if gain > 2 * added + _CLEAR else fewer
+    return more if gain > 2 * added + criteria.min_gain else fewer

@@ -8,102 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import Fit, errors, plain_row
+from sim2real.identification.fit import Fit
 from sim2real.identification.initial_guess import WINDOW_S
 from sim2real.identification.motor_prior import Prior
+from sim2real.identification.motor_problem import MOTOR_SEARCH, MotorProblem, MotorSearch
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
 from sim2real.inference.multi_start import worth_following
 from sim2real.inference.parameters import Parameter
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
+from sim2real.servo.parameters import LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_CANDIDATES, _STARTS = 64, 4
-_ROUNDS, _FIRST, _LATER = 4, 20, 10
-"""Rounds with the scale of the residual taken anew; most steps in the first and in later ones."""
-_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
-"""Times of sticking and creeping to start from: about none, MuJoCo's, and more."""
-_DIFFERENCE = 1e-3
-_SETTLED = 1e-3
-_LONGEST_S = 0.002
-_STEPS_PER_RADIAN = 32.0
-_COARSER = 4.0
-"""Times as long as they are in the end, sub-steps are while starts are still far from a minimum."""
-_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 EXPLAINED = 1.15
 """Residuals below so many times the noise need no more parameters."""
-
-
-@dataclass(frozen=True)
-class _MotorProblem:
-    """Recordings, what is believed, and which parameters are fitted."""
-
-    traces: Sequence[Trace]
-    prior: Prior
-    free: tuple[int, ...]
-    substep_s: float
-    simulator: Simulator
-
-    def rows(self, x: Array) -> Array:
-        """Rows of the servo's parameters for those searched, (B, F) to (B, P).
-
-        The phase of a sampled loop is searched less the latency, so that a change of latency moves
-        both, and no set-point to another look.
-        """
-        rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
-        rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
-        period = rows[:, _PERIOD]
-        phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
-        rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
-        return rows
-
-    @property
-    def coarse(self) -> _MotorProblem:
-        """The same with longer sub-steps, for what is far from a minimum yet."""
-        return replace(self, substep_s=min(_LONGEST_S, _COARSER * self.substep_s))
-
-    def residuals(self, x: Array) -> Array:
-        """Simulated minus measured angles of all traces, shape (B, n)."""
-        return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
-
-    def terms(self, x: Array) -> Array:
-        """The prior's residuals; parameters that are held have none."""
-        held = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
-        safe = x.copy()
-        safe[:, held] = [self.prior.beliefs[k].middle for k in held]
-        terms = self.prior.terms(safe)
-        terms[:, held] = 0.0
-        if not {3, 4} <= set(self.free):
-            terms[:, -2:] = 0.0
-        return terms
-
-    @property
-    def box(self) -> tuple[Array, Array, Array]:
-        """Smallest and largest values as searched, and units, of the free parameters."""
-        chosen = [self.prior.beliefs[k] for k in self.free]
-        ends = [(np.log(b.low), np.log(b.high)) if b.log else (b.low, b.high) for b in chosen]
-        low, high = np.array(ends).T
-        return low, high, np.array([b.unit for b in chosen])
-
-    def slopes(self, x: Array, here: Array) -> Array:
-        """Derivatives of the residuals ``here`` (n,) by the free parameters, in units, (n, F)."""
-        _, high, unit = self.box
-        step = np.where(x[list(self.free)] + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
-        return np.asarray(((self.residuals(self._beside(x, step)) - here) / step[:, None]).T)
-
-    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
-        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        here, *beside = self.terms(np.stack([x, *self._beside(x, np.full(len(self.free), 1e-5))]))
-        return here, np.asarray((np.array(beside) - here).T / 1e-5)
-
-    def _beside(self, x: Array, step: Array) -> Array:
-        """A point as often as it has free parameters, one of them moved in each, in units."""
-        points = np.tile(x, (len(self.free), 1))
-        points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        return points
 
 
 @dataclass(frozen=True)
@@ -123,7 +43,7 @@ class MotorFit:
     fit: Fit
     loss: float
     x: Array
-    problem: _MotorProblem
+    problem: MotorProblem
     inflation: float
     rivals: Array
 
@@ -174,7 +94,7 @@ class MotorFit:
         """The same with longer sub-steps: to choose among servos where a search may begin."""
         return self._losses(self.problem.coarse, x)
 
-    def _losses(self, problem: _MotorProblem, x: Array) -> Array:
+    def _losses(self, problem: MotorProblem, x: Array) -> Array:
         return _loss(problem, x, problem.residuals(x), self.fit.scale_rad, self.inflation)
 
     def loss_at(self, scale_rad: float, inflation: float) -> float:
@@ -193,6 +113,7 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
+    search: MotorSearch = MOTOR_SEARCH,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; what is not free has no effect.
 
@@ -210,14 +131,15 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else they stay those of the plain servo.
+        search: Settings of the search.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(_LONGEST_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = _MotorProblem(traces, prior, free, substep, Simulator(traces))
+    substep = float(min(search.longest_substep_s, 1 / (search.steps_per_radian * fastest)))
+    problem = MotorProblem(traces, prior, free, substep, Simulator(traces), search)
     x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo does it: from there the limits come as near as they may
@@ -226,17 +148,17 @@ def fit_motor(
         near = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(near.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[:_STARTS]]
+        x = x[np.argsort(size)[: search.starts]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation, loss = 1.0, 1.0, np.zeros(x.shape[0])
-    for number in range(_ROUNDS):
+    for number in range(search.rounds):
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
         if number:
-            x, loss = _descend(problem, x, scale, inflation, _LATER)
+            x, loss = _descend(problem, x, scale, inflation, search.later_steps)
         else:
-            x, loss = _descend(problem.coarse, x, scale, inflation, _FIRST)
+            x, loss = _descend(problem.coarse, x, scale, inflation, search.first_steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -247,8 +169,9 @@ def fit_motor(
     return _result(problem, x[0], scale, inflation, loss)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int = _LATER) -> list[MotorFit]:
+def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorFit]:
     """The fit gone on with from servos ``x`` (B, F), which have a loop; the best first."""
+    steps = motor.problem.search.later_steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     free = tuple(sorted({*motor.problem.free, period}))
     problem = replace(motor.problem, free=free)
@@ -272,8 +195,8 @@ def averaged(fits: Sequence[MotorFit]) -> MotorFit:
 
 def softer(motor: MotorFit) -> Array:
     """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
-    x = np.tile(motor.x, (len(_SOFT_S), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+    x = np.tile(motor.x, (len(motor.problem.search.soft_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = motor.problem.search.soft_s
     return x
 
 
@@ -283,20 +206,20 @@ def _inflation(error: Array, traces: Sequence[Trace]) -> float:
     return float(np.average(times, weights=[part.size for part in parts]))
 
 
-def _loss(problem: _MotorProblem, x: Array, error: Array, scale: float, inflation: float) -> Array:
+def _loss(problem: MotorProblem, x: Array, error: Array, scale: float, inflation: float) -> Array:
     size = OUTLIER_SD * scale
     data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
     return np.asarray(data + (problem.terms(x) ** 2).sum(axis=1))
 
 
 def _starts(
-    problem: _MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
+    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
 ) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    N = _CANDIDATES
+    N = problem.search.candidates
     x = np.full((N, len(prior.beliefs)), -np.inf)
     for k, belief in enumerate(prior.beliefs):
         x[:, k] = 0.0 if not belief.log else -np.inf
@@ -323,7 +246,7 @@ def _starts(
 
 
 def _descend(
-    problem: _MotorProblem, x: Array, scale: float, inflation: float, steps: int
+    problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Levenberg-Marquardt (Marquardt, SIAM J. Appl. Math. 11 (1963) 431-441) from all of ``x``."""
     low, high, unit = problem.box
@@ -342,7 +265,7 @@ def _descend(
         damping[worse] *= 6
         best[better], least[better] = trial[better], loss[won]
         damping[better] = np.maximum(damping[better] / 5, 1e-6)
-        settled = won & (gain < _SETTLED) & (step > 2)
+        settled = won & (gain < problem.search.settled) & (step > 2)
         moves = won & ~settled  # what fits worse needs no slopes
         for s, here in zip(active[moves], error[moves], strict=True):
             by = problem.slopes(best[s], here)
@@ -352,7 +275,16 @@ def _descend(
             normal[s] = by.T @ weighted + belief_by.T @ belief_by
             slope[s] = weighted.T @ here + belief_by.T @ belief
         active = active[~settled & (damping[active] < 1e5)]
-        active = worth_following(active, best[:, free] / unit, least, normal, slope)
+        active = worth_following(
+            active,
+            best[:, free] / unit,
+            least,
+            normal,
+            slope,
+            same=problem.search.same,
+            behind=problem.search.behind,
+            optimism=problem.search.promise,
+        )
         if not active.size:
             break
         for s in active:
@@ -370,7 +302,7 @@ def _descend(
 
 
 def _result(
-    problem: _MotorProblem, x: Array, scale: float, inflation: float, losses: Array
+    problem: MotorProblem, x: Array, scale: float, inflation: float, losses: Array
 ) -> MotorFit:
     """The fit in the parameters' own units."""
     prior, free = problem.prior, list(problem.free)

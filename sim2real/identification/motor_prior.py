@@ -15,15 +15,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_SHEET_SD = 0.35, 0.25
-"""Spread of stall torque and no-load speed about the data sheet's, as logarithms."""
-_UNKNOWN_SD = 1.5
-"""Spread of the stall torque per unit of an inertia that is not known."""
-_MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
-"""Time constant of small geared motors, rotor inertia times no-load speed over stall torque."""
-_BACK_EMF_SD = 0.3
-"""Spread of the damping about the back-EMF's; long tails, as a controller may damp as well."""
-
 
 @dataclass(frozen=True)
 class Spreads:
@@ -39,9 +30,35 @@ class Spreads:
 
 
 SPREADS = Spreads()
-_TICK_S = 2e-7
-"""A change of a loop's period that thousands of its looks add up to one that matters."""
 _FREE = np.inf
+
+
+@dataclass(frozen=True)
+class MotorBeliefs:
+    """What is believed of any motor besides its data sheet.
+
+    Attributes:
+        sheet_sd: Standard deviation of stall torque and no-load speed about the data sheet's, as
+            logarithms.
+        unknown_sd: Standard deviation of the stall torque per unit of an inertia that is not known.
+        motor_time_s: Time constant of small geared motors, rotor inertia times no-load speed over
+            stall torque.
+        motor_time_sd: Standard deviation of its logarithm.
+        back_emf_sd: Scale of the damping about the back-EMF's; long tails, as a controller may damp
+            as well.
+        tick_s: A change of a loop's period that thousands of its looks add up to one that matters.
+    """
+
+    sheet_sd: tuple[float, float] = (0.35, 0.25)
+    unknown_sd: float = 1.5
+    motor_time_s: float = 0.03
+    motor_time_sd: float = 0.8
+    back_emf_sd: float = 0.3
+    tick_s: float = 2e-7
+
+
+MOTOR_BELIEFS = MotorBeliefs()
+"""The defaults."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +91,12 @@ class Prior:
     Attributes:
         beliefs: The parameters, gains and latency first.
         per_rad: Drive that the servo reports per radian of error, where it does.
+        back_emf_sd: Scale of the damping about the back-EMF's.
     """
 
     beliefs: tuple[Belief, ...]
     per_rad: float | None
+    back_emf_sd: float = MOTOR_BELIEFS.back_emf_sd
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,7 +130,7 @@ class Prior:
         sd = np.array([belief.sd for belief in self.beliefs])
         own = (x - middle) / sd
         kp, kd, stall, fast = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        tie = (kd - stall + fast) / _BACK_EMF_SD
+        tie = (kd - stall + fast) / self.back_emf_sd
         tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
         reported = np.zeros_like(kp)
         if self.per_rad is not None:
@@ -119,7 +138,9 @@ class Prior:
         return np.hstack([own, tie[:, None], reported[:, None]])
 
 
-def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
+def motor_prior(
+    servo: Servo, traces: Sequence[Trace], *, beliefs: MotorBeliefs = MOTOR_BELIEFS
+) -> Prior:
     """The prior of a servo's law from its data sheet and, where it reports it, its drive.
 
     What the data sheet calls torque and speed is the motor's line without friction, up to the
@@ -128,9 +149,9 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
     """
     stall, fast = servo.max_torque_Nm, servo.no_load_speed_rad_s
     known = traces[0].load is not PER_INERTIA
-    torque_sd = _SHEET_SD[0]
+    torque_sd = beliefs.sheet_sd[0]
     if not known:
-        stall, torque_sd = fast / _MOTOR_TIME_S, _UNKNOWN_SD
+        stall, torque_sd = fast / beliefs.motor_time_s, beliefs.unknown_sd
     damping = stall / fast
     slopes = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
     inertia = traces[0].load.inertia_kgm2
@@ -148,9 +169,14 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             Belief("kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3),
             Belief("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
             log(LINE[0], stall, torque_sd),
-            log(LINE[1], fast, _SHEET_SD[1]),
+            log(LINE[1], fast, beliefs.sheet_sd[1]),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
-            log("motor.rotor_inertia_kgm2", _MOTOR_TIME_S * damping, _MOTOR_TIME_SD, 8.0),
+            log(
+                "motor.rotor_inertia_kgm2",
+                beliefs.motor_time_s * damping,
+                beliefs.motor_time_sd,
+                8.0,
+            ),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
             share("motor.motor_friction", 0.4, 0.95, 0.2),
             share("motor.load_friction", 0.4, 2.0, 0.2),
@@ -159,7 +185,8 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> Prior:
             log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, _TICK_S) for name in LOOP),
+            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, beliefs.tick_s) for name in LOOP),
         ),
         float(np.median(slopes)) if slopes else None,
+        beliefs.back_emf_sd,
     )

@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 _LINE = [COLUMNS.index(name) for name in LINE]
 _LARGER = np.linspace(1.0, 2.0, 26)
-_AGAINST = 2.0
-"""Log-likelihood that a line may cost: about what a parameter is free to by chance."""
 
 
 def on_its_line(
@@ -52,12 +50,15 @@ def on_its_line(
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
-def with_stated_line(given: Sequence[Trace], servo: Servo, row: Array) -> Array:
+def with_stated_line(
+    given: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
+) -> Array:
     """A servo's parameters (P,) with its data sheet's line, which its recordings do not reach.
 
     What drives harder would else be predicted with a torque that no motor has. Where the recordings
     speak against the stated torque, the next larger one that they allow; no line where none of up
-    to twice it, or where the load is unknown.
+    to twice it, or where the load is unknown. Recordings speak against a line that costs more than
+    ``largest_cost`` of log-likelihood: about what a parameter is free to by chance.
     """
     if row[_LINE].any() or given[0].load is PER_INERTIA:
         return row
@@ -66,7 +67,7 @@ def with_stated_line(given: Sequence[Trace], servo: Servo, row: Array) -> Array:
     rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
     left = np.concatenate(errors(Simulator(given), rows), axis=1)
     size = np.sum(left**2, axis=1)
-    allowed = 0.5 * left.shape[1] * np.log(size[1:] / size[0]) < _AGAINST
+    allowed = 0.5 * left.shape[1] * np.log(size[1:] / size[0]) < largest_cost
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
 
 

@@ -21,11 +21,6 @@ SETTLED = 0.02
 """Gain in log-likelihood below which a step is not worth making."""
 OUTLIER_SD = 3.0
 """Residuals beyond so many standard deviations lose weight."""
-LOOK = 4
-"""Evaluations after which problems may be given up, again and again."""
-LARGEST_STEP = 3.0
-"""Largest step of a parameter, in units."""
-_LEAST, _MOST = 1e-6, 1e6
 
 
 @dataclass(frozen=True)
@@ -84,6 +79,9 @@ def minimise(
     settled: float = SETTLED,
     hopeless: Callable[[Index, Array, Array], Mask] | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    look_every: int = 4,
+    least_damping: float = 1e-6,
+    most_damping: float = 1e6,
 ) -> Minimum:
     """Fit N problems, each by its own damped steps, all in one evaluation a round.
 
@@ -99,8 +97,11 @@ def minimise(
         evaluations: Most of each problem.
         settled: Expected gain below which a step is not worth making.
         hopeless: Which problems are given up, of their places (M,), losses (M,) and what the
-            undamped step promises to gain (M,); asked every ``LOOK`` evaluations.
+            undamped step promises to gain (M,); asked every ``look_every`` evaluations.
         progress: Called with the share that is done.
+        look_every: Evaluations between two calls of ``hopeless``.
+        least_damping: Damping is never less.
+        most_damping: Problems whose damping exceeds it are given up.
     """
     N = start.shape[0]
     free = np.ones(start.shape, dtype=bool) if free is None else free
@@ -117,14 +118,14 @@ def minimise(
             at.replaced(active, then, better)
         won, lost = active[better], active[~better]
         best[won] = trial[won]
-        damping[won] = np.maximum(damping[won] / 5, _LEAST)
+        damping[won] = np.maximum(damping[won] / 5, least_damping)
         damping[lost] *= 8
         step, gain = _step(at, best, (low, high), free, damping, active)
-        worth = (gain > settled) & (damping[active] < _MOST)
+        worth = (gain > settled) & (damping[active] < most_damping)
         converged[active] = ~worth
         trial[active] = best[active] + step
         active = active[worth]
-        if hopeless is not None and active.size and made % LOOK == 0:
+        if hopeless is not None and active.size and made % look_every == 0:
             promised = _step(at, best, (low, high), free, np.zeros(N), active)[1]
             active = active[~hopeless(active, at.loss[active], promised)]
         progress(made / evaluations)
@@ -140,6 +141,8 @@ def _step(
     free: Mask,
     damping: Array,
     rows: Index,
+    *,
+    largest_step: float = 3.0,
 ) -> tuple[Array, Array]:
     """Next step of each problem, shape (M, F), and the gain that is expected of it, shape (M,)."""
     x, low, high = best[rows], box[0][rows], box[1][rows]
@@ -157,7 +160,7 @@ def _step(
     np.einsum("nff->nf", matrix)[...] = size
     step = np.linalg.solve(matrix, np.where(moving, -slope, 0.0)[:, :, None])[:, :, 0]
     longest = np.abs(step).max(axis=1, initial=0.0, keepdims=True)
-    step *= np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300))
+    step *= np.minimum(1.0, largest_step / np.maximum(longest, 1e-300))
     step = np.where(free[rows], np.clip(x + step, low, high) - x, 0.0)
     gain = -np.einsum("nf,nf->n", slope, step)
     gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
@@ -211,6 +214,8 @@ def minimise_robustly(
     *,
     rounds: int = 3,
     evaluations: int = 60,
+    same_scale: float = 0.05,
+    settled: float = 1e-9,
 ) -> tuple[Array, bool]:
     """Least squares, first plain, then robust (soft L1), its scale taken anew until it stays.
 
@@ -221,6 +226,8 @@ def minimise_robustly(
         high: Largest values, likewise.
         rounds: Most robust rounds after the plain one.
         evaluations: Most evaluations in one round.
+        same_scale: Relative change of the scale below which it counts as the same.
+        settled: Expected gain, relative to the scale, below which a step is not worth making.
 
     Returns:
         The minimum, shape (F,), and whether the search converged to it.
@@ -237,7 +244,7 @@ def minimise_robustly(
 
     for number in range(rounds + 1):
         before, scale = scale, robust_scale(at(point)[0])
-        if number > 1 and abs(scale / before - 1) < _SAME_SCALE:
+        if number > 1 and abs(scale / before - 1) < same_scale:
             break
         limit = OUTLIER_SD if number else np.inf
 
@@ -251,14 +258,10 @@ def minimise_robustly(
             low[None],
             high[None],
             evaluations=evaluations,
-            settled=_EXACTLY,
+            settled=settled,
         )
         point, converged = found.x[0], bool(found.converged[0])
     return point, converged
-
-
-_SAME_SCALE = 0.05
-_EXACTLY = 1e-9
 
 
 def robust_loss(error: Array, scale: float) -> float:

@@ -14,16 +14,36 @@ from sim2real.posterior.likelihood import ServoData
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 40
-WIDEST = 2.0
-"""Largest standard deviation of a coordinate, where the recordings say nothing of it."""
-_REACH = 1.0
-"""Distance of the differences that sharpen it, in standard deviations."""
-_ROUNDS, _LONGEST_STEP = 8, 4.0
-_STAYS = 0.1
-"""A step below it, in standard deviations, ends the search."""
-_FLATTEST, _STEEPEST = 0.02, 50.0
-"""Curvatures beyond these, relative to what was thought, are taken for noise of differences."""
+
+@dataclass(frozen=True)
+class LaplaceSettings:
+    """How an optimum is found, and the curvature about it.
+
+    Attributes:
+        iterations: Iterations of the fit.
+        widest_sd: Largest standard deviation of a coordinate, where the recordings say nothing of
+            it.
+        reach_sd: Distance of the central differences, in standard deviations.
+        rounds: Steps of Newton's method at most.
+        longest_step_sd: Longest step, in standard deviations.
+        settled_sd: A step below it ends the search.
+        least_curvature: Curvature relative to the one before, below which it is taken for noise of
+            differences.
+        largest_curvature: The same, above which it is.
+    """
+
+    iterations: int = 40
+    widest_sd: float = 2.0
+    reach_sd: float = 1.0
+    rounds: int = 8
+    longest_step_sd: float = 4.0
+    settled_sd: float = 0.1
+    least_curvature: float = 0.02
+    largest_curvature: float = 50.0
+
+
+LAPLACE = LaplaceSettings()
+"""The defaults."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +67,15 @@ class Laplace:
         return np.asarray(self.centre + w @ self.factor.T)
 
 
-def laplace(data: ServoData) -> Laplace:
+def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
     """Fit the joint and take the curvature of its log-posterior there.
 
     The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
     Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
+
+    Args:
+        data: The joint's recordings and priors.
+        search: Settings of the search.
     """
     priors = data.priors
     start = priors.values(priors.coordinates(data.row[data.columns]))
@@ -60,16 +84,16 @@ def laplace(data: ServoData) -> Laplace:
     theta = data.theta(start[None])
     columns = np.array([data.columns], dtype=np.int32)
     servos = Servos(np.zeros(1, dtype=np.int32), theta, columns, unit, low, high)
-    found = minimise(data.batch, servos, iterations=ITERATIONS)
+    found = minimise(data.batch, servos, iterations=search.iterations)
     gram = found.gram[0].sum(axis=0)
     variance = gram[0, 0] / max(float(found.count[0]) - found.autoregression.shape[1], 1.0)
     centre = priors.coordinates(found.servos.theta[0, data.columns])
     slope = priors.slope(centre) / unit[0]
     share = 0.5 * (1 + np.tanh(0.5 * centre))
     information = gram[1:, 1:] / variance * np.outer(slope, slope)
-    information += np.diag(2 * share * (1 - share) + 1 / WIDEST**2)
+    information += np.diag(2 * share * (1 - share) + 1 / search.widest_sd**2)
     level, directions = np.linalg.eigh(information)
-    covariance = (directions / np.maximum(level, 1 / WIDEST**2)) @ directions.T
+    covariance = (directions / np.maximum(level, 1 / search.widest_sd**2)) @ directions.T
     return Laplace(
         centre=centre,
         factor=np.linalg.cholesky(covariance),
@@ -78,7 +102,9 @@ def laplace(data: ServoData) -> Laplace:
     )
 
 
-def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplace:
+def sharpened(
+    start: Laplace, log_posterior: Callable[[Array], Array], *, search: LaplaceSettings = LAPLACE
+) -> Laplace:
     """Move to the optimum of what is sampled, and take the curvature there.
 
     The fit's own rollouts are coarser than those of the sampler, which in sharp posteriors puts it
@@ -88,17 +114,18 @@ def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplac
     Args:
         start: Where the fit ended.
         log_posterior: Log-posterior of unbounded coordinates (B, F), shape (B,).
+        search: Settings of the search.
     """
     best, found = float(log_posterior(start.centre[None])[0]), start
-    for _ in range(_ROUNDS):
-        differences = _differences(found, log_posterior)
+    for _ in range(search.rounds):
+        differences = _differences(found, log_posterior, search=search)
         if differences is None:
             break
         slope, curvature = differences
         level, directions = np.linalg.eigh(curvature)
-        level = np.clip(level, _FLATTEST, _STEEPEST)
+        level = np.clip(level, search.least_curvature, search.largest_curvature)
         step = directions @ ((directions.T @ slope) / level)
-        step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+        step *= min(1.0, search.longest_step_sd / max(float(np.linalg.norm(step)), 1e-12))
         centre = found.coordinates(step)
         value = float(log_posterior(centre[None])[0])
         covariance = found.factor @ (directions / level) @ directions.T @ found.factor.T
@@ -106,19 +133,22 @@ def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplac
         if not value > best:
             break
         best, found = value, replace(found, centre=centre)
-        if np.linalg.norm(step) < _STAYS:
+        if np.linalg.norm(step) < search.settled_sd:
             break
     return found
 
 
 def _differences(
-    at: Laplace, log_posterior: Callable[[Array], Array]
+    at: Laplace,
+    log_posterior: Callable[[Array], Array],
+    *,
+    search: LaplaceSettings,
 ) -> tuple[Array, Array] | None:
     """Slope (F,) of the log-posterior and minus its curvature (F, F), standardised.
 
     None where the log-posterior is not finite all around.
     """
-    F, h = at.centre.size, _REACH
+    F, h = at.centre.size, search.reach_sd
     unit, pairs = h * np.eye(F), list(combinations(range(F), 2))
     corners = [a * unit[i] + b * unit[j] for i, j in pairs for a in (1, -1) for b in (1, -1)]
     points = np.array([np.zeros(F), *unit, *-unit, *corners])

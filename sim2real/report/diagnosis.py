@@ -89,7 +89,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     if diagnosis.mismatch:
         blocks += what_blocks(diagnosis)
         for mismatch in diagnosis.mismatch:
-            blocks += _guess(diagnosis, mismatch)
+            blocks += _unexplained(diagnosis, mismatch)
     if diagnosis.next_experiment is not None:
         blocks += _next(diagnosis.next_experiment)
     blocks += _limits(diagnosis)
@@ -206,11 +206,10 @@ def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:
     return "" if known is None else f"{joint} is off by {milliradians(known)}"
 
 
-def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
+def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
     joint = mismatch.component
-    formula = diagnosis.hypothesis.get(joint, "")
     unknown = diagnosis.unknown.get(joint, 0.0)
-    if not formula and unknown <= 0.5 and diagnosis.verdict != "unexplained":
+    if unknown <= 0.5 and diagnosis.verdict != "unexplained":
         return []
     text = f"No effect in the catalogue explains the residual of {joint}."
     text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
@@ -223,8 +222,6 @@ def _guess(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         state = max(states, key=lambda name: states[name], default="position")
         drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
         blocks.append(figure(drawing, _MEAN.format(joint=joint)))
-    if formula:
-        blocks.append(Note("warn", f"A hypothesis, not a finding: {formula}"))
     return blocks
 
 

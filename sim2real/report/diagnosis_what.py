@@ -27,16 +27,10 @@ _COLOURS = " In colour what is named above, in grey what was considered as well.
 _SHARED = " What stands in a bracket shares one bar, as these recordings cannot tell it apart."
 _LADDER = (
     "Error (root mean square) on recordings, or parts of them, that the fit has not seen.{named} "
-    "{floor}No simulation gets below the sensor's noise."
+    "No simulation gets below the sensor's noise."
 )
 _WORTH = (
-    " What is named is worth having where its bar is clearly shorter than that of the plain servo"
-    "{knockoff}."
-)
-_KNOCKOFF = " and than that of a knockoff, a made-up effect that means nothing"
-_FLOOR = (
-    "A black box, which knows no physics but what the plain servo does with the commands, shows "
-    "how much can be explained without any name. "
+    " What is named is worth having where its bar is clearly shorter than that of the plain servo."
 )
 _PARAMETERS = "How large each effect is; below it the range that holds the truth nine times in ten."
 _NEGLIGIBLE = (
@@ -155,22 +149,14 @@ def _ladders(diagnosis: Diagnosis) -> list[Block]:
         named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
         anything |= named
         panels[joint] = _rungs(ladder, named=named)
-    return [figure(bar_figure(panels, "held-out error"), _ladder_caption(ladders, named=anything))]
-
-
-def _ladder_caption(ladders: Mapping[str, Ladder], *, named: bool) -> str:
-    knockoff = any(ladder.best_knockoff is not None for ladder in ladders.values())
-    floor = any(ladder.black_box is not None for ladder in ladders.values())
-    worth = _WORTH.format(knockoff=_KNOCKOFF if knockoff else "") if named else ""
-    return _LADDER.format(named=worth, floor=_FLOOR if floor else "")
+    caption = _LADDER.format(named=_WORTH if anything else "")
+    return [figure(bar_figure(panels, "held-out error"), caption)]
 
 
 def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
     rungs: list[tuple[str, float | None, bool]] = [
         ("plain servo", ladder.baseline, False),
         ("with what is named", ladder.enriched if named else None, True),
-        ("with the best knockoff", ladder.best_knockoff, False),
-        ("with a black box", ladder.black_box, False),
         ("noise of the sensor", ladder.noise, False),
     ]
     return [Bar(label, x, milliradians(x), strong) for label, x, strong in rungs if x is not None]

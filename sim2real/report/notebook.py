@@ -87,10 +87,6 @@ def _diagnosis(diagnosis: Diagnosis) -> Section:
         ]
         blocks.append(Table(("probability", "effect", "component", "finding"), rows))
     blocks += [Note("info", printable(str(mismatch))) for mismatch in diagnosis.mismatch]
-    blocks += [
-        Note("warn", f"{printable(joint)}, a hypothesis: {printable(formula)}")
-        for joint, formula in diagnosis.hypothesis.items()
-    ]
     if diagnosis.next_experiment is not None:
         blocks.append(Note("info", f"Next: {printable(diagnosis.next_experiment.statement)}"))
     return Section("Diagnosis", f"Verdict: {diagnosis.verdict.replace('_', ' ')}.", blocks)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.density import Z90, Density
+from sim2real.density import Density
+from sim2real.inference.normal import Z90
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.ranges.latency import Latencies, Spread
 from sim2real.report.quantity import printable

@@ -103,20 +103,11 @@ def residual_torque(
 
 def smooth_speed(t: Array, position: Array) -> Array:
     """Speed in rad/s by local polynomials, shape (T,), of angles with NaN where missing."""
-    return _smoothed(t, position, 1)
-
-
-def smooth(t: Array, position: Array) -> Array:
-    """Angles in rad by local polynomials, shape (T,), of angles with NaN where missing."""
-    return _smoothed(t, position, 0)
-
-
-def _smoothed(t: Array, position: Array, derivative: int) -> Array:
     step = float(np.median(np.diff(t)))
     known = np.isfinite(position)
     even = np.interp(t, t[known], position[known])
     length = _length(step, t.size)
-    return np.asarray(savgol_filter(even, length, ORDER, deriv=derivative, delta=step))
+    return np.asarray(savgol_filter(even, length, ORDER, deriv=1, delta=step))
 
 
 def _length(step: float, samples: int) -> int:

@@ -30,8 +30,3 @@ def strange(seed, name, torque, seconds=12.0):
 def position_damping(q, speed, t):
     """More damping the further out, in no catalogue."""
     return -0.15 * q**2 * speed
-
-
-def shaking(q, speed, t):
-    """Something else shakes the shaft: no function of what the joint does."""
-    return 0.05 * np.sin(2 * np.pi * 1.3 * t)

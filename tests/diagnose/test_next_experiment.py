@@ -67,7 +67,7 @@ def test_one_alone_needs_no_experiment(rubbing):
 def diagnosed(experiment):
     model = Model({"j1": JointModel(2.2, 0.06, 0.05, INERTIA, load=Load(INERTIA))})
     return Diagnosis(
-        verdict="ambiguous", mismatch=(), effects=(), rivals=(), unknown={}, hypothesis={},
+        verdict="ambiguous", mismatch=(), effects=(), rivals=(), unknown={},
         baseline_fit={}, enriched_fit={}, ladders={},
         detection_limits=(), next_experiment=experiment, gate=(), model=model,
     )  # fmt: skip

@@ -49,12 +49,8 @@ Array = NDArray[np.float64]
 
 BANK = Path(__file__).with_name("unchanged.json")
 _SCHEMA = "sim2real.unchanged/1"
-_MOST, _PARTNERS = 10, 2
+_MOST = 10
 """Changes that are fitted for good; those of them that a second one is looked for beside."""
-_LAGS, _WHITE = 2, 1.0
-"""Memory in samples of the noise in which jitter is looked for; its whitening filter's least gain
-at frequency 0, so that it takes nothing for itself that repeats may have from the link, too; and
-the share of a sampling period below which jitter is none."""
 
 
 def read_bank(path: Path = BANK) -> dict[str, Unchanged]:
@@ -196,10 +192,18 @@ def _lasting(of: Explained, windows: tuple[tuple[Window, ...], ...]) -> bool:
     return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
 
 
-def _uneven(of: Explained, known: float) -> Change | None:
-    """Jitter of the link that no repeat has, or None; ``known`` unchanged recordings in a bank."""
+def _uneven(
+    of: Explained, known: float, *, lags: int = 2, least_gain: float = 1.0
+) -> Change | None:
+    """Jitter of the link that no repeat has, or None; ``known`` unchanged recordings in a bank.
+
+    The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
+    1, so that it takes nothing for itself that repeats may have from the link, too.
+    """
     period = float(np.median(np.diff(of.traces[0].t)))
-    found = [link(LinkData(((_residual(of, r),),), _LAGS, _WHITE)) for r in range(len(of.traces))]
+    found = [
+        link(LinkData(((_residual(of, r),),), lags, least_gain)) for r in range(len(of.traces))
+    ]
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in found]
     worst = max(of.case, key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other
@@ -285,7 +289,7 @@ def _leaves_more(of: Explained, found: Contrast) -> bool:
     return bool(found.left[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
 
 
-def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
+def _two(of: Explained, found: Contrast, by: Directions, *, partners: int = 2) -> Change | None:
     """Two changes together, where they explain far more than any does alone."""
     fits: dict[Set, tuple[Array, float]] = {}
 
@@ -301,7 +305,7 @@ def _two(of: Explained, found: Contrast, by: Directions) -> Change | None:
     at_sight = first_pairs(of, by)
     fit({pair: row for pair, (row, _) in list(at_sight.items())[:_MOST]})
     order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
-    for k in order[:_PARTNERS]:
+    for k in order[:partners]:
         head, row = found.effects[k], found.rows[k]
         beside = _contrast(_without(of, row), by)
         ranked = (int(p) for p in np.argsort(-beside.gone))

@@ -1,12 +1,8 @@
-"""What recordings of one joint show beyond the servo that its references tell.
+"""Regression of a recording on what could have changed since its references.
 
-An unchanged recording is explained as well as the references allow:
-
-- ``repeat``: where the case repeats a command of theirs, by the mean of what the servo's law leaves
-  of those; the repeatability of the servo then decides what can be told, not the law;
-- ``rest``: where the servo is sampled so slowly that it is mostly seen at rest, by where the
-  references came to rest (``residuals.at_rest``);
-- ``law``: else by the law, its parameters the references' and the case's.
+The prediction of an unchanged recording is, in this order, the mean residual of references with the
+same command (``repeat``), where the references came to rest if the servo is sampled slowly
+(``rest``, see ``slow_sampling``), or the servo's law with the references' parameters (``law``).
 """
 
 from __future__ import annotations
@@ -39,11 +35,6 @@ Names = tuple[str, ...]
 
 _DIFFERENCE = 1e-3
 _GAINS = BASE[:3]
-_EVALUATIONS = 40
-_FORGOTTEN_S = (0.05, 0.4)
-"""Shortest and longest time after a gap for which nothing is looked at."""
-_SUBSTEPS = 8
-"""Sub-steps between two samples."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +78,14 @@ class Explained:
         return simulated([self.traces[r] for r in places], rows, self.row)
 
 
-def simulated(traces: Sequence[Trace], rows: Array, servo: Array) -> list[Array]:
+def simulated(
+    traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8
+) -> list[Array]:
     """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
     simulator = Simulator(traces, threads=1)
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
     period = min(float(np.median(np.diff(trace.t))) for trace in traces)
-    longest = min(LONGEST_SUBSTEP_S, period / _SUBSTEPS)
+    longest = min(LONGEST_SUBSTEP_S, period / substeps)
     step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
     return simulator.angles(rows, min(step, longest))
 
@@ -102,10 +95,8 @@ def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
     every = [*references, *case]
     if is_slow(every):
         return "rest"
-    again = all(
-        any(alignment(one, other)[1] < DECISION.change.same_command for other in references)
-        for one in case
-    )
+    limit = DECISION.change.same_command
+    again = all(any(alignment(one, other)[1] < limit for other in references) for one in case)
     return "repeat" if again else "law"
 
 
@@ -135,7 +126,8 @@ def explained(
         triples = zip(left, freed, every, strict=True)
         left = [part + (f.position - t.position) for part, f, t in triples]
         telling = repeated[:R].tolist()
-        spread2 = 0.0 if any(telling) else 4 * max(_noise(t) for t in references) ** 2
+        if not any(telling):
+            spread2 = 4 * max(noise_floor(t.t, t.command, t.position) for t in references) ** 2
     if way == "law":
         shared, precision = _derivatives(every, row, servo)
     parts = [x[np.isfinite(x)] for x, tells in zip(left, telling, strict=False) if tells]
@@ -147,16 +139,12 @@ def explained(
     return Explained(way, tuple(every), R, tuple(left), row, shared, precision, variance, scale2)
 
 
-def _noise(trace: Trace) -> float:
-    return noise_floor(trace.t, trace.command, trace.position)
-
-
-def _settles_s(row: Array, inertia: float) -> float:
+def _settles_s(row: Array, inertia: float, *, limits_s: tuple[float, float] = (0.05, 0.4)) -> float:
     """Time in which a servo forgets all but e^-12 of what was sent: six of a million."""
     total = inertia + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
-    return float(np.clip(latency + 12 / max(rate, 1e-9), *_FORGOTTEN_S))
+    return float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
 
 
 def _masked(trace: Trace, values: Array, settles_s: float) -> Array:
@@ -337,7 +325,9 @@ def settled(of: Explained) -> Explained:
     return replace(of, left=tuple(left - slopes @ law for left, slopes in pairs))
 
 
-def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
+def fitted(
+    of: Explained, effects: Sequence[str], starts: Sequence[Array], *, evaluations: int = 40
+) -> tuple[Array, float]:
     """The servo (P,) with these effects as they explain the case best, and what they leave, rad2.
 
     The servo itself stays; an effect may be a parameter of the plain servo.
@@ -346,6 +336,7 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
         of: The recordings.
         effects: Names of the effects.
         starts: Servos to start from, shape (P,) each.
+        evaluations: Evaluations of each fit at most.
     """
     kp, inertia = float(of.row[0]), of.traces[0].load.inertia_kgm2
     columns: list[int] = []
@@ -384,7 +375,7 @@ def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tu
     best, least = of.row, np.inf
     for start in starts:
         x0 = np.clip(start[columns] / scale, *box)
-        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": _EVALUATIONS, "ftol": 1e-6}
+        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": evaluations, "ftol": 1e-6}
         found = least_squares(alone, x0, slopes, bounds=box, **options)
         mean = 2 * float(found.cost) / max(found.fun.size, 1)
         if mean < least:

@@ -14,8 +14,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_LAGS = 61
-
 
 def freed_of_the_common(
     traces: Sequence[Trace], residuals: Sequence[Array], references: int
@@ -54,7 +52,7 @@ def freed_of_the_common(
     return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
 
 
-def alignment(one: Trace, other: Trace) -> tuple[float, float]:
+def alignment(one: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[float, float]:
     """How much later the other's command comes, s, and what then differs.
 
     Returns:
@@ -73,7 +71,7 @@ def alignment(one: Trace, other: Trace) -> tuple[float, float]:
         return float(np.sqrt(np.mean(moved**2))) / size
 
     lags = np.linspace(
-        -DECISION.change.same_command_lag_s, DECISION.change.same_command_lag_s, _LAGS
+        -DECISION.change.same_command_lag_s, DECISION.change.same_command_lag_s, lags_tried
     )
     coarse = [difference(float(lag)) for lag in lags]
     k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])

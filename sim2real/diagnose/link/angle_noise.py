@@ -20,12 +20,9 @@ Mask = NDArray[np.bool_]
 
 RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
-_NEGLIGIBLE = 1e-5
-"""Share of the squares of all responses that may be left where they are cut off."""
 _LEAST_SD_RAD = 1e-9
 _REST_SHARES = np.linspace(0.1, 0.8, 8)
 """Shares of the samples, the slowest, that may be called at rest."""
-_FEWEST, _ITERATIONS = 100, 20
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,9 @@ class NoisyJoint:
         return regress(products)
 
 
-def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> NoisyJoint:
+def with_noise(
+    given: Sequence[Residual], lags: int, least_gain: float, *, iterations: int = 20
+) -> NoisyJoint:
     """Fit the noise of one joint by maximum likelihood, with nothing random on its set-points.
 
     Innovations are smaller at rest where the sensor is coarser than its noise. Were that not
@@ -146,6 +145,7 @@ def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> Noisy
         given: Its recordings.
         lags: Order p of the autoregression.
         least_gain: Least gain of the whitening filter at frequency 0.
+        iterations: Refits of the noise at most.
 
     Raises:
         ValueError: If no more samples count than the autoregression has coefficients.
@@ -166,7 +166,7 @@ def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> Noisy
     noise = joint.remodelled(noise, [[s.residual] for s in segments])
     joint = NoisyJoint(_with_rest(segments, noise.model), noise, least_gain)
     before = -np.inf
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         noise, value = joint.settled(noise)
         if value < before + 0.01:
             break
@@ -175,7 +175,9 @@ def with_noise(given: Sequence[Residual], lags: int, least_gain: float) -> Noisy
     return replace(joint, noise=noise)
 
 
-def _with_rest(segments: Sequence[Segment], model: Array) -> tuple[Segment, ...]:
+def _with_rest(
+    segments: Sequence[Segment], model: Array, *, fewest: int = 100
+) -> tuple[Segment, ...]:
     """The recordings with the speed below which a sample rests at its likeliest."""
     square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
     speeds = [np.abs(s.response.refit[:, 0]) for s in segments]
@@ -183,7 +185,7 @@ def _with_rest(segments: Sequence[Segment], model: Array) -> tuple[Segment, ...]
     best, limit = square.size * np.log(square.mean() + 1e-300), -1.0
     for trial in np.quantile(speed, _REST_SHARES):
         rests = speed <= trial
-        if min(rests.sum(), (~rests).sum()) < _FEWEST:
+        if min(rests.sum(), (~rests).sum()) < fewest:
             continue
         moving = square[~rests].mean() + 1e-300
         rest = np.clip(square[rests].mean() / moving, RATIOS[0] ** 2, RATIOS[1] ** 2) * moving
@@ -239,7 +241,11 @@ class WhitenedRegression:
 
 
 def normals(
-    joint: NoisyJoint, noise: Noise, tables: Sequence[Array]
+    joint: NoisyJoint,
+    noise: Noise,
+    tables: Sequence[Array],
+    *,
+    negligible: float = 1e-5,
 ) -> tuple[WhitenedRegression, WhitenedRegression]:
     """Normal equations of the samples in motion and of those at rest.
 
@@ -247,13 +253,14 @@ def normals(
         joint: The joint.
         noise: Whose autoregression whitens.
         tables: For each recording its responses, laid out as in ``SetPoints``, shape (K, W).
+        negligible: Share of the squares of all responses that may be left where they are cut off.
     """
     p = noise.model.size
     longest = max(table.shape[1] for table in tables) + p
     wide = [np.pad(table, ((0, 0), (0, longest - table.shape[1]))) for table in tables]
     white = [whitened(table, noise.model, axis=1) for table in wide]
     after = np.cumsum(sum(np.sum(table**2, axis=0) for table in white)[::-1])[::-1]
-    kept = max(int(np.sum(after > _NEGLIGIBLE * after[0])), 1)
+    kept = max(int(np.sum(after > negligible * after[0])), 1)
     parts: tuple[list[WhitenedRegression], list[WhitenedRegression]] = ([], [])
     for table, s in zip(white, joint.segments, strict=True):
         columns = np.column_stack([s.residual, s.response.refit])

@@ -28,8 +28,6 @@ Mask = NDArray[np.bool_]
 
 _HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 7)
 """Halfwidths from which the search for jitter starts."""
-_STEPS, _DRAWS, _OVERSTEP = 8, 2, 1.5
-"""Steps of expectation maximisation are short; it climbs as long as the last is below 2."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +80,14 @@ class _Delayed:
         start = float(np.log(self.noise.ratio))
         return tried(_climb(lambda x: tried(x).at(sd_s).loglikelihood, start, 0.2)[0])
 
-    def renewed(self, found: _Delays) -> _Delayed:
+    def renewed(self, found: _Delays, *, pairs_drawn: int = 2, overstep: float = 1.5) -> _Delayed:
         """About the posterior mean of the delays, the noise refitted to what draws of them leave.
 
         Expectation maximisation: Dempster, Laird, Rubin, Journal of the Royal Statistical Society B
-        39 (1977) 1-38.
+        39 (1977) 1-38. Its steps are short; it climbs as long as ``overstep`` is below 2.
         """
         rng = np.random.default_rng(0)  # stands in for an integral; the same draws every time
-        signs = rng.choice([-1.0, 1.0], size=(found.mean.size, _DRAWS))
+        signs = rng.choice([-1.0, 1.0], size=(found.mean.size, pairs_drawn))
         around = dtbtrs(found.factor, signs, uplo="L", trans="T")[0] * found.sd_s
         draws = found.mean[:, None] + np.concatenate([around, -around], axis=1)
         by_recording = [self.joint.by_recording(draw) for draw in draws.T]
@@ -103,7 +101,7 @@ class _Delayed:
         ]
         model = self.joint.remodelled(found.noise, series).model
         old = found.noise.model
-        noise = replace(found.noise, model=old + _OVERSTEP * (model - old))
+        noise = replace(found.noise, model=old + overstep * (model - old))
         most, segments = found.sd_s * np.sqrt(3), []
         means = self.plain.by_recording(found.mean)
         for s, mean in zip(self.plain.segments, means, strict=True):
@@ -208,10 +206,12 @@ def _likeliest(every: Sequence[_Delayed], start: float) -> tuple[float, float]:
     return float(np.exp(x)), float(np.exp(x) / np.sqrt(bend)) if bend > 0 else np.inf
 
 
-def _climb(f: Callable[[float], float], x: float, step: float) -> tuple[float, float]:
+def _climb(
+    f: Callable[[float], float], x: float, step: float, *, steps: int = 8
+) -> tuple[float, float]:
     """Place of a maximum near ``x`` by a parabola through three points, and its curvature."""
     below, here, above = f(x - step), f(x), f(x + step)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         if above > max(here, below):
             x, below, here, above = x + step, here, above, f(x + 2 * step)
         elif below > here:

@@ -19,6 +19,7 @@ from sim2real.diagnose.link.angle_noise import (
     regress,
 )
 from sim2real.inference.correlated_noise import whitened
+from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.servo.linearised import spread
 
 Array = NDArray[np.float64]
@@ -26,9 +27,6 @@ Mask = NDArray[np.bool_]
 
 ROUNDS = 5
 """Gain below which another round can find nothing, and growth of the gain that ends them."""
-_START, _LIMITS = 0.02, (1e-4, 0.5)
-"""Probability of a loss with which the search starts; its bounds."""
-_SWEEPS, _LEAST_GAIN, _MEDIAN = 60, 1e-3, 1.4826
 _RUN, _TAIL = 3, 3
 """Set-points in a row whose fates are weighed together, and lost ones after them."""
 _PATTERNS = np.array([[b >> i & 1 for i in range(_RUN)] for b in range(2**_RUN)], dtype=bool)
@@ -150,7 +148,7 @@ class _Lossy:
         return _Lossy.of(self.joint, replace(noise, ratio=ratio))
 
 
-def packet_loss(joints: Sequence[NoisyJoint]) -> Uneven:
+def packet_loss(joints: Sequence[NoisyJoint], *, first_probability: float = 0.02) -> Uneven:
     """Find the set-points that one link lost, for all its joints at once.
 
     The likeliest set of losses, each charged with log((1 - p) / p), is searched best first. Around
@@ -161,6 +159,7 @@ def packet_loss(joints: Sequence[NoisyJoint]) -> Uneven:
 
     Args:
         joints: The joints. Where they have different recordings, each has losses of its own.
+        first_probability: Probability of a loss with which the search starts.
     """
     sizes = {tuple(s.residual.size for s in joint.segments) for joint in joints}
     if len(sizes) > 1:
@@ -170,7 +169,7 @@ def packet_loss(joints: Sequence[NoisyJoint]) -> Uneven:
     first = np.zeros(sum(*sizes), dtype=bool)
     first[np.cumsum([0, *next(iter(sizes))])[:-1]] = True  # in force from the start
     every = [_Lossy.of(joint, _typical(joint)) for joint in joints]
-    lost, p = np.zeros_like(first), _START
+    lost, p = np.zeros_like(first), first_probability
     least = sum(joint.alone(joint.noise) for joint in joints)
     best, before = Uneven("packet_loss"), 0.0
     for _ in range(ROUNDS):
@@ -204,7 +203,7 @@ def _typical(joint: NoisyJoint) -> Noise:
         np.abs(whitened(s.left(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
         for s in joint.segments
     ]
-    sd = _MEDIAN * float(np.median(np.concatenate(sizes)))
+    sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
     return replace(noise, variance=joint.variance(joint.counts[0] * sd**2))
 
 
@@ -234,7 +233,14 @@ def _evidence(every: Sequence[_Lossy], lost: Mask, first: Mask) -> Array:
 
 
 def _searched(
-    every: list[_Lossy], lost: Mask, first: Mask, p: float
+    every: list[_Lossy],
+    lost: Mask,
+    first: Mask,
+    p: float,
+    *,
+    limits: tuple[float, float] = (1e-4, 0.5),
+    sweeps: int = 60,
+    least_gain: float = 1e-3,
 ) -> tuple[list[_Lossy], Mask, float]:
     """The likeliest losses that changes of three in a row reach, with the noise and p."""
     # So far apart that one change does not alter what another is worth.
@@ -243,9 +249,9 @@ def _searched(
         before, lost = lost, lost.copy()
         odds = float(np.log(p / (1 - p)))
         gain = _gains(every, lost, first, odds, np.arange(lost.size))
-        for _ in range(_SWEEPS):
+        for _ in range(sweeps):
             best = gain.max(axis=0)
-            chosen = (best > _LEAST_GAIN) & (best >= maximum_filter1d(best, reach))
+            chosen = (best > least_gain) & (best >= maximum_filter1d(best, reach))
             if not chosen.any():
                 break
             for k in np.flatnonzero(chosen):
@@ -255,7 +261,7 @@ def _searched(
         every = [replace(one, noise=one.fitted(one.below(lost))[0]) for one in every]
         evidence = _evidence(every, lost, first)[~first]
         for _ in range(20):
-            p = float(np.clip(expit(evidence + np.log(p / (1 - p))).mean(), *_LIMITS))
+            p = float(np.clip(expit(evidence + np.log(p / (1 - p))).mean(), *limits))
         if (before == lost).all():
             break
     return every, lost, p

@@ -29,8 +29,6 @@ Array = NDArray[np.float64]
 
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""
-_CANDIDATES = 256
-_REFINED = 3
 _SENSOR = ("sensor_gain", "sensor_offset")
 _ERRORS = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
 _WAVES = [
@@ -39,28 +37,36 @@ _WAVES = [
 """Columns of the waves of the angle that every servo has."""
 
 
-def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
+def baselines(
+    batch: Batch,
+    given: Sequence[JointModel | None] = (),
+    *,
+    candidates: int = 256,
+    refined: int = 3,
+) -> Fits:
     """Fit the plain servo to every joint of a batch, with no guess by hand.
 
     Args:
         batch: The recordings.
         given: Models to start from as well, one a joint, where there are any.
+        candidates: Servos that are simulated to find where fits start.
+        refined: Fits that are refined with the noise's autoregression.
     """
     J = batch.recordings.size
-    points = qmc.Sobol(3, seed=0).random(_CANDIDATES)
+    points = qmc.Sobol(3, seed=0).random(candidates)
     ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
     scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
     frequency, damping = np.exp(scaled[:, :2]).T
     inertia = batch.load[batch.first_signal, 0]
-    theta = np.zeros((J, _CANDIDATES, len(COLUMNS)))
+    theta = np.zeros((J, candidates, len(COLUMNS)))
     theta[:, :, 0] = inertia[:, None] * frequency**2
     theta[:, :, 1] = inertia[:, None] * 2 * damping * frequency
     theta[:, :, 2] = scaled[:, 2]
-    joint = np.repeat(np.arange(J, dtype=np.int32), _CANDIDATES)
+    joint = np.repeat(np.arange(J, dtype=np.int32), candidates)
     rows = theta.reshape(-1, 1, len(COLUMNS))
     white = np.zeros((joint.size, batch.lags))
     seen = batch.evaluate(Problems(joint, rows, np.zeros(rows.shape[:2])), autoregression=white)
-    error2 = seen.square[:, 0].reshape(J, _CANDIDATES)
+    error2 = seen.square[:, 0].reshape(J, candidates)
     best = np.argsort(error2, axis=1)[:, :6]
     starts = np.take_along_axis(theta, best[:, :, None], axis=1)
     if any(given):
@@ -75,7 +81,7 @@ def baselines(batch: Batch, given: Sequence[JointModel | None] = ()) -> Fits:
     begin = starts.reshape(J * K, -1)
     many = plain_servos(starting, begin, inertia[starting], batch.period, free_line=True)
     rough = minimise(batch, many, iterations=12, white=True)
-    order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :_REFINED]
+    order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :refined]
     pick = (np.arange(J)[:, None] * K + order).ravel()
     fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
     best = fine.error2.reshape(J, -1).argmin(axis=1)

@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 
 BEFORE = 0.7
 """Share of the time that a diagnosis takes before it comes to this."""
-_MOST = 24
 _NOTE = (
     "No set of effects explains the recordings whole: this model has those that predict unseen "
     "recordings best, which may stand in for something else."
@@ -90,10 +89,12 @@ def _had_effects(found: Diagnosis) -> bool:
     return any(effect.effect != ROUNDING for joint in joints for effect in joint.effects)
 
 
-def _best(tried: Tried, data: Sequence[Trace]) -> tuple[Hypothesis, dict[str, float | None]]:
+def _best(
+    tried: Tried, data: Sequence[Trace], *, most: int = 24
+) -> tuple[Hypothesis, dict[str, float | None]]:
     """The set of effects that predicts best, with its error on fitted and unseen recordings."""
     order = sorted(tried.tried.values(), key=lambda h: -h.evidence)
-    some = order[:_MOST] + [h for h in order[_MOST:] if len(h.members) < 2]
+    some = order[:most] + [h for h in order[most:] if len(h.members) < 2]
     unseen = held_out([data] * len(some), [h.fit.servos for h in some])
     figures: list[dict[str, float | None]] = [
         {

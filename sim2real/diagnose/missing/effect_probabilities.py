@@ -14,8 +14,6 @@ from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 
 Array = NDArray[np.float64]
 
-DRAWS = 200
-
 
 @dataclass(frozen=True)
 class Group:
@@ -105,7 +103,11 @@ def _shared_odds(others: Sequence[EffectPosterior]) -> dict[str, float]:
 
 
 def posterior(
-    found: Tried, rng: np.random.Generator, log_odds: dict[str, float] | None = None
+    found: Tried,
+    rng: np.random.Generator,
+    log_odds: dict[str, float] | None = None,
+    *,
+    bootstraps: int = 200,
 ) -> EffectPosterior:
     """Probabilities of the sets, averaged over bootstraps of blocks.
 
@@ -117,14 +119,15 @@ def posterior(
         found: What was tried on the joint.
         rng: For the bootstrap.
         log_odds: Additions to the log prior odds of effects, from what else is known.
+        bootstraps: How many.
     """
     tried = sorted(found.tried.values(), key=lambda h: -h.evidence)
     tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0]
     extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.members) for h in tried])
     blocks = tried[0].fit.gram.shape[1]
     used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)
-    draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=DRAWS)
-    weights = np.zeros((DRAWS, blocks))
+    draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=bootstraps)
+    weights = np.zeros((bootstraps, blocks))
     weights[:, used] = draws
     scores = np.stack([h.fit.resampled(weights) for h in tried])
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
@@ -136,7 +139,7 @@ def posterior(
     share = np.exp(total)
     share /= share.sum(axis=0)
     probability = share.mean(axis=1)
-    first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / DRAWS
+    first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / bootstraps
     order = np.argsort(-probability)
     return EffectPosterior(tuple(tried[k].members for k in order), probability[order], first[order])
 

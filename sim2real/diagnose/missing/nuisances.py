@@ -23,13 +23,6 @@ from sim2real.servo.parameters import COLUMNS
 NAMES = frozenset(e.name for e in NUISANCES)
 _BENT = "sensor_eccentricity"
 _CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
-_BESIDE = 4
-"""Effects that are tried beside the plain servo, to fit nuisances with the best of them."""
-_STARTS = 2
-_RIVALS = 8
-"""Sets of effects that nuisances are looked for beside in the end."""
-_PROMISE = 2.0
-"""Times the gain at first sight that a fit may make."""
 
 
 def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
@@ -48,19 +41,22 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
     return float(size / (theta[0] if first.endswith("_Nm") else 1.0) / noise_rad)
 
 
-def first_look(problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float]) -> None:
+def first_look(
+    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], *, most: int = 4
+) -> None:
     """Try what explains each joint best at first sight, with the small nuisances that show beside.
 
     Args:
         problem: The search to come.
         ledgers: One a joint, of plain servos.
         large: Angle from which a joint's nuisance is a finding, rad.
+        most: Effects that are tried beside the plain servo.
     """
     problem.look([(one, one.base) for one in ledgers])
     jobs = [
         (one, one.base | {name}, start)
         for one in ledgers
-        for name, start in problem.additions(one, one.base, _BESIDE)
+        for name, start in problem.additions(one, one.base, most)
     ]
     for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
         one.keep(found)
@@ -119,7 +115,13 @@ def with_nuisances(
 
 
 def beside_rivals(
-    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], surely: float
+    problem: ServoSearch,
+    ledgers: Sequence[Tried],
+    large: Sequence[float],
+    surely: float,
+    *,
+    rivals: int = 8,
+    promise: float = 2.0,
 ) -> list[Tried]:
     """Try small nuisances beside the likeliest sets of each joint, too.
 
@@ -130,6 +132,8 @@ def beside_rivals(
         ledgers: What it tried.
         large: Angle from which a joint's nuisance is a finding, rad.
         surely: Evidence that a sensor bent by more than that must earn.
+        rivals: Sets of effects of each joint that are looked at.
+        promise: Times the gain at first sight that a fit may make.
 
     Returns:
         Those in which other effects are likeliest now.
@@ -139,13 +143,11 @@ def beside_rivals(
     pairs = [
         (one, h)
         for one in ledgers
-        for h in sorted(one.tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
+        for h in sorted(one.tried.values(), key=lambda h: -h.evidence)[:rivals]
         if _missing(h.members)
     ]
     behind = [before[one.case].evidence - h.evidence for one, h in pairs]
-    jobs = _jobs(
-        problem, pairs, [max(x / _PROMISE, DECISION.nuisance_min_evidence) for x in behind]
-    )
+    jobs = _jobs(problem, pairs, [max(x / promise, DECISION.nuisance_min_evidence) for x in behind])
     found = iter(problem.refit([job for some in jobs for job in some]))
     for (one, h), some in zip(pairs, jobs, strict=True):
         tried = [next(found) for _ in some]
@@ -168,6 +170,8 @@ def _jobs(
     problem: ServoSearch,
     pairs: Sequence[tuple[Tried, Hypothesis]],
     worth: Sequence[float] | None = None,
+    *,
+    starts_each: int = 2,
 ) -> list[list[Job]]:
     """For each hypothesis every set of nuisances beside it, from the likeliest waves.
 
@@ -175,6 +179,7 @@ def _jobs(
         problem: The search.
         pairs: Hypotheses, each with what was tried on its joint.
         worth: Gain at first sight below which a nuisance is not tried.
+        starts_each: Waves of each nuisance from which fits start.
     """
     lists = [
         [candidate(named(n), *problem.strength(one)) for n in _missing(h.members)]
@@ -186,13 +191,13 @@ def _jobs(
         starts: dict[str, list[np.ndarray]] = {}
         for k, option in enumerate(given):
             mine = np.flatnonzero(seen.candidate == k)
-            best = mine[np.argsort(-seen.gain[mine])][:_STARTS]
+            best = mine[np.argsort(-seen.gain[mine])][:starts_each]
             if worth is None or seen.gain[best[0]] > worth[n]:
                 starts[option.effect.name] = [option.starts[seen.start[i]] for i in best]
         columns = {option.effect.name: option.columns for option in given}
         for count in range(1, len(starts) + 1):
             for names in combinations(starts, count):
-                for turn in range(_STARTS):
+                for turn in range(starts_each):
                     theta = np.array(base.fit.servos.theta[0])
                     for name in names:
                         theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]

@@ -21,8 +21,6 @@ FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.ne
 """Effects whose parameters a fit finds, and that may be named."""
 NUISANCES: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and e.everywhere)
 """What every servo has a little of."""
-_APART = 1.5
-"""Least ratio of two ascending parameters (``Effect.ascending``) where a fit starts."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,11 @@ class Candidate:
     starts: Array
 
 
-def candidate(effect: Effect, kp: float, inertia: float) -> Candidate:
-    """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2."""
+def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:
+    """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2.
+
+    Two ascending parameters (``Effect.ascending``) start at a ratio of ``apart`` at least.
+    """
     given = [scaled(p, kp, inertia) for p in effect.parameters]
     low, high, unit = (
         np.array([getattr(p, name) for p in given]) for name in ("low", "high", "typical")
@@ -60,7 +61,7 @@ def candidate(effect: Effect, kp: float, inertia: float) -> Candidate:
     if effect.ascending:
         names = [p.name for p in given]
         lower, upper = (names.index(name) for name in effect.ascending)
-        starts[:, upper] = np.maximum(starts[:, upper], _APART * starts[:, lower])
+        starts[:, upper] = np.maximum(starts[:, upper], apart * starts[:, lower])
     columns = [COLUMNS.index(f"{effect.name}.{p.name}") for p in given]
     return Candidate(
         effect=effect,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,33 @@ Index = NDArray[np.intp]
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
-_BETTER = 1.0
-_RIVALS, _NEAR = 10, 80.0
-"""Sets that are refitted with nothing held, and how far their evidence may be behind."""
-_SINGLES, _HOPELESS = 24, 1.0
-"""Starts of single effects that are followed, and the gain at first sight below which none is."""
-_PROMISE = 3.0
-"""Times the gain that a fit's quadratic model promises, which it may still make."""
 _GAIN = "sensor_gain"
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """How far the search for effects goes, and what it gives up.
+
+    Attributes:
+        min_rebase_gain: Evidence by which the plain servo must fit better with the gains that the
+            best single effect found.
+        rivals: Sets that are refitted with nothing held.
+        near: How far the evidence of such a set may be behind the best.
+        singles: Starts of single effects that are followed.
+        hopeless_gain: Gain at first sight below which no start is.
+        promise: Times the gain that a fit's quadratic model promises, which it may still make.
+    """
+
+    min_rebase_gain: float = 1.0
+    rivals: int = 10
+    near: float = 80.0
+    singles: int = 24
+    hopeless_gain: float = 1.0
+    promise: float = 3.0
+
+
+SEARCH_LIMITS = SearchLimits()
+"""The defaults."""
 
 
 def ledgers_of(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
@@ -61,10 +80,18 @@ class ServoSearch:
         batch: The recordings.
         level: Share of joints with nothing missing that may be searched beyond single effects.
         rng: For the bootstrap.
+        limits: How far it goes.
     """
 
-    def __init__(self, batch: Batch, level: float, rng: np.random.Generator) -> None:
-        self.batch, self.level, self.rng = batch, level, rng
+    def __init__(
+        self,
+        batch: Batch,
+        level: float,
+        rng: np.random.Generator,
+        *,
+        limits: SearchLimits = SEARCH_LIMITS,
+    ) -> None:
+        self.batch, self.level, self.rng, self.limits = batch, level, rng, limits
         self.held: dict[int, Set] = {}
         """Effects of each case that stay as they are."""
         self.singles = True
@@ -117,7 +144,9 @@ class ServoSearch:
                 chosen.append((float(gain[index]), option.effect.name, theta))
         chosen.sort(key=lambda entry: -entry[0])
         if most is None:
-            chosen = [entry for entry in chosen if entry[0] > _HOPELESS][:_SINGLES]
+            chosen = [entry for entry in chosen if entry[0] > self.limits.hopeless_gain][
+                : self.limits.singles
+            ]
         return [(name, theta) for _, name, theta in chosen[:most]]
 
     def start(self, ledger: Tried, members: Set, of: Set | None = None) -> Array:
@@ -152,14 +181,14 @@ class ServoSearch:
         keys = [
             key
             for key in keys
-            if float(fits[key].loglikelihood[0]) + _PROMISE * promised[key] > goal[key]
+            if float(fits[key].loglikelihood[0]) + self.limits.promise * promised[key] > goal[key]
         ]
         if keys:
             index = np.array([best[key] for key in keys])
             goals = np.array([goal[key] for key in keys])
 
             def hopeless(places: Index, loss: Array, promised: Array) -> NDArray[np.bool_]:
-                return np.asarray(_PROMISE * promised - loss < goals[places])
+                return np.asarray(self.limits.promise * promised - loss < goals[places])
 
             fine, _ = descended(
                 self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
@@ -183,7 +212,9 @@ class ServoSearch:
             known = float(ledger.best.fit.loglikelihood[0])
             top[ledger.case] = max(here, known, top.get(ledger.case, -np.inf))
         return {
-            (ledger.case, members): -np.inf if _GAIN in members else top[ledger.case] - _NEAR
+            (ledger.case, members): -np.inf
+            if _GAIN in members
+            else top[ledger.case] - self.limits.near
             for ledger, members, _ in jobs
         }
 
@@ -192,7 +223,12 @@ class ServoSearch:
 
         What was held was fitted beside what was likeliest then, and speaks for that.
         """
-        held = [(one, h) for one in ledgers if self.held.get(one.case) for h in _likely(one)]
+        held = [
+            (one, h)
+            for one in ledgers
+            if self.held.get(one.case)
+            for h in _likely(one, self.limits)
+        ]
         self.held.clear()
         jobs = [(one, h.members, h.fit.servos.theta[0]) for one, h in held]
         for (one, h), found in zip(held, self.refit(jobs), strict=True):
@@ -236,7 +272,7 @@ class ServoSearch:
         better = []
         for one, found, old in zip(ledgers, self.refit(jobs), before, strict=True):
             one.keep(found)
-            if one.plain.evidence > old + _BETTER:
+            if one.plain.evidence > old + self.limits.min_rebase_gain:
                 better.append(one)
                 del self._seen[one.case, one.base]
         return better
@@ -247,18 +283,18 @@ class ServoSearch:
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
 
-def _likely(one: Tried) -> list[Hypothesis]:
+def _likely(one: Tried, limits: SearchLimits) -> list[Hypothesis]:
     """The sets that what is said rests on: the best, what it is without each effect, its rivals.
 
     What was held fits none with another gain of the sensor, however far behind they are.
     """
     best, tried = one.best, one.tried
-    near = sorted(tried.values(), key=lambda h: -h.evidence)[:_RIVALS]
+    near = sorted(tried.values(), key=lambda h: -h.evidence)[: limits.rivals]
     scaled = _GAIN in best.members
     sets = [
         h.members
         for h in near
-        if h.evidence > best.evidence - _NEAR or (_GAIN in h.members) != scaled
+        if h.evidence > best.evidence - limits.near or (_GAIN in h.members) != scaled
     ]
     sets += [one.base, *(best.members - {e} for e in best.members - one.base)]
     return [tried[s] for s in dict.fromkeys(sets) if s in tried]

@@ -20,14 +20,6 @@ from sim2real.servo.linearised import Filter, gain_torques, through, torque_filt
 
 Array = NDArray[np.float64]
 
-KNOTS = 8
-SHAKEN_HZ = (0.2, 8.0)
-"""Frequencies at which a shaft may be shaken."""
-JUMPS_S = 0.25
-"""Spacing of the instants at which the zero of a sensor may have jumped."""
-_ROUNDS = 2
-_FREQUENCIES = 8192
-
 
 @dataclass(frozen=True)
 class JointMotion:
@@ -156,10 +148,10 @@ def _changing_gains(motions: Sequence[JointMotion], servo: ServoMotion) -> list[
     return drifting
 
 
-def _splines(states: Sequence[Array]) -> list[Array]:
-    """Cubic B-splines over the range of a state, for each recording (T, KNOTS)."""
+def _splines(states: Sequence[Array], *, count: int = 8) -> list[Array]:
+    """Cubic B-splines over the range of a state, for each recording (T, count)."""
     low, high = np.quantile(np.concatenate(states), [0.0, 1.0])
-    inner = np.linspace(low, high + 1e-9, KNOTS - 2)
+    inner = np.linspace(low, high + 1e-9, count - 2)
     knots = np.concatenate([[low] * 3, inner, [high + 1e-9] * 3])
     return [
         np.asarray(BSpline.design_matrix(np.clip(x, low, high), knots, 3).toarray()) for x in states
@@ -184,7 +176,12 @@ def _response(motion: JointMotion, servo: ServoMotion, r: int) -> Filter:
 
 
 def _fit(
-    motions: Sequence[JointMotion], columns: Array, servo: ServoMotion, given: Array | None
+    motions: Sequence[JointMotion],
+    columns: Array,
+    servo: ServoMotion,
+    given: Array | None,
+    *,
+    rounds: int = 2,
 ) -> tuple[float, Array]:
     """Log-likelihood with these columns (N, K) and the noise model at its best, and that model."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
@@ -192,7 +189,7 @@ def _fit(
     model = _noise_model(motions, [m.residual for m in motions], servo)
     model = model if given is None else given
     level = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         white = _whitened(motions, np.column_stack([residual, columns]), model, cuts)
         # Normalised, and with a little ridge: splines and gains overlap.
         size = np.sqrt((white[:, 1:] ** 2).sum(axis=0)) + 1e-30
@@ -213,6 +210,9 @@ def _shaking(
     bent: Array,
     servo: ServoMotion,
     model: Array,
+    *,
+    shaken_Hz: tuple[float, float] = (0.2, 8.0),
+    transform_length: int = 8192,
 ) -> tuple[float, int]:
     """A torque at one frequency, of its own phase in each recording."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
@@ -220,21 +220,26 @@ def _shaking(
     white = _whitened(motions, np.column_stack([residual, bent]), model, cuts)
     basis, _ = np.linalg.qr(white[:, 1:])
     left = white[:, 0] - basis @ (basis.T @ white[:, 0])
-    power: Array = np.zeros(_FREQUENCIES // 2 + 1)
+    power: Array = np.zeros(transform_length // 2 + 1)
     at = 0
     for motion in motions:
         n = int(motion.counts.sum())
-        power += np.abs(np.fft.rfft(left[at : at + n], _FREQUENCIES)) ** 2
+        power += np.abs(np.fft.rfft(left[at : at + n], transform_length)) ** 2
         at += n
-    hertz = np.fft.rfftfreq(_FREQUENCIES, float(np.median(np.diff(motions[0].t))))
-    power[(hertz < SHAKEN_HZ[0]) | (hertz > SHAKEN_HZ[1])] = 0.0
+    hertz = np.fft.rfftfreq(transform_length, float(np.median(np.diff(motions[0].t))))
+    power[(hertz < shaken_Hz[0]) | (hertz > shaken_Hz[1])] = 0.0
     lines = _lines(motions, responses, float(hertz[power.argmax()]))
     level, _ = _fit(motions, np.hstack([bent, lines]), servo, model)
     return level, lines.shape[1] + 2
 
 
 def _jump(
-    motions: Sequence[JointMotion], bent: Array, servo: ServoMotion, model: Array
+    motions: Sequence[JointMotion],
+    bent: Array,
+    servo: ServoMotion,
+    model: Array,
+    *,
+    spacing_s: float = 0.25,
 ) -> tuple[tuple[float, ...], float, int]:
     """A jump of the sensor's zero in each recording: the instants, log-likelihood, unknowns."""
     cuts = np.cumsum([m.t.size for m in motions])[:-1]
@@ -245,7 +250,7 @@ def _jump(
     steps, instants = [], []
     for r, motion in enumerate(motions):
         edge = min(1.0, 0.1 * float(motion.t[-1] - motion.t[0]))
-        times = np.arange(motion.t[0] + edge, motion.t[-1] - edge, JUMPS_S)
+        times = np.arange(motion.t[0] + edge, motion.t[-1] - edge, spacing_s)
         tried = np.zeros((residual.size, times.size))
         rows = slice(*np.concatenate([[0], cuts, [residual.size]])[r : r + 2])
         tried[rows] = motion.t[:, None] >= times

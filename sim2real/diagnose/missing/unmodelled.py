@@ -25,8 +25,6 @@ from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 3
-
 
 @dataclass(frozen=True)
 class Unmodelled:
@@ -110,12 +108,14 @@ def intermittent(
     plain: Fits,
     residuals: Array,
     suspects: Sequence[int],
+    *,
+    rounds: int = 3,
 ) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
     """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
     found: dict[int, tuple[tuple[Window, ...], ...]] = {}
     now = {j: residuals[j] for j in suspects}
     scores: dict[int, float] = {}
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
         length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
         inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}

@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 
 _CLEAR = float(-2 * ndtri(DECISION.false_alarms))
 """Distance in noises at which one rival is seldom taken for the other."""
-_PERIOD_S = 0.02
 _WEIGHT = (0.05, 0.1)
 """Mass in kg and arm in m of a weight that anyone can make."""
 _CONTEXTS = {
@@ -123,11 +122,11 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
     return replace(found, next_experiment=replace(plan, file=path.name))
 
 
-def _signals(reach: float) -> Mapping[str, tuple[Array, Array]]:
+def _signals(reach: float, *, period_s: float = 0.02) -> Mapping[str, tuple[Array, Array]]:
     """The menu of commands, each from rest at 0."""
 
     def clock(seconds: float) -> Array:
-        return np.asarray(_PERIOD_S * np.arange(round(seconds / _PERIOD_S)))
+        return np.asarray(period_s * np.arange(round(seconds / period_s)))
 
     t = clock(16.0)
     ladder = np.minimum(1.0, np.floor(t / 4 + 1) / 4)

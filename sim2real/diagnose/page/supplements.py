@@ -1,8 +1,8 @@
-"""What a person wants to see besides the findings: figures, floors, limits, the next experiment."""
+"""What a report shows besides the findings: figures, errors, limits, the next experiment."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,39 +13,29 @@ from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.screening import Candidate, Screen
-from sim2real.diagnose.page.black_box import black_box
-from sim2real.diagnose.page.formula import formula, what_is_left
 from sim2real.diagnose.page.next_experiment import next_experiment
-from sim2real.diagnose.page.servo_knockoffs import best_knockoff, changes
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
-from sim2real.identification.held_out import splits
-from sim2real.recording import PER_INERTIA
+from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
 
 Array = NDArray[np.float64]
 
-_NINE_IN_TEN = 1.28
 
-
-def with_checks(
-    found: Diagnosis, case: Case, joints: Sequence[JointFindings], rng: np.random.Generator
-) -> Diagnosis:
+def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -> Diagnosis:
     """The diagnosis of one robot with all that its report shows.
 
     Args:
         found: The diagnosis.
         case: The robot.
         joints: What is known of its joints.
-        rng: For knockoffs and black boxes.
     """
     return replace(
         found,
         gate=gate(case),
         evidence=tuple(e for one in joints for e in _evidence(one)),
         detection_limits=tuple(limit for one in joints for limit in _limits(one)),
-        ladders={one.signal: x for one in joints if (x := _ladder(one, rng)) is not None},
-        hypothesis=_guesses(joints),
+        ladders={one.signal: x for one in joints if (x := _ladder(one)) is not None},
         next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
     )
 
@@ -65,53 +55,18 @@ def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | N
     return None
 
 
-def _guesses(joints: Sequence[JointFindings]) -> Mapping[str, str]:
-    """Formulas by joint, for those that miss something that no effect explains and have one."""
-    found = {}
-    for one in joints:
-        if not one.finding.left:
-            continue
-        given = one.joint.traces
-        moving = {x.name: {t.file: t for t in x.joint.traces} for x in joints if x is not one}
-        # The same terms for every recording.
-        always = {name: x for name, x in moving.items() if all(t.file in x for t in given)}
-        theta = one.offered.fit.servos.theta[0]
-        left = [
-            what_is_left(trace, row, theta, {name: x[trace.file] for name, x in always.items()})
-            for trace, row in zip(given, one.after, strict=False)
-        ]
-        unit = "N m/(kg m²)" if given[0].load is PER_INERTIA else "N m"
-        # The square of what is left, where an effect of a negligible share is taken away.
-        text = formula(left, unit, 1 - (1 - DECISION.negligible) ** 2)
-        if text:
-            found[one.name] = f"missing torque ≈ {text}"
-    return found
-
-
 def _limits(one: JointFindings) -> list[DetectionLimit]:
     tried = one.finding.tried
     members = one.rich.members if one.rich.members in tried.tried else tried.base
     return detection_limits(*one.finding.search.seen(tried, members), one.name)
 
 
-def _ladder(one: JointFindings, rng: np.random.Generator) -> Ladder | None:
+def _ladder(one: JointFindings) -> Ladder | None:
     """Held-out errors of ever better informed predictors; None where nothing is held out."""
-    unseen = one.unseen_plain
     before, after = (one.fit(enriched=enriched)["heldout"] for enriched in (False, True))
-    if unseen is None or before is None or after is None:
+    if before is None or after is None:
         return None
-    finding, traces = one.finding, one.joint.traces
-    servo = finding.tried.plain.fit.servos
-    options = finding.search.seen(finding.tried, finding.tried.base)[1]
-    _, moved = changes(traces, servo, [c for c in options if not c.effect.everywhere])
-    folds = splits(traces, unseen)
-    return Ladder(
-        baseline=before,
-        enriched=after,
-        best_knockoff=best_knockoff(traces, servo, moved, folds, rng),
-        black_box=black_box(folds, rng),
-        noise=one.joint.noise,
-    )
+    return Ladder(baseline=before, enriched=after, noise=one.joint.noise)
 
 
 def _evidence(one: JointFindings) -> list[JointSeries]:
@@ -161,7 +116,7 @@ def detection_limits(
         candidates: The candidates, as the screen counts them.
         component: The joint.
     """
-    needed = float(np.sqrt(2 * DECISION.detection_gain)) + _NINE_IN_TEN
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
     limits = []
     for k, option in enumerate(candidates):
         mine = seen.candidate == k

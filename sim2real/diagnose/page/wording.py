@@ -22,6 +22,7 @@ from sim2real.diagnose.result import (
     Verdict,
 )
 from sim2real.effects import named, plain
+from sim2real.inference.normal import Z90
 from sim2real.inference.segments import Window, robust_sd, windows
 from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
@@ -29,7 +30,6 @@ from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
 
-_Q95 = 1.645
 _WORDS = {
     "position": "the residual torque depends on the joint angle",
     "speed": "the residual torque depends on the joint speed, above all after reversals",
@@ -228,8 +228,8 @@ def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
         # Never narrower than the joints' own disagreement.
         spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
         sd = float(max(1 / np.sqrt(weight.sum()), spread)) if len(found) > 1 else float(sds[0])
-        low = min(mean, max(mean - _Q95 * sd, min(e[name].q05 for e in found)))
-        high = max(mean, min(mean + _Q95 * sd, max(e[name].q95 for e in found)))
+        low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in found)))
+        high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in found)))
         combined[name] = Estimate(mean, sd, low, high)
     return combined
 

@@ -1,0 +1,10 @@
+"""Constants of the normal distribution."""
+
+from __future__ import annotations
+
+Z90 = 1.645
+"""Half-width of a 90 % interval, in standard deviations; its ends are the quantiles 5 and 95 %."""
+NINE_IN_TEN = 1.28
+"""Quantile that nine values in ten are below, in standard deviations."""
+SD_PER_MEDIAN = 1.4826
+"""Standard deviation over the median of absolute values."""
