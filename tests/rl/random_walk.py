@@ -16,10 +16,18 @@ from sim2real.errors import InputError
 from sim2real.output import write_json
 
 STEPS_A_CHECKPOINT = 10
+HELD_AT = 30
+LONGEST_HOLD_S = 120.0
 
 
-def walk(folder: Path, *, seed: int, steps: int, pause_s: float = 0.1) -> None:
-    """Walk ``steps`` steps, with a checkpoint and a pause after every ten."""
+def walk(
+    folder: Path, *, seed: int, steps: int, pause_s: float = 0.1, held_until: str = ""
+) -> None:
+    """Walk ``steps`` steps, with a checkpoint and a pause after every ten.
+
+    A walk that begins at 0 stays at step 30 until the file ``held_until`` exists, if one is named:
+    so it can be killed there, however busy the machine is. One that resumes does not wait.
+    """
     rng = np.random.default_rng(seed)
     state = _checkpoint(folder, {"seed": seed, "steps": steps}) or {
         "made_with": {"seed": seed, "steps": steps},
@@ -28,6 +36,7 @@ def walk(folder: Path, *, seed: int, steps: int, pause_s: float = 0.1) -> None:
         "rng": rng.bit_generator.state,
     }
     rng.bit_generator.state = state["rng"]
+    held = bool(held_until) and state["step"] == 0
     with (folder / "starts.txt").open("a") as starts:
         starts.write(f"{state['step']}\n")
     while state["step"] < steps:
@@ -36,8 +45,16 @@ def walk(folder: Path, *, seed: int, steps: int, pause_s: float = 0.1) -> None:
         state["rng"] = rng.bit_generator.state
         write_json(folder / "walk.json", state)
         print("at step", state["step"])
+        if held and state["step"] == HELD_AT:
+            _wait_for(Path(held_until))
         time.sleep(pause_s)
     write_json(folder / "result.json", {"position": state["position"]})
+
+
+def _wait_for(file: Path) -> None:
+    last = time.monotonic() + LONGEST_HOLD_S
+    while not file.exists() and time.monotonic() < last:
+        time.sleep(0.01)
 
 
 def _checkpoint(folder: Path, made_with: dict[str, Any]) -> dict[str, Any] | None:

@@ -35,8 +35,8 @@ from pathlib import Path
 from watching import walks
 from rl.executor import Job, run_jobs
 folder = Path(sys.argv[1])
-jobs = [*walks(folder, steps=100, count=1), Job("h", "random_walk:start_helper", {}, folder / "h")]
-run_jobs(jobs, at_once=2)
+helped = Job("h", "random_walk:start_helper", {}, folder / "h")
+run_jobs([*walks(folder, steps=60, count=1, held=[0]), helped], at_once=2)
 """
 
 
@@ -49,7 +49,7 @@ def uninterrupted(folder: Path, *, steps: int, count: int = 4) -> list[Any]:
 
 
 def test_a_killed_job_goes_on_and_ends_the_same(tmp_path: Path) -> None:
-    jobs = walks(tmp_path / "run", steps=60)
+    jobs = walks(tmp_path / "run", steps=60, held=[2])
     killed = kill_in_the_middle(jobs[2].folder)
     outcomes = run_jobs(jobs, at_once=2)
     assert [str(outcome) for outcome in outcomes] == [f"seed{seed}: done" for seed in range(4)]
@@ -123,7 +123,7 @@ def test_jobs_end_with_the_program_that_started_them(tmp_path: Path, how: int) -
     driver.communicate()
     assert driver.returncode != 0
     wait_for(lambda: not any(map(is_alive, processes)))
-    assert run_jobs(walks(tmp_path, steps=100, count=1))[0].failure is None
+    assert run_jobs(walks(tmp_path, steps=60, count=1))[0].failure is None
     assert starts(tmp_path / "0")[1] >= 30
 
 

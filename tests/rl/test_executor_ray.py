@@ -11,9 +11,12 @@ import pytest
 from random_walk import walk
 from watching import (
     in_background,
+    is_alive,
     kill_in_the_middle,
     parent_of,
+    process_of,
     reached,
+    release,
     results,
     starts,
     wait_for,
@@ -46,7 +49,7 @@ def cluster() -> Iterator[Any]:
 
 
 def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster: Any, tmp_path: Path) -> None:
-    jobs = walks(tmp_path / "run", steps=60)
+    jobs = walks(tmp_path / "run", steps=60, held=[0, 1])
     workers = kill_in_the_middle(jobs[0].folder, parent_of), kill_in_the_middle(jobs[1].folder)
     outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
     assert [str(outcome) for outcome in outcomes] == [f"seed{seed}: done" for seed in range(4)]
@@ -101,11 +104,14 @@ def test_a_cluster_that_does_not_answer(tmp_path: Path) -> None:
 
 def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster: Any, tmp_path: Path) -> None:
     third = cluster.add_node(**NODE)
-    jobs = walks(tmp_path, steps=150, count=3)
+    jobs = walks(tmp_path, steps=60, count=3, held=range(3))
 
     def lose() -> bool:
         wait_for(lambda: all(reached(job.folder, 30) for job in jobs))
+        processes = [process_of(job.folder) for job in jobs]
         cluster.remove_node(third, allow_graceful=False)
+        wait_for(lambda: not all(map(is_alive, processes)))  # the node's job ends a little later
+        release(tmp_path)
         return True
 
     lost = in_background(lose)

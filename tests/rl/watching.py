@@ -6,28 +6,35 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from rl.executor import Job
 
+RELEASED = "released"
 
-def walks(folder: Path, *, steps: int, count: int = 4) -> list[Job]:
-    """A sweep over seeds."""
+
+def walks(folder: Path, *, steps: int, count: int = 4, held: Collection[int] = ()) -> list[Job]:
+    """A sweep over seeds; the walks of the seeds ``held`` stay at step 30, see ``release``."""
+
+    def options(seed: int) -> dict[str, Any]:
+        found = {"seed": seed, "steps": steps, "pause_s": 0.1}
+        return found | ({"held_until": str(folder / RELEASED)} if seed in held else {})
+
     return [
-        Job(
-            f"seed{seed}",
-            "random_walk:walk",
-            {"seed": seed, "steps": steps, "pause_s": 0.1},
-            folder / str(seed),
-        )
+        Job(f"seed{seed}", "random_walk:walk", options(seed), folder / str(seed))
         for seed in range(count)
     ]
 
 
-def wait_for(what: Callable[[], Any], patience_s: float = 30.0) -> Any:
+def release(folder: Path) -> None:
+    """Let the walks in ``folder`` that are held go on."""
+    (folder / RELEASED).touch()
+
+
+def wait_for(what: Callable[[], Any], patience_s: float = 100.0) -> Any:
     """The first true answer of ``what``."""
     last = time.monotonic() + patience_s
     while time.monotonic() < last:
