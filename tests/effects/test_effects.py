@@ -544,7 +544,7 @@ def test_a_new_effect_of_the_body_is_one_file(tmp_path):
             'robot.resist[-1, 0] += p["coefficient"]',
         )
     )
-    weed = weed.replace("drag that grows with speed", "weed on the tail")
+    weed = weed.replace("an error of the linear drag", "weed on the tail")
     assert "resist[-1, 0]" in weed
     robot = Path(__file__).parents[1] / "sim"
     program = f"""
