@@ -14,7 +14,7 @@ EXAMPLES = {
     "find_what_is_missing": ([], ("candidates.png",), "verdict: explained"),
     "posterior_and_ranges": (["--steps", "240"], ("ranges.json", "latency.png"), "j1.kp"),
     "calibrate_a_body": (["--seconds", "8"], ("calibrated.json", "calibration.png"), "twin.thrust"),
-    "swim_your_own_robot": ([], ("fish.toml", "way.png"), "its head's way"),
+    "swim_your_own_robot": ([], ("fish.toml", "way.png"), "path of the head"),
     "train_with_gymnasium": (
         ["--steps", "150", "--filmed", "20"], ("policy.zip", "swim.gif"), "swim.gif",
     ),

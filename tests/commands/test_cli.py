@@ -235,7 +235,7 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
-@pytest.mark.parametrize("train", [False, True])
+@pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording, the shipped agents or a training too short to learn."""
     demo_pool = pytest.importorskip("rl.commands.demo_pool", reason="no extra 'rl'")

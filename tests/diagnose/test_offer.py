@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim2real.diagnose.offer import offer, simpler
-from sim2real.residuals.holdout import Unseen
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.offer import offer, simpler
+from sim2real.identification.held_out import Unseen
 
 BASE: frozenset[str] = frozenset()
 SMALL, BOTH = frozenset({"coulomb_friction"}), frozenset({"coulomb_friction", "deadband"})
