@@ -27,9 +27,10 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 # In place of this folder, whose ``coverage.py`` numba would take for the package of that name.
-sys.path[:1] = [str(ROOT / "datasets" / name) for name in ("foreign", "concealed")]
+sys.path[:1] = [str(ROOT), *(str(ROOT / "datasets" / name) for name in ("foreign", "concealed"))]
+from benchmarks.machine import seconds_per_ten_million_additions  # noqa: E402
+
 RATE_HZ, DURATION_S = 50.0, 30.0
-ADDITIONS = 10_000_000
 GIVEN = ("a.csv", "b.csv")
 KINDS = ("single", "double", "outside", "null")
 
@@ -51,7 +52,7 @@ def main() -> None:
         for what in spent:
             work(what, cases[0])  # compiles kernels, once for all
         for case in cases:
-            additions = additions_s()
+            additions = seconds_per_ten_million_additions(1)
             words = [f"A = {additions:.3f} s"]
             for what, every in spent.items():
                 before = processor_s()
@@ -86,17 +87,6 @@ def draw(folder: Path, kind: str, count: int, seed: int) -> list[Path]:
             case = foreign_cases.draw_case(plant, what, name, np.random.default_rng([seed, k]))
             write_case(case, f"bench_{k + 1:02d}", folder)
     return sorted((folder / "inputs").iterdir())
-
-
-def additions_s() -> float:
-    """A: the time of ten million additions in a Python loop, s."""
-
-    def add() -> None:
-        total = 0
-        for _ in range(ADDITIONS):
-            total += 1  # noqa: SIM113 - the additions are what is timed
-
-    return timed(add)
 
 
 def timed(work: Callable[[], object]) -> float:
