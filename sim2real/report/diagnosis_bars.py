@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,20 +44,22 @@ class Bar:
 def bar_figure(panels: Mapping[str, Sequence[Bar]], label: str, *, full: float = 0.0) -> Figure:
     """Draw horizontal bars under their labels, one panel above the other.
 
+    A bar without a finite value ends at the right edge.
+
     Args:
         panels: The bars by title of the panel.
         label: What a screen reader says.
         full: Length of a full bar; as long as the longest one if that is longer.
     """
     bars = [bar for some in panels.values() for bar in some]
-    reach = max([full, *(bar.value for bar in bars)]) or 1.0
+    reach = max([full, *(bar.value for bar in bars if math.isfinite(bar.value))]) or 1.0
     heights = [sum(map(_height, some)) for some in panels.values()]
     with house_style():
         total = sum(heights) + sum(36 if title else 16 for title in panels)
         figure = new_figure(total, printable(label))
         grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
         for axes, (title, some) in zip(grid, panels.items(), strict=True):
-            _draw(axes, some)
+            _draw(axes, some, reach)
             axes.set_xlim(0, 1.2 * reach)
             axes.set_title(printable(title), color=INK)
     return figure
@@ -74,7 +77,7 @@ def _height(bar: Bar) -> float:
     return _LINE * (len(_wrapped(bar.label)) + len(_member_lines(bar))) + _BAR
 
 
-def _draw(axes: Axes, bars: Sequence[Bar]) -> None:
+def _draw(axes: Axes, bars: Sequence[Bar], reach: float) -> None:
     y = 0.0
     for bar in bars:
         lines, members = _wrapped(bar.label), _member_lines(bar)
@@ -83,7 +86,7 @@ def _draw(axes: Axes, bars: Sequence[Bar]) -> None:
         if members:
             _bracket(axes, y, members)
             y += _LINE * len(members)
-        _bar(axes, bar, y + 6)
+        _bar(axes, bar, y + 6, reach)
         y += _BAR
     axes.set_ylim(y, 0)
     axes.grid(visible=False)
@@ -92,8 +95,9 @@ def _draw(axes: Axes, bars: Sequence[Bar]) -> None:
     axes.spines["bottom"].set_visible(False)
 
 
-def _bar(axes: Axes, bar: Bar, y: float) -> None:
-    value, colour = max(bar.value, 0.0), ACCENT if bar.strong else FAINT
+def _bar(axes: Axes, bar: Bar, y: float, reach: float) -> None:
+    value = max(bar.value, 0.0) if math.isfinite(bar.value) else reach
+    colour = ACCENT if bar.strong else FAINT
     axes.barh(y, value, height=8, color=colour, linewidth=0)
     look: Any = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "size": 10}
     axes.annotate(bar.text, (value, y), color=INK, **look)

@@ -219,3 +219,13 @@ def test_largest_move_is_found_where_it_was_measured():
     rows = np.isfinite(lost)
     start, stop = largest_move(t[rows], command[rows], command[rows])
     assert start < 12 < stop
+
+
+def test_bars_without_a_finite_value_end_at_the_edge():
+    from sim2real.report.diagnosis_bars import Bar, bar_figure
+
+    bars = [Bar("noise", 1.0, "1.0 mrad"), Bar("diverged", float("inf"), "∞")]
+    figure = bar_figure({"j1": bars}, "errors")
+    (axes,) = figure.axes
+    assert axes.get_xlim() == (0.0, 1.2)
+    assert [patch.get_width() for patch in axes.patches] == [1.0, 1.0]
