@@ -18,9 +18,9 @@ import numpy as np
 from real_diagnosis import FOLDER as BENCH
 from real_diagnosis import GAINS, PROCESSES, ROOT, TRAJECTORIES, at_gain, error, read, read_robot
 
+from sim2real.identification import motor_choice, motor_prior
 from sim2real.identification.identify import identify
 from sim2real.identification.motor_prior import SPREADS, Spreads
-from sim2real.servo import motor_choice, motor_prior
 
 REPORT = ROOT / "reports" / "prior_choice.md"
 SETTINGS = [
