@@ -11,8 +11,9 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look
 from sim2real.diagnose.missing.baseline import as_read, baselines
 from sim2real.diagnose.missing.effect_search import search
-from sim2real.diagnose.missing.nuisances import _best, size_in_noise
+from sim2real.diagnose.missing.nuisances import _best, first_look, size_in_noise, with_nuisances
 from sim2real.diagnose.missing.screening import FITTED, NUISANCES
+from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.effects import named
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.model import FittedEffect, JointModel
@@ -52,6 +53,19 @@ def test_a_sensor_that_errs_by_a_little_wave_is_a_plain_servo(wavy):
 def test_the_plain_servo_with_its_wave_is_as_good_as_its_noise(wavy):
     error = np.sqrt(wavy.plain.fit.error2[0] / wavy.plain.fit.count[0])
     assert error == pytest.approx(NOISE, rel=0.1)
+
+
+def test_the_base_has_no_prior_that_other_sets_lack():
+    """What every set has costs none of them: the plain servo is not compared with a handicap."""
+    batch = Batch([[traced(1, "a", sensor_eccentricity=WAVE)]])
+    problem = ServoSearch(batch, 0.01, np.random.default_rng(0))
+    ledgers = ledgers_of(baselines(batch))
+    first_look(problem, ledgers, [20 * NOISE])
+    best = [one.best for one in ledgers]
+    (based,) = with_nuisances(problem, ledgers, [20 * NOISE], best)
+    assert "sensor_eccentricity" in based.base
+    (again,) = problem.refit([(based, based.base, based.plain.fit.servos.theta[0])])
+    assert again.evidence == pytest.approx(based.plain.evidence, abs=0.5)
 
 
 def test_a_servo_without_a_wave_gets_none():

@@ -8,11 +8,12 @@ so that they do not stand in for it, and kept while they are small in noises.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.diagnose.missing.servo_search import Job, ServoSearch
 from sim2real.effects import named
@@ -110,7 +111,9 @@ def with_nuisances(
     based = list(ledgers)
     for k, (one, members, _), found in zip(wanted, jobs, problem.refit(jobs), strict=True):
         based[k] = Tried(one.case, members)
-        based[k].keep(found)
+        # As part of the base they cost no set their prior.
+        evidence = found.evidence - len(members - one.base) * LOG_PRIOR
+        based[k].keep(replace(found, evidence=evidence))
     return based
 
 
