@@ -52,21 +52,20 @@ def diagnose(
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
-    from sim.inference.recorded_swims import diagnose_recorded_swims, has_poses
-    from sim2real.diagnose import diagnose as servos
-    from sim2real.progress import progress_bar
-
     check_whole("diagnose", "seed", seed)
     read, known = recordings_of(recordings), robot_of(robot)
     earlier = recordings_of(references) if references else []
     start = None if model is None else model_of(model)
-    swims = [recording for recording in read if has_poses(recording)]
+    swims = [recording for recording in read if recording.is_swim]
     if not swims:
+        from sim2real.diagnose import diagnose as diagnose_servos
+        from sim2real.progress import progress_bar
+
         if in_water is not None:
             found, expected = "recordings of a bench", "swims in a pool"
             raise InputError("diagnose", "in_water", found, expected)
         with progress_bar("diagnose") as progress:
-            return servos.diagnose(
+            return diagnose_servos.diagnose(
                 read,
                 known,
                 model=start,
@@ -80,6 +79,8 @@ def diagnose(
         raise InputError(other.file, "kind", "a recording of a bench", "swims alone, or none")
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
+    from sim.inference.recorded_swims import diagnose_recorded_swims
+
     kept = None if in_water is None else Path(in_water)
     return diagnose_recorded_swims(
         swims, start, known, references=earlier, in_water=kept, device=device

@@ -101,6 +101,11 @@ class Recording(NotebookDisplay):
         """Inverse of the median time between samples; NaN for fewer than two samples."""
         return 1 / float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
+    @property
+    def is_swim(self) -> bool:
+        """Whether this is a swim whose body was tracked, not a recording of a bench."""
+        return self.kind == "pool" and "body.x_m" in self.columns
+
     def missing(self, joint: int) -> int:
         """Number of missing positions of joint number ``joint``."""
         return int(np.isnan(self.position[:, joint]).sum())

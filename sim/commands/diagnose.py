@@ -6,9 +6,6 @@ import argparse
 from pathlib import Path
 
 from sim import verbs
-from sim.inference.recorded_swims import has_poses, simulator_of
-from sim.inference.swims import swim_of
-from sim.view.diagnosis_page import swims_section
 from sim2real.commands.verb import arguments_of
 from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
@@ -49,8 +46,12 @@ def write_all(found: Diagnosis, out: Path) -> None:
 def _section(
     found: Diagnosis, recordings: list[Recording], robot: Robot, options: argparse.Namespace
 ) -> Section:
-    if not has_poses(recordings[0]):
+    if not recordings[0].is_swim:
         return diagnosis_section(found)
+    from sim.inference.recorded_swims import simulator_of
+    from sim.inference.swims import swim_of
+    from sim.view.diagnosis_page import swims_section
+
     swims = [swim_of(recording, robot) for recording in recordings]
     simulate = simulator_of(robot, read_model(options.model), options.in_water, options.device)
     return swims_section(found, swims, simulate, robot)

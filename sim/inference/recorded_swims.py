@@ -35,11 +35,6 @@ THREADS = 2
 """CPU threads of the fluid."""
 
 
-def has_poses(recording: Recording) -> bool:
-    """Whether a recording is of a swim whose body was tracked."""
-    return recording.kind == "pool" and "body.x_m" in recording.columns
-
-
 def diagnose_recorded_swims(
     recordings: Sequence[Recording],
     model: Model,
@@ -120,4 +115,4 @@ def _simulated_in_water(
     return water
 
 
-__all__ = ["diagnose_recorded_swims", "has_poses", "simulator_of"]
+__all__ = ["diagnose_recorded_swims", "simulator_of"]

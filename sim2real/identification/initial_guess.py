@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from sim2real.identification.fit import plain_row
+from sim2real.inference.low_discrepancy import kronecker
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import Simulator, longest_substep, rollout
 from sim2real.servo.trace import Trace
@@ -35,8 +35,8 @@ class GuessSearch:
         rival_distance: Least difference of its gain, as a share of the range.
         most_rivals: Rivals at most.
         steps_per_radian: Sub-steps while the fastest mode of a candidate turns by one radian.
-        shortest_substep_s: Shortest sub-step. What a strongly damped candidate does in less time is
-            over at once.
+        substep_s: Shortest and longest sub-step. What a strongly damped candidate does in less time
+            is over at once.
     """
 
     candidates: int = 1024
@@ -46,7 +46,7 @@ class GuessSearch:
     rival_distance: float = 0.08
     most_rivals: int = 4
     steps_per_radian: float = 6.0
-    shortest_substep_s: float = 0.5e-3
+    substep_s: tuple[float, float] = (1e-3, 4e-3)
 
 
 GUESS_SEARCH = GuessSearch()
@@ -74,7 +74,7 @@ def first_guess(
     windows = [trace.window(WINDOW_S) for trace in traces]
     seen = [window for window in windows if window.moves() and window.used.any()]
     trace = max(seen or [trace for trace in traces if trace.used.any()], key=Trace.activity)
-    points = qmc.Sobol(3, rng=rng).random(search.candidates)
+    points = kronecker(search.candidates, 3, rng)
     error = _errors(points, trace, search=search)
     for spread in search.spreads:
         best = np.argsort(error)[: search.elite]
@@ -92,32 +92,40 @@ def first_guess(
         apart = np.abs(points[chosen, 0] - points[candidate, 0]).min()
         if apart > search.rival_distance and len(chosen) <= search.most_rivals:
             chosen.append(candidate)
-    rows = np.array([plain_row(*one) for one in _parameters(points[chosen], trace)])
+    rows = np.array([plain_row(*one) for one in servos_at(points[chosen], trace.load.inertia_kgm2)])
     return rows[0], rows[1:]
 
 
 def _errors(points: Array, trace: Trace, *, search: GuessSearch) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
     theta = np.zeros((points.shape[0], len(COLUMNS)))
-    theta[:, :3] = _parameters(points, trace)
+    theta[:, :3] = servos_at(points, trace.load.inertia_kgm2)
     theta[:, 3 : len(BASE)] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     exact = Simulator([trace])
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        substep = longest_substep(theta, theta[:, 3], search.steps_per_radian)
-        substep = np.maximum(substep, search.shortest_substep_s)
+        shortest, longest = search.substep_s
+        substep = longest_substep(theta, theta[:, 3], search.steps_per_radian, longest)
+        substep = np.maximum(substep, shortest)
         command = trace.command[:, None]
         angle = rollout(theta, trace.t, command, substep_s=substep, threads=2)[:, :, 0]
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 
-def _parameters(points: Array, trace: Trace) -> Array:
-    """kp, kd and latency of ``points`` (N, 3) in the unit cube, shape (N, 3)."""
+def servos_at(points: Array, inertia: float | Array) -> Array:
+    """Gains and latencies of servos at points of the unit cube.
+
+    Args:
+        points: Shape (N, 3): frequency and damping ratio, logarithmic, and latency, over the ranges
+            of a first guess.
+        inertia: Inertia of the load in kg m2, a number or shape (..., 1).
+
+    Returns:
+        kp, kd and latency in SI units, shape (..., N, 3).
+    """
     ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
     scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
     frequency, damping = np.exp(scaled[:, :2]).T
-    inertia = trace.load.inertia_kgm2
-    return np.stack(
-        [frequency**2 * inertia, 2 * damping * frequency * inertia, scaled[:, 2]], axis=1
-    )
+    kp = frequency**2 * inertia
+    return np.stack([kp, 2 * damping * frequency * inertia, 0 * kp + scaled[:, 2]], axis=-1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from sim2real.identification.fit import Fit
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
@@ -92,9 +92,7 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     covariance = _raised(inverse @ spread @ inverse, at_least)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     freedom = max(effective - units.size, 1.0)
-    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * fixed_b(
-        float(np.mean(spans)), samples
-    )
+    quantile = float(stdtrit(freedom, 0.5 + LEVEL / 2)) * fixed_b(float(np.mean(spans)), samples)
     correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)
     return Uncertainty(
         sd=sd * units,

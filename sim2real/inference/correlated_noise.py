@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,7 +108,11 @@ def autoregression(products: Array, least_gain: float = 0.0) -> Array:
 
 def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
     """Innovations of ``values`` along an axis; the first p are those of a series that was 0."""
-    return np.asarray(lfilter(np.concatenate([[1.0], -coefficients]), [1.0], values, axis=axis))
+    series = np.moveaxis(values, axis, -1)
+    innovations = series.copy()
+    for lag, coefficient in enumerate(coefficients, start=1):
+        innovations[..., lag:] -= coefficient * series[..., :-lag]
+    return np.moveaxis(innovations, -1, axis)
 
 
 def autocorrelation_times(series: Array) -> Array:

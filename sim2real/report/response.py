@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 from sim2real.model import JointModel
 
 
@@ -74,6 +72,8 @@ def _settling(response: StepResponse) -> str:
 
 def _half_time(damping: float) -> float:
     """Time to half of a unit step, in units of one over the natural frequency."""
+    from scipy.optimize import brentq  # slow to load; tables of fits do not need it
+
     before_the_peak = math.pi / math.sqrt(1 - damping**2) if damping < 0.9 else 4 * damping + 4
     return float(brentq(lambda time: _unit_step(time, damping) - 0.5, 0.0, before_the_peak))
 

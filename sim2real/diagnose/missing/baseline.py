@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
-from sim2real.identification.initial_guess import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
+from sim2real.identification.initial_guess import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Servos,
@@ -21,6 +20,7 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     stacked,
 )
+from sim2real.inference.low_discrepancy import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
@@ -53,19 +53,16 @@ def baselines(
         refined: Fits that are refined with the noise's autoregression.
     """
     J = batch.recordings.size
-    points = qmc.Sobol(3, seed=0).random(candidates)
-    ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
-    scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
-    frequency, damping = np.exp(scaled[:, :2]).T
+    points = kronecker(candidates, 3, np.random.default_rng(0))
     inertia = batch.load[batch.first_signal, 0]
     theta = np.zeros((J, candidates, len(COLUMNS)))
-    theta[:, :, 0] = inertia[:, None] * frequency**2
-    theta[:, :, 1] = inertia[:, None] * 2 * damping * frequency
-    theta[:, :, 2] = scaled[:, 2]
+    theta[:, :, :3] = servos_at(points, inertia[:, None])
     joint = np.repeat(np.arange(J, dtype=np.int32), candidates)
     rows = theta.reshape(-1, 1, len(COLUMNS))
     white = np.zeros((joint.size, batch.lags))
-    seen = batch.evaluate(Problems(joint, rows, np.zeros(rows.shape[:2])), autoregression=white)
+    seen = batch.evaluate(
+        Problems(joint, rows, np.zeros(rows.shape[:2])), autoregression=white, rough=True
+    )
     error2 = seen.square[:, 0].reshape(J, candidates)
     best = np.argsort(error2, axis=1)[:, :6]
     starts = np.take_along_axis(theta, best[:, :, None], axis=1)

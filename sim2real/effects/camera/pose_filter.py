@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sim2real.effects.body_effect import Array, CameraEffect
 from sim2real.inference.parameters import Parameter
@@ -18,6 +17,8 @@ from sim2real.inference.parameters import Parameter
 
 def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
     """Poses as measured by the camera."""
+    from scipy.signal import lfilter  # takes half a second to load; servos need the catalogue too
+
     if p["time_constant_s"] <= 0:
         return pose
     kept = float(np.exp(-float(np.median(np.diff(t))) / p["time_constant_s"]))
