@@ -18,8 +18,9 @@ from sim2real.inference.least_squares import (
     robust_scale,
 )
 from sim2real.inference.parameters import Parameter, column
+from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator, active_effects, coarse_substep
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -111,10 +112,12 @@ def fit(
     rounds: int = 3,
     evaluations: int = 60,
     difference: float = 1e-4,
+    settled: float = 1e-3,
 ) -> Fit:
     """Fit some parameters to all traces at once; the rest of the row stays.
 
-    Derivatives are central differences, all of them and the point itself in one batch of rollouts.
+    Derivatives are central differences, with longer sub-steps until the last point
+    (``rollout.coarse_substep``).
 
     Args:
         traces: The joint's recordings.
@@ -123,6 +126,7 @@ def fit(
         rounds: Most robust rounds after the plain one.
         evaluations: Most evaluations in one round.
         difference: Step of the central differences, in natural units.
+        settled: Expected gain in log-likelihood below which a step is not worth making.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
@@ -135,19 +139,26 @@ def fit(
         every[:, columns] = x * unit
         return every
 
-    def evaluate(x: Array) -> tuple[Array, Array]:
+    def simulate(points: Array, substep_s: float) -> Array:
+        return np.concatenate(errors(simulator, rows(points), substep_s), axis=1)
+
+    def fine(x: Array) -> float:
         # beside the point, where effects are on that are absent at it
-        fine = simulator.substep(rows(x[None] + step), STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
-        return central(
-            lambda points: np.concatenate(errors(simulator, rows(points), fine), axis=1),
-            x,
-            step,
-            *box,
-        )
+        return simulator.substep(rows(x[None] + step), STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+
+    # Damping that an effect adds may be unstable with long sub-steps.
+    stable = not np.any(active_effects(rows(np.ones((1, len(free))))) & ~MOTOR_BIT)
+
+    def evaluate(x: Array) -> tuple[Array, Array]:
+        coarse = float(coarse_substep(np.array(fine(x)))) if stable else fine(x)
+        _, slope = central(lambda points: simulate(points, coarse), x, step, *box)
+        return simulate(x[None], fine(x))[0], slope
 
     start = np.clip(row[columns] / unit, *box)
-    x, converged = minimise_robustly(evaluate, start, *box, rounds=rounds, evaluations=evaluations)
-    error, slope = evaluate(x)
+    x, converged = minimise_robustly(
+        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
+    )
+    error, slope = central(lambda points: simulate(points, fine(x)), x, step, *box)
     cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
     return Fit(
         parameters=tuple(free),

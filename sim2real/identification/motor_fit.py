@@ -268,7 +268,7 @@ def _descend(
         settled = won & (gain < problem.search.settled) & (step > 2)
         moves = won & ~settled  # what fits worse needs no slopes
         for s, here in zip(active[moves], error[moves], strict=True):
-            by = problem.slopes(best[s], here)
+            by = problem.coarse.slopes(best[s])
             belief, belief_by = problem.prior_slopes(best[s])
             weight = 1 / np.sqrt(1 + (here / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
             weighted = by * weight[:, None]
@@ -307,7 +307,7 @@ def _result(
     """The fit in the parameters' own units."""
     prior, free = problem.prior, list(problem.free)
     error = problem.residuals(x[None])
-    by = problem.slopes(x, error[0])
+    by = problem.slopes(x)
     values = prior.values(x)
     own = np.array([values[k] if prior.beliefs[k].log else 1.0 for k in free])
     unit = problem.box[2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.identification.fit import errors, plain_row
 from sim2real.identification.motor_prior import Prior
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP
-from sim2real.servo.rollout import Simulator
+from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -34,8 +34,6 @@ class MotorSearch:
         settled: Gain below which a search has ended.
         longest_substep_s: Longest sub-step.
         steps_per_radian: Sub-steps while the fastest mode turns by one radian.
-        coarser: Times as long as they are in the end, sub-steps are while starts are still far from
-            a minimum.
         same: Distance in units within which two searches are on their way to one minimum.
         behind: A search is given up where its loss would stay so far above the best.
         promise: Times the gain that its quadratic model promises, which it may still make.
@@ -51,7 +49,6 @@ class MotorSearch:
     settled: float = 1e-3
     longest_substep_s: float = 0.002
     steps_per_radian: float = 32.0
-    coarser: float = 4.0
     same: float = 0.1
     behind: float = 60.0
     promise: float = 5.0
@@ -96,10 +93,8 @@ class MotorProblem:
 
     @property
     def coarse(self) -> MotorProblem:
-        """The same with longer sub-steps, for what is far from a minimum yet."""
-        return replace(
-            self, substep_s=min(self.search.longest_substep_s, self.search.coarser * self.substep_s)
-        )
+        """The same with longer sub-steps, see ``rollout.coarse_substep``."""
+        return replace(self, substep_s=float(coarse_substep(np.array(self.substep_s))))
 
     def residuals(self, x: Array) -> Array:
         """Simulated minus measured angles of all traces, shape (B, n)."""
@@ -124,15 +119,16 @@ class MotorProblem:
         low, high = np.array(ends).T
         return low, high, np.array([b.unit for b in chosen])
 
-    def slopes(self, x: Array, here: Array) -> Array:
-        """Derivatives of the residuals ``here`` (n,) by the free parameters, in units, (n, F)."""
+    def slopes(self, x: Array) -> Array:
+        """Derivatives of the residuals by the free parameters, in units, shape (n, F)."""
         _, high, unit = self.box
         step = np.where(
             x[list(self.free)] + self.search.difference * unit > high,
             -self.search.difference,
             self.search.difference,
         )
-        return np.asarray(((self.residuals(self._beside(x, step)) - here) / step[:, None]).T)
+        here, *beside = self.residuals(np.stack([x, *self._beside(x, step)]))
+        return np.asarray((np.array(beside) - here).T / step)
 
     def prior_slopes(self, x: Array) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from sim2real.inference.correlated_noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.servo.rollout import active_effects, longest_substep, simulate, to_warp
+from sim2real.servo.rollout import (
+    active_effects,
+    coarse_substep,
+    longest_substep,
+    simulate,
+    to_warp,
+)
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -25,6 +31,8 @@ STEPS_PER_RADIAN = 16.0
 _MOST_SUBSTEPS = 64
 """Sub-steps between two samples, however strongly a servo is damped: its faster mode has decayed
 by then, and the trapezoidal rule for the damping stays stable."""
+_SAME_RAD = 5e-3
+"""Root mean square in rad by which long sub-steps may change the angles of a servo."""
 _BYTES = {"cpu": 100e6, "cuda": 16e9}
 """Angles held at once by one thread of the processor or by the device."""
 _INERTIA = BASE.index("inertia_kgm2")
@@ -137,6 +145,7 @@ class Batch:
         deep: int | None = None,
         autoregression: Array | None = None,
         keep: bool = False,
+        rough: bool = False,
     ) -> Normal:
         """Simulate, whiten and multiply.
 
@@ -148,22 +157,24 @@ class Batch:
             autoregression: Noise model of each problem, shape (N, lags); by least squares on each
                 problem's own residual where None.
             keep: Whether to return residuals and innovations as well.
+            rough: Whether the servos themselves have the longer sub-steps of differences too
+                (``rollout.coarse_substep``): to choose where a fit starts.
         """
         N, V, _ = problems.theta.shape
-        self._count_substeps(problems)
+        self._count_substeps(problems, rough=rough)
         if self.white:
             autoregression = np.zeros((N, self.lags))
         room = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(room / per_problem))
         if self.device == "cpu":
-            size = min(size, max(1, -(-N // (4 * self.threads))))
+            size = min(size, max(1, -(-N // self.threads)))
         parts = [slice(k, min(k + size, N)) for k in range(0, N, size)]
 
         def one(part: slice) -> tuple[Array, ...]:
             given = None if autoregression is None else autoregression[part]
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
-            return self._evaluate(piece, (blocks, deep or V), given, keep)
+            return self._evaluate(piece, (blocks, deep or V), given, keep=keep, rough=rough)
 
         if self.device == "cpu" and len(parts) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
@@ -174,7 +185,13 @@ class Batch:
         return Normal(gram, square, self.count(problems.joint), model, *kept)
 
     def _evaluate(
-        self, problems: Problems, size: tuple[int, int], given: Array | None, keep: bool
+        self,
+        problems: Problems,
+        size: tuple[int, int],
+        given: Array | None,
+        *,
+        keep: bool,
+        rough: bool,
     ) -> tuple[Array, ...]:
         N, V, _ = problems.theta.shape
         recordings = self.recordings[problems.joint]
@@ -192,7 +209,7 @@ class Batch:
         base = (rows - within).astype(np.int32)
         order = np.argsort(~there[:, 0], axis=1, kind="stable")  # variants that are there first
         active = active_effects(problems.theta.reshape(N * V, -1)).reshape(N, V)
-        steps = self._substep(problems)[problem, recording]
+        fine, coarse = self._substeps(problems, rough=rough)
         dev = self.device
 
         def put(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs
@@ -209,12 +226,37 @@ class Batch:
             outputs=[theta],
             device=dev,
         )
-        angle = wp.empty((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
-        latency = problems.theta[problem, variant, 2]
-        simulate(active[problem, variant], latency, theta, signal, self._signals, steps, angle)
+        angle = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
-        wp.launch(whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev)
+
+        def run(substep: Array, which: NDArray[np.intp] | None = None) -> None:
+            latency, on = problems.theta[problem, variant, 2], active[problem, variant]
+            longest = substep[problem, recording]
+            simulate(on, latency, theta, signal, self._signals, longest, angle, which)
+
+        servos = variant == 0
+        if V == 1 or dev != "cpu":
+            run(fine)
+            wp.launch(
+                whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
+            )
+        else:
+            here = _values(angle)  # the same memory
+            run(fine, rows[servos])
+            exact = here[servos]
+            run(coarse)
+            # Damping that is strong and not linear may be unstable with long sub-steps.
+            lost: NDArray[np.bool_] = np.logical_not(np.isfinite(here).all(axis=1))
+            with np.errstate(over="ignore", invalid="ignore"):
+                lost[servos] |= ~(np.mean((here[servos] - exact) ** 2, axis=1) < _SAME_RAD**2)
+            again = np.isin(base, base[lost])
+            if again.any():
+                run(fine, rows[again])
+            wp.launch(
+                whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
+            )
+            here[servos] = exact
         wp.launch(
             whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
         )
@@ -265,22 +307,29 @@ class Batch:
             out[has, r] = everything[first[has] + r * number[has]]
         return out
 
-    def _count_substeps(self, problems: Problems) -> None:
+    def _count_substeps(self, problems: Problems, *, rough: bool) -> None:
         recording = np.arange(self.recordings.max())
         signal = self.first_signal[problems.joint][:, None] + recording
         signal = np.minimum(signal, self.length.size - 1)
-        each = self._span_s[signal] / self._substep(problems) + 2 * self.length[signal]
-        each = np.where(recording < self.recordings[problems.joint][:, None], each, 0.0)
-        servos = 1 + np.count_nonzero(problems.scale[:, 1:], axis=1)
-        np.add.at(self.substeps, problems.joint, np.nan_to_num(servos * each.sum(axis=1)))
+        there = recording < self.recordings[problems.joint][:, None]
+        variants = np.count_nonzero(problems.scale[:, 1:], axis=1)
+        servos = (np.ones_like(variants), np.where(variants > 0, 1 + variants, 0))
+        for substep, number in zip(self._substeps(problems, rough=rough), servos, strict=True):
+            each = np.where(there, self._span_s[signal] / substep + 2 * self.length[signal], 0.0)
+            np.add.at(self.substeps, problems.joint, np.nan_to_num(number * each.sum(axis=1)))
 
-    def _substep(self, problems: Problems) -> Array:
-        """One sub-step for all variants on one recording, in s, shape (N, R)."""
+    def _substeps(self, problems: Problems, *, rough: bool) -> tuple[Array, Array]:
+        """Sub-steps of servos, and those for differences of variants, in s, shape (N, R) each.
+
+        All variants on one recording have the same.
+        """
         recording = np.minimum(np.arange(self.recordings.max()), self.recordings.max() - 1)
         signal = self.first_signal[problems.joint][:, None] + recording
         inertia = self.load[np.minimum(signal, len(self.load) - 1), 0]
         longest = longest_substep(problems.theta[:, :1], inertia, STEPS_PER_RADIAN)
-        return np.maximum(longest, self.period / _MOST_SUBSTEPS)
+        fine = np.maximum(longest, self.period / _MOST_SUBSTEPS)
+        coarse = coarse_substep(fine)
+        return coarse if rough else fine, coarse
 
 
 def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs

@@ -9,7 +9,7 @@ from simulated import INERTIA, KP, column, row, traced
 
 from sim2real.recording import Load
 from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
-from sim2real.servo.rollout import rollout
+from sim2real.servo.rollout import coarse_substep, rollout
 
 BLOCKS, DEEP = 4, 3
 SUBSTEP = 1 / (STEPS_PER_RADIAN * np.sqrt(KP / INERTIA))
@@ -51,19 +51,21 @@ def seen(joints, problems):
     return Batch(joints).evaluate(problems, blocks=BLOCKS, deep=DEEP, keep=True)
 
 
-def simulated(theta, trace):
+def simulated(theta, trace, coarse=False):
     """Angles with the load of the recording, shape (V, T)."""
     theta = theta.copy()
     theta[:, 3:5] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     substep = SUBSTEP * np.sqrt(KP / theta[0, 0])
+    substep = coarse_substep(substep) if coarse else substep
     return rollout(theta, trace.t, trace.command[:, None], substep_s=substep)[:, :, 0]
 
 
 def rows(problems, n, trace):
     """Residual and scaled differences of a problem on a recording, shape (V, T)."""
-    angle = simulated(problems.theta[n], trace)
+    angle = simulated(problems.theta[n], trace, coarse=True)
     values = (angle - angle[0]) * problems.scale[n][:, None]
-    values[0] = np.where(trace.used, angle[0] - np.where(trace.used, trace.position, 0), 0)
+    (own,) = simulated(problems.theta[n, :1], trace)
+    values[0] = np.where(trace.used, own - np.where(trace.used, trace.position, 0), 0)
     return values
 
 
@@ -104,6 +106,22 @@ def test_gram_holds_the_inner_products_of_each_block(joints, problems, seen):
                 expected = (part @ part.T)[:DEEP]
                 got = seen.gram[n, r * BLOCKS + b]
                 np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-10)
+
+
+def test_an_unstable_variant_has_the_short_substeps(joints):
+    """Damping that grows with the speed diverges where sub-steps are long."""
+    theta = np.tile(row(), (1, 2, 1))
+    theta[0, 1, column("quadratic_drag.coefficient_Nms2")] = 0.3
+    problems = Problems(np.zeros(1, dtype=np.int32), theta, np.array([[0.0, 1.0]]))
+    seen = Batch(joints[:1]).evaluate(problems)
+    W = []
+    for trace in joints[0]:
+        angle = simulated(theta[0], trace)
+        W.append(whitened(angle[1:] - angle[0], trace, seen.autoregression[0]))
+    with np.errstate(invalid="ignore"):
+        long = [simulated(theta[0], trace, coarse=True)[1] for trace in joints[0]]
+    assert not np.isfinite(np.concatenate(long)).all()
+    np.testing.assert_allclose(seen.square[0, 1], sum((w**2).sum() for w in W), rtol=1e-6)
 
 
 def test_squares_are_those_of_all_variants(joints, problems, seen):
@@ -201,8 +219,11 @@ def test_the_work_of_each_joint_is_counted(joints):
     problems = Problems(np.array([0, 1], dtype=np.int32), theta, np.array([[0, 1, 1], [0, 1, 0]]))
     batch.evaluate(problems)
     for j, servos in enumerate((3, 2)):
-        each = [(t.t[-1] - t.t[0]) / SUBSTEP + 2 * t.t.size for t in joints[j]]
-        assert batch.substeps[j] == pytest.approx(servos * sum(each), rel=0.01)
+        fine, coarse = (
+            sum((t.t[-1] - t.t[0]) / substep + 2 * t.t.size for t in joints[j])
+            for substep in (SUBSTEP, coarse_substep(SUBSTEP))
+        )
+        assert batch.substeps[j] == pytest.approx(fine + servos * coarse, rel=0.01)
     once = batch.substeps.copy()
     batch.evaluate(problems)
     np.testing.assert_allclose(batch.substeps, 2 * once)

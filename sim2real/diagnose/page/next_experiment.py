@@ -47,6 +47,8 @@ def next_experiment(
     members: Sequence[str],
     component: str,
     reach: float,
+    *,
+    finalists: int = 3,
 ) -> Experiment | None:
     """The cheapest experiment that tells the members of a group apart.
 
@@ -60,6 +62,7 @@ def next_experiment(
         members: The members.
         component: The joint.
         reach: Largest command to either side, rad.
+        finalists: Commands whose refits are continued, after a few steps have ranked all.
     """
     if len(rivals) < 2:
         return None
@@ -69,10 +72,9 @@ def next_experiment(
     scores = np.full(len(plans), -1.0)
     for some in (np.flatnonzero(plain), np.flatnonzero(~plain)):
         # The other contexts only where no command tells the rivals apart as things are.
-        chosen = [plans[k] for k in some]
-        staged = [_staged(trace, plan) for plan in chosen]
-        pairs = itertools.permutations(rivals, 2)
-        scores[some] = np.min([_separations(staged, chosen, *pair) for pair in pairs], axis=0)
+        rough = _least_separations(trace, [plans[k] for k in some], rivals, iterations=3)
+        top = some[np.argsort(-rough)[:finalists]]
+        scores[top] = _least_separations(trace, [plans[k] for k in top], rivals, iterations=8)
         if scores.max() >= _CLEAR:
             break
     best = int(scores.argmax())
@@ -168,8 +170,23 @@ def _loaded(load: Load, context: str) -> Load:
     return load
 
 
+def _least_separations(
+    trace: Trace, plans: Sequence[_Plan], rivals: Sequence[Hypothesis], *, iterations: int
+) -> Array:
+    """Separation of the two rivals that are nearest to each other, by plan, shape (plans,)."""
+    staged = [_staged(trace, plan) for plan in plans]
+    pairs = itertools.permutations(rivals, 2)
+    every = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]
+    return np.asarray(np.min(every, axis=0))
+
+
 def _separations(
-    staged: Sequence[Trace], plans: Sequence[_Plan], first: Hypothesis, second: Hypothesis
+    staged: Sequence[Trace],
+    plans: Sequence[_Plan],
+    first: Hypothesis,
+    second: Hypothesis,
+    *,
+    iterations: int,
 ) -> Array:
     """Distance of two rivals in units of the noise, the first refitted to the second, by plan."""
     true = replace(second.fit, servos=_for_plans(second, plans))
@@ -177,7 +194,7 @@ def _separations(
     recorded = [replace(one, position=angle[0]) for one, angle in zip(staged, seen, strict=True)]
     batch = Batch([[one] for one in recorded])
     start = _for_plans(first, plans)
-    fits = minimise(batch, start, iterations=6, white=True)
+    fits = minimise(batch, start, iterations=iterations, white=True)
     noise = np.zeros((len(plans), batch.lags))
     known = first.fit.autoregression[0][: batch.lags]
     noise[:, : known.size] = known
