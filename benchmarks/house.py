@@ -6,9 +6,11 @@ Code is what is neither blank, nor a docstring, nor an import. A floor is a step
 chain of imports inside the folder; what imports nothing of it stands on the first. Imports inside
 functions or for type checkers alone do not count.
 
-With ``--way``, a recording's way to its diagnosis, as one reads it: from ``diagnose_all`` through
-the functions that are called by name, each once, in the order in which they are written. A stop is
-a function in another file than the one before; a return is a stop in a file where one has been.
+With ``--way``, three walks through the code as one reads it: from ``verbs.identify``,
+``diagnose_all`` and ``diagnose_swims`` through the functions and methods that are called, each
+once, in the order in which they are written. A method is followed where its name belongs to one
+class and to no built-in type. A stop is a function in another file than the one before; a return
+is a stop in a file where one has been.
 """
 
 from __future__ import annotations
@@ -18,7 +20,16 @@ import ast
 from functools import cache
 from pathlib import Path
 
-_ROOMS = ("diagnose", "link", "effects", "inference", "residuals", "identification", "servo")
+import numpy as np
+
+_ROOMS = ("diagnose", "effects", "inference", "identification", "servo")
+DOORS = (
+    ("sim2real.verbs", "identify"),
+    ("sim2real.diagnose.diagnose", "diagnose_all"),
+    ("sim.inference.diagnose_swims", "diagnose_swims"),
+)
+"""Where walks begin: module and function."""
+_BUILT_IN = {name for kind in (dict, list, set, str, tuple, Path, np.ndarray) for name in dir(kind)}
 FOLDERS = ("sim2real", *(f"sim2real/{room}" for room in _ROOMS))
 
 
@@ -27,14 +38,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("root", type=Path, nargs="?", default=Path("."))
     parser.add_argument("folders", nargs="*", default=list(FOLDERS))
-    parser.add_argument("--way", action="store_true", help="a recording's way instead")
+    parser.add_argument("--way", action="store_true", help="three walks instead")
     options = parser.parse_args()
     if options.way:
-        for scope in ("sim2real/diagnose", "sim2real"):
-            files = [file for file, _ in way(options.root, scope)]
+        code = Code(options.root)
+        for door in DOORS:
+            walk = code.walk(*door)
+            files = [file for file, _ in walk]
             stops = [file for k, file in enumerate(files) if k == 0 or files[k - 1] != file]
             rooms = len(set(stops))
-            print(f"{scope}/: {len(stops)} stops in {rooms} files, {len(stops) - rooms} returns")
+            print(
+                f"{'.'.join(door)}: {len(walk)} functions, {len(stops)} stops in {rooms} files,"
+                f" {len(stops) - rooms} returns"
+            )
         return
     print("| folder | files | lines | of them code | longest file | imports inside | floors |")
     print("|---|---|---|---|---|---|---|")
@@ -97,47 +113,72 @@ def imports(path: Path, files: dict[str, Path]) -> set[str]:
     return {name for name in deep if not any(other.startswith(f"{name}.") for other in deep)}
 
 
-def way(root: Path, scope: str) -> list[tuple[str, str]]:
-    """Files and functions of a folder, in the order in which one comes to them."""
-    paths = sorted((root / "sim2real").rglob("*.py"))
-    bodies = {module(root, path): ast.parse(path.read_text()).body for path in paths}
-    known = {
-        (name, one.name): one
-        for name, body in bodies.items()
-        for one in body
-        if isinstance(one, ast.FunctionDef)
-    }
-    taken = {
-        (name, alias.asname or alias.name): (one.module, alias.name)
-        for name, body in bodies.items()
-        for one in body
-        if isinstance(one, ast.ImportFrom) and one.module
-        for alias in one.names
-    }
+class Code:
+    """The functions and methods of ``sim2real`` and ``sim`` below a folder.
 
-    def meant(name: str, word: str) -> tuple[str, str]:
-        """Where the function stands that a file calls by a word."""
-        while (name, word) not in known and (name, word) in taken:
-            name, word = taken[name, word]
-        return name, word
+    Attributes:
+        functions: Syntax trees by module and name; methods as ``Class.method``.
+        imported: Module and name behind a word, by module and word.
+        owners: Where the methods of each name stand.
+    """
 
-    found: list[tuple[str, str]] = []
+    def __init__(self, root: Path) -> None:
+        self.functions: dict[tuple[str, str], ast.FunctionDef] = {}
+        self.imported: dict[tuple[str, str], tuple[str, str]] = {}
+        self.owners: dict[str, list[tuple[str, str]]] = {}
+        for path in sorted([*(root / "sim2real").rglob("*.py"), *(root / "sim").rglob("*.py")]):
+            name, tree = module(root, path), ast.parse(path.read_text())
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ImportFrom) and node.module:
+                    for alias in node.names:
+                        self.imported[name, alias.asname or alias.name] = node.module, alias.name
+            for statement in tree.body:
+                if isinstance(statement, ast.FunctionDef):
+                    self.functions[name, statement.name] = statement
+                elif isinstance(statement, ast.ClassDef):
+                    self._add_class(name, statement)
 
-    def walk(place: tuple[str, str]) -> None:
-        name, _ = place
-        if place in found or place not in known or not f"{name}.".startswith(inside):
-            return
-        found.append(place)
-        calls = [one.func for one in ast.walk(known[place]) if isinstance(one, ast.Call)]
-        for called in sorted(calls, key=lambda one: (one.lineno, one.col_offset)):
-            if isinstance(called, ast.Name):
-                walk(meant(name, called.id))
-            elif isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
-                walk((".".join(taken.get((name, called.value.id), ("",))), called.attr))
+    def _add_class(self, name: str, statement: ast.ClassDef) -> None:
+        for member in statement.body:
+            if isinstance(member, ast.FunctionDef):
+                place = name, f"{statement.name}.{member.name}"
+                self.functions[place] = member
+                self.owners.setdefault(member.name, []).append(place)
 
-    inside = scope.replace("/", ".") + "."
-    walk(("sim2real.diagnose.diagnose", "diagnose_all"))
-    return found
+    def walk(self, name: str, function: str) -> list[tuple[str, str]]:
+        """Modules and functions in the order in which one comes to them from a door."""
+        visited: dict[tuple[str, str], None] = {}
+
+        def visit(place: tuple[str, str]) -> None:
+            if place in visited or place not in self.functions:
+                return
+            visited[place] = None
+            nodes = ast.walk(self.functions[place])
+            calls = [node.func for node in nodes if isinstance(node, ast.Call)]
+            for called in sorted(calls, key=lambda node: (node.lineno, node.col_offset)):
+                visit(self._meant(place, called))
+
+        visit((name, function))
+        return list(visited)
+
+    def _meant(self, place: tuple[str, str], called: ast.expr) -> tuple[str, str]:
+        """Where the function stands that is called."""
+        name, function = place
+        if isinstance(called, ast.Name):
+            word = called.id
+            while (name, word) not in self.functions and (name, word) in self.imported:
+                name, word = self.imported[name, word]
+            return name, word
+        if not isinstance(called, ast.Attribute):
+            return "", ""
+        if isinstance(called.value, ast.Name):
+            if called.value.id == "self":
+                return name, f"{function.partition('.')[0]}.{called.attr}"
+            behind = ".".join(self.imported.get((name, called.value.id), ("",)))
+            if (behind, called.attr) in self.functions:
+                return behind, called.attr
+        owners = self.owners.get(called.attr, [])
+        return owners[0] if len(owners) == 1 and called.attr not in _BUILT_IN else ("", "")
 
 
 if __name__ == "__main__":
