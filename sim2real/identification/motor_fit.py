@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,8 @@ from sim2real.identification.initial_guess import WINDOW_S
 from sim2real.identification.motor_prior import Prior
 from sim2real.identification.motor_problem import MOTOR_SEARCH, MotorProblem, MotorSearch
 from sim2real.inference.correlated_noise import correlation_samples
-from sim2real.inference.least_squares import OUTLIER_SD, robust_scale
-from sim2real.inference.multi_start import worth_following
+from sim2real.inference.least_squares import OUTLIER_SD, Expansion, minimise, robust_scale, stacked
+from sim2real.inference.multi_start import cannot_win
 from sim2real.inference.parameters import Parameter
 from sim2real.servo.parameters import LOOP, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
@@ -248,57 +249,55 @@ def _starts(
 def _descend(
     problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
-    """Levenberg-Marquardt (Marquardt, SIAM J. Appl. Math. 11 (1963) 431-441) from all of ``x``."""
+    """Searches from all of ``x`` (S, F), and their losses (S,)."""
     low, high, unit = problem.box
-    free = list(problem.free)
-    S, F = x.shape[0], len(free)
-    best, trial = x.copy(), x.copy()
-    least, damping = np.full(S, np.inf), np.full(S, 1e-2)
-    normal, slope = np.zeros((S, F, F)), np.zeros((S, F))
-    active = np.arange(S)
-    for step in range(steps):
-        error = problem.residuals(trial[active])
-        loss = _loss(problem, trial[active], error, scale, inflation)
-        gain = least[active] - loss
-        won = gain >= 0
-        better, worse = active[won], active[~won]
-        damping[worse] *= 6
-        best[better], least[better] = trial[better], loss[won]
-        damping[better] = np.maximum(damping[better] / 5, 1e-6)
-        settled = won & (gain < problem.search.settled) & (step > 2)
-        moves = won & ~settled  # what fits worse needs no slopes
-        for s, here in zip(active[moves], error[moves], strict=True):
-            by = problem.coarse.slopes(best[s])
-            belief, belief_by = problem.prior_slopes(best[s])
-            weight = 1 / np.sqrt(1 + (here / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
-            weighted = by * weight[:, None]
-            normal[s] = by.T @ weighted + belief_by.T @ belief_by
-            slope[s] = weighted.T @ here + belief_by.T @ belief
-        active = active[~settled & (damping[active] < 1e5)]
-        active = worth_following(
-            active,
-            best[:, free] / unit,
-            least,
-            normal,
-            slope,
-            same=problem.search.same,
-            behind=problem.search.behind,
-            optimism=problem.search.promise,
+    free, search = list(problem.free), problem.search
+    latest: dict[int, Array] = {}
+
+    def at(points: Array, index: NDArray[np.intp]) -> Array:
+        every = x[index].copy()
+        every[:, free] = points * unit
+        return every
+
+    def losses(points: Array, index: NDArray[np.intp]) -> Array:
+        servos = at(points, index)
+        error = problem.residuals(servos)
+        latest.update(zip(index.tolist(), error, strict=True))
+        return 0.5 * _loss(problem, servos, error, scale, inflation)
+
+    def expand(points: Array, index: NDArray[np.intp]) -> Expansion:
+        if not set(index.tolist()) <= latest.keys():
+            losses(points, index)
+        return stacked(
+            [
+                about(servo, latest[k])
+                for servo, k in zip(at(points, index), index.tolist(), strict=True)
+            ]
         )
-        if not active.size:
-            break
-        for s in active:
-            now = best[s, free]
-            held = (now <= low + 1e-9) & (slope[s] > 0) | (now >= high - 1e-9) & (slope[s] < 0)
-            move = np.flatnonzero(~held)
-            matrix = normal[s][np.ix_(move, move)]
-            size = np.diag(matrix) * damping[s] + 1e-9
-            change = np.zeros(F)
-            change[move] = -np.linalg.solve(matrix + np.diag(size), slope[s][move])
-            change *= min(1.0, 2.0 / max(float(np.abs(change).max(initial=0.0)), 1e-9))
-            trial[s] = best[s]
-            trial[s, free] = np.clip(now + change * unit, low, high)
-    return best, least
+
+    def about(servo: Array, error: Array) -> Expansion:
+        by = problem.coarse.slopes(servo)
+        prior, prior_by = problem.prior_slopes(servo)
+        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
+        weighted = by * weight[:, None]
+        loss = 0.5 * _loss(problem, servo[None], error[None], scale, inflation)
+        slope = weighted.T @ error + prior_by.T @ prior
+        return Expansion(loss, slope[None], (by.T @ weighted + prior_by.T @ prior_by)[None], {})
+
+    found = minimise(
+        expand,
+        x[:, free] / unit,
+        np.tile(low / unit, (len(x), 1)),
+        np.tile(high / unit, (len(x), 1)),
+        evaluations=steps,
+        settled=search.settled,
+        hopeless=partial(
+            cannot_win, same=search.same, behind=search.behind, optimism=search.promise
+        ),
+        losses=losses,
+        look_every=1,
+    )
+    return at(found.x, np.arange(len(x))), 2 * found.expansion.loss
 
 
 def _result(

@@ -31,11 +31,11 @@ class MotorSearch:
         later_steps: Most steps in later ones.
         soft_s: Times of sticking and creeping to start from: about none, MuJoCo's, and more.
         difference: Step of the derivatives, in units.
-        settled: Gain below which a search has ended.
+        settled: Expected gain in log-likelihood below which a search has ended.
         longest_substep_s: Longest sub-step.
         steps_per_radian: Sub-steps while the fastest mode turns by one radian.
         same: Distance in units within which two searches are on their way to one minimum.
-        behind: A search is given up where its loss would stay so far above the best.
+        behind: Log-likelihood by which a search may stay behind the best one.
         promise: Times the gain that its quadratic model promises, which it may still make.
     """
 
@@ -50,7 +50,7 @@ class MotorSearch:
     longest_substep_s: float = 0.002
     steps_per_radian: float = 32.0
     same: float = 0.1
-    behind: float = 60.0
+    behind: float = 30.0
     promise: float = 5.0
 
 

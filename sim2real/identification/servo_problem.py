@@ -237,7 +237,7 @@ def descended(
     iterations: int,
     blocks: int = 1,
     white: bool = False,
-    hopeless: Callable[[NDArray[np.intp], Array, Array], NDArray[np.bool_]] | None = None,
+    hopeless: least_squares.Hopeless | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Fits, NDArray[np.bool_]]:
     """Fit all servos in step (``inference.least_squares``), one launch a round.

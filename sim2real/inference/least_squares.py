@@ -7,7 +7,7 @@ own affair. ``expansion`` makes one of residuals and their derivatives, robust t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +53,11 @@ Expand = Callable[[Array, Index], Expansion]
 """From points (M, F), in units, of the problems ``index`` (M,) to their expansions."""
 
 
+Hopeless = Callable[[Index, Array, Array, Array], Mask]
+"""From the problems still searched (M,), the points (N, F) and losses (N,) of all, and what an
+undamped step promises each searched one to gain (M,), to those that are given up (M,)."""
+
+
 @dataclass(frozen=True)
 class Minimum:
     """Where a search ended.
@@ -77,7 +82,8 @@ def minimise(
     free: Mask | None = None,
     evaluations: int = 40,
     settled: float = SETTLED,
-    hopeless: Callable[[Index, Array, Array], Mask] | None = None,
+    hopeless: Hopeless | None = None,
+    losses: Callable[[Array, Index], Array] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     look_every: int = 4,
     least_damping: float = 1e-6,
@@ -96,8 +102,9 @@ def minimise(
         free: Places that hold a parameter, shape (N, F); all where None.
         evaluations: Most of each problem.
         settled: Expected gain below which a step is not worth making.
-        hopeless: Which problems are given up, of their places (M,), losses (M,) and what the
-            undamped step promises to gain (M,); asked every ``look_every`` evaluations.
+        hopeless: Which problems are given up; asked every ``look_every`` evaluations.
+        losses: Losses of points (M, F) of the problems ``index`` (M,), where they are cheaper than
+            expansions; only points that are better than the last are then expanded.
         progress: Called with the share that is done.
         look_every: Evaluations between two calls of ``hopeless``.
         least_damping: Damping is never less.
@@ -112,10 +119,15 @@ def minimise(
     converged = np.zeros(N, dtype=bool)
     better = np.ones(N, dtype=bool)
     for made in range(1, evaluations + 1):
-        if made > 1:
+        if made > 1 and losses is None:
             then = expand(trial[active], active)
             better = then.loss < at.loss[active]
             at.replaced(active, then, better)
+        elif made > 1 and losses is not None:
+            better = losses(trial[active], active) < at.loss[active]
+            rows = active[better]
+            if rows.size:
+                at.replaced(rows, expand(trial[rows], rows), np.ones(rows.size, dtype=bool))
         won, lost = active[better], active[~better]
         best[won] = trial[won]
         damping[won] = np.maximum(damping[won] / 5, least_damping)
@@ -127,7 +139,7 @@ def minimise(
         active = active[worth]
         if hopeless is not None and active.size and made % look_every == 0:
             promised = _step(at, best, (low, high), free, np.zeros(N), active)[1]
-            active = active[~hopeless(active, at.loss[active], promised)]
+            active = active[~hopeless(active, best, at.loss, promised)]
         progress(made / evaluations)
         if not active.size:
             break
@@ -204,6 +216,15 @@ def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
     bent = (slope / ratio[:, None] ** 1.5).T @ slope
     steep = (error / np.sqrt(ratio)) @ slope
     return Expansion(np.array([loss]), steep[None], bent[None], {})
+
+
+def stacked(expansions: Sequence[Expansion]) -> Expansion:
+    """Expansions of N problems, one after the other."""
+    loss, slope, curvature = (
+        np.concatenate([getattr(e, name) for e in expansions])
+        for name in ("loss", "slope", "curvature")
+    )
+    return Expansion(loss, slope, curvature, {})
 
 
 def minimise_robustly(

@@ -8,44 +8,35 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def worth_following(
+def cannot_win(
     active: NDArray[np.intp],
-    position: Array,
-    loss: Array,
-    curvature: Array,
-    gradient: Array,
+    points: Array,
+    losses: Array,
+    promised: Array,
     *,
     same: float = 0.1,
-    behind: float = 60.0,
+    behind: float = 30.0,
     optimism: float = 5.0,
-) -> NDArray[np.intp]:
-    """Searches that may still end below the best one, and do not follow another one.
+) -> NDArray[np.bool_]:
+    """Searches that approach the minimum of a better one, or stay behind the best one.
+
+    To be given to ``least_squares.minimise`` as ``hopeless``.
 
     Args:
-        active: Indices of the searches that continue, of S.
-        position: Where each search is, in natural units, shape (S, F).
-        loss: Its loss, shape (S,).
-        curvature: Half the second derivatives of its loss, shape (S, F, F).
-        gradient: Half the first derivatives of its loss, shape (S, F).
+        active: Indices of the M searches that continue, of S.
+        points: Where all searches are, in natural units, shape (S, F).
+        losses: Their losses, shape (S,).
+        promised: Decrease of the loss that each of ``active`` expects of its next step, shape (M,).
         same: Distance in natural units within which two searches approach one minimum.
         behind: Loss by which a search may stay above the best one.
-        optimism: Multiple of the decrease of its quadratic model that a search is granted.
+        optimism: Multiple of the promised decrease that a search is granted.
 
     Returns:
-        Those of ``active`` that are worth continuing, ascending.
+        Which of ``active`` to give up, shape (M,).
     """
-    continuing = set(active.tolist())
-    kept: list[int] = []
-    seen: list[int] = []
-    order = np.argsort(loss, kind="stable").tolist()
-    for s in order:
-        follows = any(np.abs(position[k] - position[s]).max() < same for k in seen)
-        seen.append(s)
-        if follows or s not in continuing:
-            continue
-        ridge = 1e-9 * np.diag(curvature[s]).max() + 1e-300
-        matrix = curvature[s] + ridge * np.eye(gradient.shape[1])
-        decrease = max(float(gradient[s] @ np.linalg.solve(matrix, gradient[s])), 1.0)
-        if loss[s] - optimism * decrease < loss[order[0]] + behind:
-            kept.append(s)
-    return np.sort(np.array(kept, dtype=np.intp))
+    rank = np.empty(losses.size, dtype=np.intp)
+    rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
+    near = np.abs(points[active, None] - points).max(axis=2) < same
+    follows = (near & (rank < rank[active, None])).any(axis=1)
+    reachable = losses[active] - optimism * np.maximum(promised, 0.5)
+    return np.asarray(follows | (reachable > losses.min() + behind))

@@ -13,6 +13,7 @@ from sim2real.inference.least_squares import (
     robust_loss,
     robust_scale,
 )
+from sim2real.inference.multi_start import cannot_win
 
 T = np.linspace(0, 3, 300)
 TRUTH = np.array([[2.0, 1.5], [1.0, 0.4], [3.0, 2.5]])
@@ -140,9 +141,10 @@ def test_a_hopeless_problem_is_given_up_and_the_others_end_as_without_it():
     start, low, high = np.full((3, 2), 0.3), np.zeros((3, 2)), np.full((3, 2), 9.0)
     asked = []
 
-    def hopeless(places, loss, promised):
+    def hopeless(places, points, losses, promised):
         asked.append(places)
-        assert (promised > 0).all() and np.isfinite(loss).all()
+        assert points.shape == start.shape and np.isfinite(losses).all()
+        assert promised.shape == places.shape and (promised > 0).all()
         return places == 1
 
     whole = minimise(expand, start, low, high, settled=1e-9)
@@ -151,3 +153,33 @@ def test_a_hopeless_problem_is_given_up_and_the_others_end_as_without_it():
     assert not some.converged[1] and some.converged[[0, 2]].all()
     assert some.expansion.loss[1] > whole.expansion.loss[1]
     np.testing.assert_array_equal(some.x[[0, 2]], whole.x[[0, 2]])
+
+
+def test_losses_that_come_first_lead_to_the_same_minimum_with_fewer_expansions():
+    start, low, high = np.full((3, 2), 0.3), np.zeros((3, 2)), np.full((3, 2), 9.0)
+    expanded = []
+
+    def counted(x, index):
+        expanded.append(index.size)
+        return expand(x, index)
+
+    def losses(x, index):
+        return expand(x, index).loss
+
+    whole = minimise(counted, start, low, high, settled=1e-9)
+    every, expanded[:] = sum(expanded), []
+    cheap = minimise(counted, start, low, high, settled=1e-9, losses=losses)
+    np.testing.assert_array_equal(cheap.x, whole.x)
+    np.testing.assert_array_equal(cheap.expansion.curvature, whole.expansion.curvature)
+    assert sum(expanded) < every
+
+
+def test_searches_that_follow_a_better_one_or_stay_behind_cannot_win():
+    points = np.array([[0.0, 0.0], [0.05, 0.0], [3.0, 0.0], [5.0, 0.0]])
+    losses = np.array([10.0, 11.0, 35.0, 80.0])
+    active = np.arange(4)
+    few = cannot_win(active, points, losses, np.zeros(4), behind=30.0, optimism=5.0)
+    np.testing.assert_array_equal(few, [False, True, False, True])
+    promised = np.array([0.0, 0.0, 0.0, 10.0])  # the last may still come within reach
+    more = cannot_win(active, points, losses, promised, behind=30.0, optimism=5.0)
+    np.testing.assert_array_equal(more, [False, True, False, False])

@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from sim2real.diagnose.changed.repeated_commands import alignment, freed_of_the_common
 from sim2real.diagnose.changed.slow_sampling import beside_rest, is_slow
@@ -23,6 +22,7 @@ from sim2real.effects import named
 from sim2real.identification.fit import STEPS_PER_RADIAN
 from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.inference.least_squares import Expansion, expansion, minimise, stacked
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
@@ -364,24 +364,26 @@ def fitted(
         parts = [(of.left[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
 
-    def alone(x: Array) -> Array:
-        return np.asarray(left(x[None])[0])
+    noise = np.sqrt(of.scale2)
 
-    def slopes(x: Array) -> Array:
+    def about(x: Array) -> Expansion:
         step = np.where(x + _DIFFERENCE > box[1], -_DIFFERENCE, _DIFFERENCE)
-        every = left(np.vstack([x, x + np.diag(step)]))
-        return np.asarray((every[1:] - every[:1]).T / step)
+        error, *beside = left(np.vstack([x, x + np.diag(step)])) / noise
+        return expansion(error, ((np.array(beside) - error) / step[:, None]).T)
 
-    best, least = of.row, np.inf
-    for start in starts:
-        x0 = np.clip(start[columns] / scale, *box)
-        options = {"x_scale": np.maximum(np.abs(x0), 1e-2), "max_nfev": evaluations, "ftol": 1e-6}
-        found = least_squares(alone, x0, slopes, bounds=box, **options)
-        mean = 2 * float(found.cost) / max(found.fun.size, 1)
-        if mean < least:
-            least, best = mean, of.row.copy()
-            best[columns] = found.x * scale
-    return best, least
+    x0 = np.array([start[columns] / scale for start in starts])
+    found = minimise(
+        lambda points, _: stacked([about(x) for x in points]),
+        x0,
+        *(np.tile(ends, (len(starts), 1)) for ends in box),
+        evaluations=evaluations,
+        settled=1e-3,
+    )
+    k = int(np.argmin(found.expansion.loss))
+    best = of.row.copy()
+    best[columns] = found.x[k] * scale
+    count = max(sum(int(np.count_nonzero(of.seen(r))) for r in of.case), 1)
+    return best, 2 * float(found.expansion.loss[k]) * of.scale2 / count
 
 
 def restated(of: Explained, load_of: Trace) -> Explained:

@@ -187,8 +187,11 @@ class ServoSearch:
             index = np.array([best[key] for key in keys])
             goals = np.array([goal[key] for key in keys])
 
-            def hopeless(places: Index, loss: Array, promised: Array) -> NDArray[np.bool_]:
-                return np.asarray(self.limits.promise * promised - loss < goals[places])
+            def hopeless(
+                places: Index, _: Array, losses: Array, promised: Array
+            ) -> NDArray[np.bool_]:
+                reachable = self.limits.promise * promised - losses[places]
+                return np.asarray(reachable < goals[places])
 
             fine, _ = descended(
                 self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
