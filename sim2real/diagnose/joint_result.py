@@ -18,7 +18,7 @@ from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set
 from sim2real.identification.torque_speed_line import with_stated_line
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import COLUMNS, stated

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sim2real.inference.parameters import Parameter
+from sim2real.units import readable
 
 __all__ = [
     "LIMITS",
@@ -143,49 +143,3 @@ class Effect:
             name: readable(name, abs(x), per_inertia=per_inertia) for name, x in values.items()
         }
         return template.format(**sizes)
-
-
-_READABLE = (
-    ("_rad_per_Nm", "° per N m", 180 / math.pi),
-    ("_Nm_per_rad_s", " N m/(rad s)", 1.0),
-    ("_Nms_per_rad", " N m s/rad", 1.0),
-    ("_Nm_per_rad", " N m/rad", 1.0),
-    ("_rad_s2", " rad/s²", 1.0),
-    ("_rad_s", " rad/s", 1.0),
-    ("_rad", "°", 180 / math.pi),
-    ("_Nms2", " N m s²", 1.0),
-    ("_Nm", " N m", 1.0),
-    ("_kgm2", " kg m²", 1.0),
-    ("_s_per_s", " ppm", 1e6),
-    ("s_per_s", " ppm", 1e6),
-    ("_s", " ms", 1e3),
-)
-"""Endings of parameters' names, the unit that a person reads, and its size."""
-_SMALL_NM = 0.01
-"""Torque in N m below which it is stated in mN m."""
-_WRITTEN_OUT = 1e6
-"""Value below which no exponent is written."""
-
-
-def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
-    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
-
-    Args:
-        name: The parameter's name, its unit at the end.
-        value: Its value, SI.
-        per_inertia: Whether torques are per unit of inertia.
-    """
-    unit, size = next(
-        ((unit, size) for ending, unit, size in _READABLE if name.endswith(ending)), (" %", 100.0)
-    )
-    if unit == " N m" and abs(value) < _SMALL_NM:
-        unit, size = " mN m", 1e3
-    if per_inertia:
-        unit = unit.replace("N m", "N m/(kg m²)", 1)
-    return f"{three_digits(value * size)}{unit}"
-
-
-def three_digits(value: float) -> str:
-    """A number to three significant digits, without an exponent below a million."""
-    text = f"{value:.3g}"
-    return f"{float(text):.0f}" if 1000 <= abs(float(text)) < _WRITTEN_OUT else text

@@ -16,7 +16,7 @@ from sim2real.exporters.actuator import MOTOR_TERMS, LeftOut
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.refit import STICKS, FittingData, Refit, refitted, without
 from sim2real.identification.fit import residuals
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot

@@ -13,7 +13,7 @@ from sim2real.exporters.expressible import Expressible, expressible, fitting_dat
 from sim2real.exporters.mujoco import expressed, mujoco
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.exporters.refit import FittingData
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.robot import Robot

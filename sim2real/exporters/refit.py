@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.effects import named
 from sim2real.effects.effect import scaled
 from sim2real.identification.fit import Fit, fit, gains, of_effects, residuals
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import Parameter
 from sim2real.model import FittedEffect, JointModel, Law
 from sim2real.recording import PER_INERTIA

@@ -11,18 +11,13 @@ from sim2real.identification.control_loop import hidden
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
+from sim2real.units import readable_name
 
-_SHORT = {
-    "kp_Nm_per_rad": "kp",
-    "kd_Nms_per_rad": "kd",
-    "latency_s": "latency",
-    "unmodelled_inertia.inertia_kgm2": "inertia left out",
-}
 ABOVE_NOISE = 2.0
 """Multiple of the noise above which residuals are reported as a misfit."""
 _KEPT = 0.7
@@ -49,21 +44,24 @@ def on_fit(
 ) -> list[str]:
     """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
     notes = [
-        f"{_short(name)} has no influence on these recordings; its value is the starting value"
+        f"{readable_name(name)} has no influence on these recordings; "
+        "its value is the starting value"
         for name in unseen
     ]
     for direction in dict.fromkeys(spread.open_directions):
-        notes.append(_open([_short(best.names[k]) for k in direction]))
+        notes.append(_open([readable_name(best.names[k]) for k in direction]))
     named = {k for direction in spread.open_directions for k in direction}
     for k, name in enumerate(best.names):
         if k not in named and not np.isfinite(ends[name][1]):
-            notes.append(f"{_short(name)} has no upper bound: these recordings do not constrain it")
+            notes.append(
+                f"{readable_name(name)} has no upper bound: these recordings do not constrain it"
+            )
     for p in best.at_bound:
         if p.name.startswith("motor.") and p.low == 0:
             continue  # the loss is absent
         value = best.values[best.names.index(p.name)]
         end = p.low if value - p.low < p.high - value else p.high
-        notes.append(f"{_short(p.name)} is at its bound of {end:g}")
+        notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
     return notes + _on_misfit(figures)
@@ -92,7 +90,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Motor parameters that the recordings do not determine or that contradict the data sheet."""
     values, log = motor.fit.values, motor.log
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
-    names = [_words(name) for name in motor.fit.names]
+    names = [readable_name(name) for name in motor.fit.names]
     told = motor.moved | (sd < _KEPT * motor.believed_sd)
     kept = [name for name, known in zip(names, told, strict=True) if not known]
     notes = []
@@ -124,12 +122,6 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     return notes
 
 
-def _words(name: str) -> str:
-    for unit in ("_Nms_per_rad", "_Nm_per_rad", "_rad_s", "_kgm2", "_Nm", "_s"):
-        name = name.removesuffix(unit)
-    return name.removeprefix("motor.").replace("no_load", "no-load").replace("_", " ")
-
-
 def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
@@ -150,10 +142,6 @@ def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> 
         f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
     ]
-
-
-def _short(name: str) -> str:
-    return _SHORT.get(name, _words(name) if name.startswith("motor.") else name)
 
 
 def _open(names: list[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.identification.servo_problem import Servos, minimise, stacked
-from sim2real.inference.folds import each_in_turn, rms
+from sim2real.inference.least_squares import rms
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
@@ -42,7 +42,7 @@ class Unseen:
 def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
     """Pairs of traces to fit and to score: each recording in turn, or the end of a lone one."""
     if len(traces) > 1:
-        return [(rest, [one]) for rest, one in each_in_turn(traces)]
+        return [([other for other in traces if other is not one], [one]) for one in traces]
     fitted, scored, _ = split(traces, None)
     return [(fitted, scored)] if scored else []
 

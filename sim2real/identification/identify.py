@@ -22,7 +22,7 @@ from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.model import LAWS, FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance

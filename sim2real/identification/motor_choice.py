@@ -12,7 +12,7 @@ from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit
 from sim2real.identification.motor_prior import Prior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT

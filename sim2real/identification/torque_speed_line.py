@@ -12,7 +12,7 @@ from sim2real.identification.fit import best_of, errors, gains
 from sim2real.identification.initial_guess import first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
 from sim2real.identification.motor_prior import Prior, motor_prior
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo

@@ -10,7 +10,8 @@ Modules::
     evidence          profile likelihood, Laplace approximation, probabilities of models
     selection         select(problem, ledgers): the candidates that a problem needs, refitting
                       every set
-    folds             hold-out splits
+    multi_start       which of several searches for one minimum are given up
+    low_discrepancy   points that fill a cube evenly
 
 Example, a straight line through points::
 

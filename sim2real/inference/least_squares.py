@@ -285,6 +285,13 @@ def minimise_robustly(
     return point, converged
 
 
+def rms(errors: Sequence[Array]) -> float:
+    """Root mean square over all arrays; 0 where there is no sample, infinite where it overflows."""
+    count = sum(error.size for error in errors)
+    with np.errstate(over="ignore"):  # of a simulation that has run away
+        return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))
+
+
 def robust_loss(error: Array, scale: float) -> float:
     """Soft L1 loss of residuals, about their sum of squares where none is beyond ``scale``."""
     if np.isinf(scale):

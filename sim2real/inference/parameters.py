@@ -8,27 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.units import unit_of
+
 Array = NDArray[np.float64]
 
-_UNITS = (
-    ("_rad_per_Nm", "rad/(N m)"),
-    ("_Nm_per_rad_s", "N m/(rad s)"),
-    ("_Nms_per_rad", "N m s/rad"),
-    ("_Nm_per_rad", "N m/rad"),
-    ("_N_per_m", "N/m"),
-    ("_Nms2", "N m s²"),
-    ("_Nm", "N m"),
-    ("_kgm2", "kg m²"),
-    ("_m2_s", "m²/s"),
-    ("_m_s", "m/s"),
-    ("_rad_s2", "rad/s²"),
-    ("_rad_s", "rad/s"),
-    ("_rad", "rad"),
-    ("s_per_s", "s/s"),
-    ("_per_min", "1/min"),
-    ("_s", "s"),
-    ("_m", "m"),
-)
 _INSIDE = 1e-4
 
 
@@ -72,11 +55,6 @@ class Parameter:
             return f"normal {self.nominal:.4g} ± {self.prior_sd:.4g} {self.unit}".rstrip()
         kind = "log-uniform" if self.log else "uniform"
         return f"{kind} {self.low:.4g} to {self.high:.4g} {self.unit}".rstrip()
-
-
-def unit_of(name: str) -> str:
-    """Unit of a parameter, from the ending of its name; empty for a pure number."""
-    return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
 
 
 def column(parameters: Sequence[Parameter], field: str) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.posterior.likelihood import loaded
 from sim2real.posterior.servo import ServoPosterior

@@ -28,6 +28,7 @@ from sim2real.posterior.convergence import Convergence, convergence, sample
 from sim2real.posterior.laplace import Laplace, laplace, sharpened
 from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
 from sim2real.servo.trace import Trace
+from sim2real.units import unit_of
 
 
 def servo_priors(joint: JointModel) -> Priors:
@@ -39,12 +40,13 @@ def servo_priors(joint: JointModel) -> Priors:
     """
     inertia = joint.inertia_kgm2
     (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
-    units = ("1/s²", "1/s") if joint.per_inertia else ("", "")
     parameters = [
         Parameter("kp_Nm_per_rad", slow**2 * inertia, fast**2 * inertia, joint.kp_Nm_per_rad,
-                  log=True, unit=units[0]),
+                  log=True,
+                  unit=unit_of("kp_Nm_per_rad", per_inertia=joint.per_inertia)),
         Parameter("kd_Nms_per_rad", 2 * low * slow * inertia, 2 * high * fast * inertia,
-                  max(joint.kd_Nms_per_rad, 1e-9), log=True, unit=units[1]),
+                  max(joint.kd_Nms_per_rad, 1e-9), log=True,
+                  unit=unit_of("kd_Nms_per_rad", per_inertia=joint.per_inertia)),
         Parameter("latency_s", *LATENCY_S, 0.05),
     ]  # fmt: skip
     for fitted in joint.effects:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sim2real.body import body_effect, values
 from sim2real.density import Density
-from sim2real.inference.parameters import unit_of
 from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
 from sim2real.posterior.servo import ServoPosterior
@@ -18,11 +17,11 @@ from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.ranges.episodes import labelled, listed
 from sim2real.recording import Recording
 from sim2real.structured import finite_number
+from sim2real.units import unit_of
 
 LOW, HIGH = 0.05, 0.95
 """Quantiles between which a parameter is randomized."""
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
-_PER_INERTIA = {"kp_Nm_per_rad": "1/s²", "kd_Nms_per_rad": "1/s"}
 
 
 def from_posterior(joint: str, found: ServoPosterior, recordings: str) -> list[Range]:
@@ -64,8 +63,8 @@ def from_model(joint: str, model: JointModel, known: Sequence[str] = ()) -> list
         elif not (math.isfinite(low) and math.isfinite(high)):
             source = "the model: its 90 % interval, an open end taken at the value"
             low, high = (end if math.isfinite(end) else value for end in (low, high))
-        unit = _PER_INERTIA.get(name) if model.per_inertia else None
-        out.append(uniform(f"{joint}.{name}", low, high, unit or unit_of(name), source))
+        unit = unit_of(name, per_inertia=model.per_inertia)
+        out.append(uniform(f"{joint}.{name}", low, high, unit, source))
     return out
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.recording import Array
-from sim2real.report.quantity import printable, short_name
+from sim2real.report.quantity import printable
 from sim2real.report.style import ACCENT, INK, PAPER, RULE, house_style, new_figure
+from sim2real.units import readable_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +55,7 @@ def corner_figure(found: ServoPosterior, joint: str) -> Figure:
 
 
 def _label(name: str, unit: str) -> str:
-    return "\n".join([short_name(name).replace(".", "\n"), unit]).strip()
+    return "\n".join([printable(readable_name(name)), unit]).strip()
 
 
 def _histogram(axes: Axes, values: Array, ends: Array) -> None:

@@ -15,9 +15,10 @@ from sim2real.report.diagnosis_plots import (
     torque_figure,
 )
 from sim2real.report.diagnosis_what import figure, what_blocks
-from sim2real.report.diagnosis_words import how_sure, listed, per_inertia, plain, size, sure
+from sim2real.report.diagnosis_words import how_sure, listed, per_inertia, plain, sure
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import milliradians
+from sim2real.units import readable
 
 _LEAD = (
     "Does the simulated servo lack physics that the real one has? Where simulation and recording "
@@ -244,7 +245,9 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     cells: dict[str, dict[str, str]] = {}
     for limit in diagnosis.detection_limits:
         bare = per_inertia(diagnosis, limit.component)
-        texts = [size(n, x, per_inertia=bare) for n, x in limit.smallest.items() if x is not None]
+        texts = [
+            readable(n, x, per_inertia=bare) for n, x in limit.smallest.items() if x is not None
+        ]
         cells.setdefault(limit.effect, {})[limit.component] = "\n".join(texts)
     places = tuple(dict.fromkeys(limit.component for limit in diagnosis.detection_limits))
     rows = [

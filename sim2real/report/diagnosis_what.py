@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 from sim2real.diagnose.result import Diagnosis, Estimate, Ladder, NamedEffect
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_bars import Bar, bar_figure
-from sim2real.report.diagnosis_words import listed, per_inertia, plain, size, spoken, sure
+from sim2real.report.diagnosis_words import listed, per_inertia, plain, sure
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Table, Text
-from sim2real.report.quantity import milliradians, quantities
+from sim2real.report.quantity import milliradians, printable, quantities
 from sim2real.report.style import NARROW
+from sim2real.units import readable, readable_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -166,14 +167,14 @@ def _parameter_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str
     bare = per_inertia(diagnosis, effect.component)
     title = f"{plain(effect.effect)}\n{effect.component}"
     return [
-        ("" if k else title, spoken(name), _interval(name, estimate, bare))
+        ("" if k else title, printable(readable_name(name)), _interval(name, estimate, bare))
         for k, (name, estimate) in enumerate(effect.parameters.items())
     ]
 
 
 def _interval(name: str, estimate: Estimate, bare: bool) -> str:
     value, low, high = (
-        size(name, x, per_inertia=bare) for x in (estimate.mean, estimate.q05, estimate.q95)
+        readable(name, x, per_inertia=bare) for x in (estimate.mean, estimate.q05, estimate.q95)
     )
     return value if low == high else f"{value}\n{low} – {high}"
 

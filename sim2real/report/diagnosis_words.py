@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from sim2real.diagnose.result import Diagnosis, percent
@@ -17,16 +16,6 @@ _SURE = (
     (0.2, "possible"),
     (0.05, "unlikely"),
 )
-_UNIT = re.compile(
-    r"_(rad_per_Nm|Nm_per_rad_s|Nms_per_rad|Nm_per_rad|N_per_m|rad_s2|rad_s|rad|Nms2|Nm|kgm2|m_s"
-    r"|m|s)$"
-)
-_METRIC = (
-    ("_N_per_m", " N/m", 1.0),
-    ("_m_s", " m/s", 1.0),
-    ("_m", " mm", 1e3),
-)
-"""Units of bodies and cameras, which ``readable`` does not know."""
 
 
 def plain(effect: str) -> str:
@@ -52,22 +41,6 @@ def how_sure(share: float, *, of: str = "") -> str:
     """
     words = next((words for least, words in _SURE if share >= least), "very unlikely")
     return f"{words.capitalize()}: {' '.join(filter(None, (sure(share), 'sure', of)))}."
-
-
-def size(parameter: str, value: float, *, per_inertia: bool) -> str:
-    """A parameter's value with its unit; per unit of inertia where the load is not known."""
-    for ending, unit, scale in _METRIC:
-        if parameter.endswith(ending):
-            return f"{value * scale:.3g}{unit}"
-    from sim2real.effects.effect import readable
-
-    return readable(parameter, value, per_inertia=per_inertia)
-
-
-def spoken(parameter: str) -> str:
-    """A parameter's name without its unit: ``"gap"`` for ``"gap_rad"``."""
-    bare = "drift" if parameter == "s_per_s" else _UNIT.sub("", parameter)
-    return printable(bare).replace("_", " ")
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

@@ -7,31 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sim2real.model import FittedEffect, JointModel
-
-_SHORT = {
-    "kp_Nm_per_rad": "kp",
-    "kd_Nms_per_rad": "kd",
-    "latency_s": "latency",
-    "inertia_kgm2": "inertia",
-}
-
-_MOTOR = {
-    "stall_torque_Nm": ("stall torque", "N m", "1/s²"),
-    "no_load_speed_rad_s": ("no-load speed", "rad/s", "rad/s"),
-    "resistance_rise": ("resistance rise", "", ""),
-    "rotor_inertia_kgm2": ("rotor inertia", "kg m²", ""),
-    "coulomb_Nm": ("Coulomb friction", "N m", "1/s²"),
-    "motor_friction": ("motor friction", "", ""),
-    "load_friction": ("load friction", "", ""),
-    "stribeck_motor_friction": ("Stribeck, motor", "", ""),
-    "stribeck_load_friction": ("Stribeck, load", "", ""),
-    "stribeck_speed_rad_s": ("Stribeck speed", "rad/s", "rad/s"),
-    "stick_time_s": ("stick time", "s", "s"),
-    "creep_time_s": ("creep time", "s", "s"),
-    "loop_period_s": ("loop period", "s", "s"),
-    "loop_phase_s": ("loop phase", "s", "s"),
-}
-"""Name of each of the motor's parameters and its unit, with a known load and without."""
+from sim2real.units import readable_name, unit_of
 
 
 @dataclass(frozen=True)
@@ -88,15 +64,19 @@ def quantities(joint: JointModel) -> tuple[Quantity, ...]:
         ends = joint.interval.get(key)
         interval = None if ends is None else (scale * ends[0], scale * ends[1])
         value = scale * getattr(joint, key)
-        return Quantity(_SHORT[key], unit, value, interval, "" if interval else "no interval")
+        return Quantity(
+            readable_name(key), unit, value, interval, "" if interval else "no interval"
+        )
 
     inertia = fitted("inertia_kgm2", "kg m²")
     if inertia.interval is None:
         origin = "per unit of inertia" if per else "stated" if joint.load else "given"
         inertia = Quantity("inertia", "kg m²", joint.inertia_kgm2, None, origin)
     return (
-        fitted("kp_Nm_per_rad", "1/s²" if per else "N m/rad"),
-        fitted("kd_Nms_per_rad", "1/s" if per else "N m s/rad"),
+        *(
+            fitted(key, unit_of(key, per_inertia=per))
+            for key in ("kp_Nm_per_rad", "kd_Nms_per_rad")
+        ),
         fitted("latency_s", "ms", 1e3),
         inertia,
         *_of_motor(joint),
@@ -105,10 +85,10 @@ def quantities(joint: JointModel) -> tuple[Quantity, ...]:
 
 def _of_motor(joint: JointModel) -> Iterator[Quantity]:
     for key, value in joint.motor.items():
-        name, unit, per_inertia = _MOTOR.get(key, (key, "", ""))
         ends = joint.interval.get(f"motor.{key}")
+        unit = unit_of(key, per_inertia=joint.per_inertia)
         origin = "" if ends else "no interval"
-        yield Quantity(name, per_inertia if joint.per_inertia else unit, value, ends, origin)
+        yield Quantity(readable_name(f"motor.{key}"), unit, value, ends, origin)
 
 
 def correlations(
@@ -119,7 +99,7 @@ def correlations(
     for pair, r in joint.correlation.items():
         first, _, second = pair.partition(",")
         if abs(r) > above:
-            pairs.append((short_name(first), short_name(second), float(r)))
+            pairs.append((readable_name(first), readable_name(second.strip()), float(r)))
     return sorted(pairs, key=lambda pair: -abs(pair[2]))[:most]
 
 
@@ -149,13 +129,6 @@ def milliradians(angle_rad: float | None) -> str:
         return "-"
     angle = 1e3 * angle_rad
     return f"{angle:.1f} mrad" if abs(angle) >= 1 else f"{angle:.2g} mrad"
-
-
-def short_name(parameter: str) -> str:
-    """``"kp"`` for ``"kp_Nm_per_rad"``, ``"stall torque"`` for ``"motor.stall_torque_Nm"``."""
-    name = parameter.strip()
-    motor = _MOTOR.get(name.removeprefix("motor."))
-    return printable(motor[0] if motor else _SHORT.get(name, name))
 
 
 def printable(text: str) -> str:

@@ -8,9 +8,10 @@ from sim2real.ranges.gather import Gathered
 from sim2real.report.corner_plot import corner_figure
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.quantity import milliradians, printable, short_name
+from sim2real.report.quantity import milliradians, printable
 from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
 from sim2real.report.style import NARROW
+from sim2real.units import readable_name
 
 _LEAD = (
     "How far the real robot may be from its simulator, parameter by parameter. A policy that is "
@@ -97,7 +98,7 @@ def _posterior_section(found: Gathered, joint: str) -> Section:
     low, middle, high = one.quantiles(0.05, 0.5, 0.95)
     rows = [
         (
-            f"{printable(short_name(prior.name))}\n{prior.unit}",
+            f"{printable(readable_name(prior.name))}\n{prior.unit}",
             f"{middle[k]:.5g}\n{low[k]:.5g} to {high[k]:.5g}",
             str(prior),
             f"{mixing.times[k]:.1f}",

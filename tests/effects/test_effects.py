@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from sim2real.effects import CATALOGUE, named
-from sim2real.effects.effect import readable
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import CELLS, joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN, active_effects, rollout
+from sim2real.units import readable
 
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
 T = 0.01 * np.arange(600)

@@ -8,7 +8,7 @@ from test_effects import SQUARE, STEP, T, each, simulate
 
 from sim2real.diagnose.missing.screening import candidate
 from sim2real.effects import BODY, CAMERA, CATALOGUE, named
-from sim2real.effects.effect import readable, three_digits
+from sim2real.units import readable, three_digits
 
 NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)\s?([^\s,]*)")
 UNITS = ("°", "%", "ms", "ppm", "N", "mN", "kg", "rad/s", "rad/s²")

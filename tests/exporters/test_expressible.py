@@ -19,7 +19,7 @@ from sim2real.exporters.expressible import expressible
 from sim2real.exporters.mujoco_refit import mujoco_error, mujoco_refit
 from sim2real.exporters.urdf import urdf
 from sim2real.identification.fit import residuals
-from sim2real.inference.folds import rms
+from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Load, write_recording
 from sim2real.servo.parameters import joint_row

@@ -10,6 +10,7 @@ from sim2real.inference.least_squares import (
     expansion,
     minimise,
     minimise_robustly,
+    rms,
     robust_loss,
     robust_scale,
 )
@@ -183,3 +184,8 @@ def test_searches_that_follow_a_better_one_or_stay_behind_cannot_win():
     promised = np.array([0.0, 0.0, 0.0, 10.0])  # the last may still come within reach
     more = cannot_win(active, points, losses, promised, behind=30.0, optimism=5.0)
     np.testing.assert_array_equal(more, [False, True, False, False])
+
+
+def test_the_error_is_that_of_all_samples_together():
+    assert rms([np.array([3.0]), np.array([4.0, 0.0])]) == pytest.approx(np.sqrt(25 / 3))
+    assert rms([]) == 0.0

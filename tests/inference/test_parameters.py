@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from sim2real.inference.parameters import Gaussian, Parameter, Priors, unit_of
+from sim2real.inference.parameters import Gaussian, Parameter, Priors
+from sim2real.units import unit_of
 
 PRIORS = Priors(
     (Parameter("kp_Nm_per_rad", 0.5, 8.0, 2.0, log=True), Parameter("x", -1.0, 3.0, 1.0))

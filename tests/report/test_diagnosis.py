@@ -22,10 +22,10 @@ from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.report import diagnosis_section, diagnosis_what, svg
 from sim2real.report.diagnosis_plots import POINTS, binned, outline
-from sim2real.report.diagnosis_words import how_sure, plain, spoken
-from sim2real.report.diagnosis_words import size as with_unit
+from sim2real.report.diagnosis_words import how_sure, plain
 from sim2real.report.page import Figure, Note, Table, Text, render_page
 from sim2real.report.style import WIDE
+from sim2real.units import readable, readable_name
 
 NOISE = 0.0015
 EVIL = "<script>alert(1)</script>"
@@ -338,11 +338,11 @@ def test_effects_have_plain_names():
 
 
 def test_units_of_bodies_and_servos():
-    assert with_unit("u_m_s", 0.1, per_inertia=False) == "0.1 m/s"
-    assert with_unit("x_m", 0.012, per_inertia=False) == "12 mm"
-    assert with_unit("damping_Nms_per_rad", 0.02, per_inertia=False) == "0.02 N m s/rad"
-    assert with_unit("time_constant_s", 0.03, per_inertia=False) == "30 ms"
-    names = [spoken(name) for name in ("gap_rad", "x_m", "s_per_s", "ratio")]
+    assert readable("u_m_s", 0.1, per_inertia=False) == "0.1 m/s"
+    assert readable("x_m", 0.012, per_inertia=False) == "12 mm"
+    assert readable("damping_Nms_per_rad", 0.02, per_inertia=False) == "0.02 N m s/rad"
+    assert readable("time_constant_s", 0.03, per_inertia=False) == "30 ms"
+    names = [readable_name(name) for name in ("gap_rad", "x_m", "s_per_s", "ratio")]
     assert names == ["gap", "x", "drift", "ratio"]
 
 

@@ -54,7 +54,8 @@ def test_many_undetermined_parameters_are_wrapped():
     motor = {f"a_parameter_with_a_long_name_{k}": 1.0 for k in range(12)}
     ends = {f"motor.{name}": (0.0, math.inf) for name in motor}
     table = fit_report(one_joint(interval=ends, law="motor", motor=motor))
-    assert all(table.count(name + ",") + table.endswith(name) for name in list(motor)[:-1])
+    text = " ".join(table.split())
+    assert all(f"a parameter with a long name {k}," in text for k in range(11))
     assert all(len(line) <= WIDTH for line in table.splitlines())
 
 

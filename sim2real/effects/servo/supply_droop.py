@@ -29,7 +29,7 @@ EFFECT = Effect(
     says=lambda p: (
         "the supply voltage, and the motor torque with it, "
         + ("falls" if p["loss_per_min"] > 0 else "rises")
-        + " by {loss_per_min} per minute"
+        + " by {loss_per_min}"
     ),
     site="motor",
     term=droop,

@@ -1,0 +1,98 @@
+"""Units and readable names of parameters, by the names that files have: one table for all.
+
+A name ends with its unit (``kp_Nm_per_rad``); a name without one is a pure number.
+"""
+
+from __future__ import annotations
+
+import math
+
+_DEGREES = 180 / math.pi
+_UNITS = (
+    ("_rad_per_Nm", "rad/(N m)", "° per N m", _DEGREES),
+    ("_Nm_per_rad_s", "N m/(rad s)", " N m/(rad s)", 1.0),
+    ("_Nms_per_rad", "N m s/rad", " N m s/rad", 1.0),
+    ("_Nm_per_rad", "N m/rad", " N m/rad", 1.0),
+    ("_N_per_m", "N/m", " N/m", 1.0),
+    ("_rad_s2", "rad/s²", " rad/s²", 1.0),
+    ("_rad_s", "rad/s", " rad/s", 1.0),
+    ("_rad", "rad", "°", _DEGREES),
+    ("_Nms2", "N m s²", " N m s²", 1.0),
+    ("_Nm", "N m", " N m", 1.0),
+    ("_kgm2", "kg m²", " kg m²", 1.0),
+    ("_m2_s", "m²/s", " m²/s", 1.0),
+    ("_m_s", "m/s", " m/s", 1.0),
+    ("s_per_s", "s/s", " ppm", 1e6),
+    ("_per_min", "1/min", " % per minute", 100.0),
+    ("_s", "s", " ms", 1e3),
+    ("_m", "m", " mm", 1e3),
+)
+"""Ending of the name, unit in files, unit in sentences, and how many of the latter are one of the
+former."""
+_PER_INERTIA = {
+    "N m/rad": "1/s²",
+    "N m s/rad": "1/s",
+    "N m": "1/s²",
+    "kg m²": "",
+}
+"""Units of models whose load has no inertia: torques are per unit of it."""
+_NAMES = {
+    "kp_Nm_per_rad": "kp",
+    "kd_Nms_per_rad": "kd",
+    "unmodelled_inertia.inertia_kgm2": "unmodelled inertia",
+    "motor.no_load_speed_rad_s": "no-load speed",
+    "motor.coulomb_Nm": "Coulomb friction",
+    "motor.stribeck_motor_friction": "Stribeck, motor",
+    "motor.stribeck_load_friction": "Stribeck, load",
+    "motor.stribeck_speed_rad_s": "Stribeck speed",
+    "s_per_s": "drift",
+}
+"""Names that are not read off the parameter's own."""
+_SMALL_NM = 0.01
+"""Torque in N m below which it is stated in mN m."""
+_WRITTEN_OUT = 1e6
+"""Value below which no exponent is written."""
+
+
+def unit_of(name: str, *, per_inertia: bool = False) -> str:
+    """SI unit of a parameter; empty for a pure number.
+
+    Args:
+        name: The parameter's name.
+        per_inertia: Whether torques are per unit of inertia.
+    """
+    unit = next((unit for ending, unit, _, _ in _UNITS if name.endswith(ending)), "")
+    return _PER_INERTIA.get(unit, unit) if per_inertia else unit
+
+
+def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
+    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
+
+    Args:
+        name: The parameter's name.
+        value: Its value, SI.
+        per_inertia: Whether torques are per unit of inertia.
+    """
+    unit, size = next(
+        ((unit, size) for ending, _, unit, size in _UNITS if name.endswith(ending)), (" %", 100.0)
+    )
+    if unit == " N m" and abs(value) < _SMALL_NM:
+        unit, size = " mN m", 1e3
+    if per_inertia:
+        unit = unit.replace("N m", "N m/(kg m²)", 1)
+    return f"{three_digits(value * size)}{unit}"
+
+
+def three_digits(value: float) -> str:
+    """A number to three significant digits, without an exponent below a million."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if 1000 <= abs(float(text)) < _WRITTEN_OUT else text
+
+
+def readable_name(name: str) -> str:
+    """A parameter's name without its unit: ``"kp"``, ``"stall torque"``, ``"backlash gap"``."""
+    if name in _NAMES:
+        return _NAMES[name]
+    ending = next((ending for ending, *_ in _UNITS if name.endswith(ending)), "")
+    bare = name.removesuffix(ending).removeprefix("motor.")
+    return bare.replace(".", " ").replace("_", " ")
