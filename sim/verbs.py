@@ -46,7 +46,7 @@ def diagnose(
         in_water: Swims only. The fluid first simulates the recorded commands (a minute on a GPU),
             the result is kept in this file (.npz), or read from it, and the twin predicts only the
             differences.
-        device: Warp device of the fluid, cpu or cuda:0.
+        device: Device that simulates the fluid, cpu or cuda:0.
         seed: Seed of the bootstraps.
 
     Raises:
@@ -109,7 +109,7 @@ def calibrate(
         fit_gains: Fit the servos' gains too, and not only their latencies.
         held_out: Share of each swim, at its end, that is scored and not fitted.
         fluid: Continue the fit in the fluid, which needs a GPU.
-        device: Warp device of the fluid, cpu or cuda:0.
+        device: Device that simulates the fluid, cpu or cuda:0.
         cell_m: Side of a cell of the fluid, in m.
         rollouts: Rollouts of a batch in the fluid.
         seed: Seed of the designs of the fluid's batches.
@@ -162,7 +162,7 @@ def simulate(
         model: Its servos and its body (MODEL.json).
         fidelity: The lattice-Boltzmann fluid or its reduced-order twin.
         cell_m: Side of a cell of the fluid, in m.
-        device: Warp device, cpu or cuda:0.
+        device: Device that simulates, cpu or cuda:0.
         dimensions: 3, or 2 for a fluid in the plane.
         walls: Simulate a closed box, and not one that follows the robot.
         plot: PNG file for the flow at the end.

@@ -20,37 +20,40 @@ _EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
-    "check": (_SERVOS, "say what recordings are like, and what they can identify"),
+    "check": (_SERVOS, "check recordings, and say what they can identify"),
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
-    "diagnose": (_WATER, "say which physics the fitted model leaves out, and model it"),
-    "predict": (_SERVOS, "simulate a model from rest on the commands of a CSV"),
-    "density": (_SERVOS, "say how a robot's mass is spread along it, link by link"),
-    "calibrate": (_WATER, "fit the body in the water to swims in a pool"),
-    "ranges": (_SERVOS, "make randomization ranges, each from data, and a posterior sample"),
-    "simulate": (_WATER, "swim a recording's commands in the lattice-Boltzmann pool"),
-    "validate": (_WATER, "run the published cases that the fluid is measured against"),
-    "train": (_LEARNING, "train a policy by soft actor-critic, in the fluid or in its twin"),
-    "evaluate": (_LEARNING, "let policies and other controllers swim a task, and measure them"),
-    "ablate": (_LEARNING, "train with and without each technique, and compare"),
+    "diagnose": (_WATER, "find the physics that the fitted model leaves out, and model it"),
+    "predict": (_SERVOS, "simulate an identified model on the commands of a CSV file"),
+    "density": (_SERVOS, "compute the normalised density of each link of a robot"),
+    "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
+    "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
+    "simulate": (_WATER, "simulate a swim in the lattice-Boltzmann fluid"),
+    "validate": (_WATER, "compare the fluid with published cases"),
+    "train": (
+        _LEARNING,
+        "train policies with soft actor-critic in the fluid or its reduced-order twin",
+    ),
+    "evaluate": (_LEARNING, "measure policies and classical controllers on a task"),
+    "ablate": (_LEARNING, "train with and without each technique, and report what each is worth"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
-    "swim": (_LEARNING, "let a policy drive the robot, or a virtual one, to a target"),
-    "import": (_SERVOS, "turn logs of other projects into recordings"),
-    "robot": (_EXCHANGE, "make a robot.toml from a robot's URDF or MJCF, and list what it lacks"),
+    "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
+    "import": (_SERVOS, "convert logs of other projects to recordings"),
+    "robot": (_EXCHANGE, "write a robot.toml from a URDF or MJCF, and list missing fields"),
     "export-servo": (
         _EXCHANGE,
-        "write the identified actuators for another simulator, and list what it lacks",
+        "export identified actuators to another simulator",
     ),
     "export-ranges": (
         _EXCHANGE,
-        "write randomization ranges for another simulator, and list what it lacks",
+        "export randomization ranges to another simulator",
     ),
-    "record": (_HARDWARE, "play a signal on real servos and record what they do"),
-    "scan": (_HARDWARE, "list the servos on a bus: position, supply, temperature, errors"),
-    "virtual-servo": (_HARDWARE, "be servos on a bus, for those who have none"),
-    "track": (_HARDWARE, "find the body's pose in every frame of an overhead video"),
-    "calibrate-camera": (_HARDWARE, "find a camera's lens and its place above the pool"),
+    "record": (_HARDWARE, "play a signal on servos and record their positions"),
+    "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
+    "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),
+    "track": (_HARDWARE, "track the pose of the body in an overhead video"),
+    "calibrate-camera": (_HARDWARE, "calibrate the lens and the pose of the overhead camera"),
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
-    "completion": (_SERVOS, "print a script that completes commands and options in a shell"),
+    "completion": (_SERVOS, "print a shell completion script"),
 }
 """Each command's options and what it does in a line, in the order in which help lists them."""
 
@@ -111,7 +114,7 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(
         prog="sim2real",
         description="Identify servos, diagnose missing physics, generate randomization ranges.",
-        epilog="'sim2real COMMAND --help' shows what a command takes, with an example. "
+        epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
     whole.add_argument("--version", action=_Version, help="print the version and exit")

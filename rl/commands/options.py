@@ -21,20 +21,36 @@ _ARMS = (
 
 
 def _water(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--robot", type=Path, required=True, help="robot.toml")
-    command.add_argument("--model", type=Path, required=True, help="MODEL.json")
-    command.add_argument("--ranges", type=Path, help="ranges.json to draw episodes from")
+    command.add_argument("--robot", type=Path, required=True, help="the robot (robot.toml)")
+    command.add_argument(
+        "--model", type=Path, required=True, help="its servos and body (MODEL.json)"
+    )
+    command.add_argument(
+        "--ranges",
+        type=Path,
+        help="randomization ranges that episodes are drawn from (ranges.json)",
+    )
     command.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
-    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
-    command.add_argument("--cell-m", type=float, default=0.02, metavar="M", help="of the fluid")
-    command.add_argument("--threads", type=int, default=1, help="of the simulator (default 1)")
+    command.add_argument(
+        "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
+    )
+    command.add_argument(
+        "--cell-m",
+        type=float,
+        default=0.02,
+        metavar="M",
+        help="side of a cell of the fluid, m (default 0.02)",
+    )
+    command.add_argument(
+        "--threads", type=int, default=1, help="CPU threads of the simulator (default 1)"
+    )
 
 
 def _sampled(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--sampled",
         action="store_true",
-        help="policies act as in training, with their own noise, and not by their mean",
+        help="sample actions from the policy, as in training, instead of taking their mean",
     )
 
 
@@ -42,14 +58,17 @@ def _executor(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--executor",
         choices=("local", "ray"),
-        help="a process for each run, here or on a Ray cluster (default: all runs in one batch)",
+        help="one process per run, on this machine or on a Ray cluster (default: all runs in"
+        " one batch)",
     )
     command.add_argument(
-        "--jobs", type=int, metavar="N", help="runs at a time (default: one a GPU)"
+        "--jobs", type=int, metavar="N", help="runs at the same time (default: one per GPU)"
     )
-    command.add_argument("--address", help="the Ray cluster, HOST:PORT (default: this machine's)")
     command.add_argument(
-        "--retries", type=int, default=2, help="more attempts for a run that died (default 2)"
+        "--address", help="address of the Ray cluster, HOST:PORT (default: a local one)"
+    )
+    command.add_argument(
+        "--retries", type=int, default=2, help="times that a failed run is repeated (default 2)"
     )
 
 
@@ -57,56 +76,82 @@ def _plan(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--recipe",
         choices=("default", "paper", "brief", "fine"),
-        help="a decision every 80 ms and what goes with it (default), the paper's own task, or "
-        "what goes on from policies that swim, elsewhere or nearly here",
+        help="settings of training: default (a decision every 80 ms), paper (the "
+        "task of the paper), or brief and fine, which continue from trained policies",
     )
-    command.add_argument("--steps", type=int, help="of 20 ms, of each agent (default 800000)")
-    command.add_argument("--envs", type=int, help="environments of each agent (default 64)")
-    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
-    command.add_argument("--updates-per-step", type=float, help="(default 0.1)")
-    command.add_argument("--learning-rate", type=float, help="at first (default 0.001)")
-    command.add_argument("--discount", type=float, help="of a decision later (default 0.99)")
     command.add_argument(
-        "--energy-weight", type=float, help="of the joints' squared rates (default 0.0007)"
+        "--steps", type=int, help="simulation steps of 20 ms per agent (default 800000)"
+    )
+    command.add_argument("--envs", type=int, help="parallel environments per agent (default 64)")
+    command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")
+    command.add_argument(
+        "--updates-per-step", type=float, help="gradient updates per environment step (default 0.1)"
+    )
+    command.add_argument(
+        "--learning-rate", type=float, help="initial learning rate (default 0.001)"
+    )
+    command.add_argument(
+        "--discount", type=float, help="discount factor per decision (default 0.99)"
+    )
+    command.add_argument(
+        "--energy-weight",
+        type=float,
+        help="weight of the squared joint rates in the reward (default 0.0007)",
     )
     command.add_argument(
         "--energy-start",
         type=float,
         metavar="SHARE",
-        help="of that weight until robots swim; then it grows (default 0.1)",
+        help="share of that weight at the start, raised once the agents swim (default 0.1)",
     )
 
 
 def _train(command: argparse.ArgumentParser) -> None:
     _water(command)
-    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder of the run"
+    )
     command.add_argument(
         "--controller",
         choices=("sac", "discrete-cpg"),
         default="sac",
-        help="what learns: joint angles (default), or which gait of a pattern generator",
+        help="what the policy chooses: joint angles (sac, default) or the gait of a pattern "
+        "generator",
     )
-    command.add_argument("--task", choices=_TASKS, help="(default chain)")
-    command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
-    command.add_argument("--seeds", type=int, default=1, metavar="N", help="agents (default 1)")
+    command.add_argument("--task", choices=_TASKS, help="task to train on (default chain)")
+    command.add_argument(
+        "--quick", action="store_true", help="a small run in the twin: minutes on a CPU"
+    )
+    command.add_argument(
+        "--seeds",
+        type=int,
+        default=1,
+        metavar="N",
+        help="number of agents, one per random seed (default 1)",
+    )
     _plan(command)
     command.add_argument(
         "--first",
         nargs="+",
         type=Path,
         metavar="POLICY",
-        help="policies to go on from, one a seed; with --recipe fine from the twin to the fluid",
+        help="policies that training continues from, one per seed; with --recipe fine, from "
+        "the twin to the fluid",
     )
     command.add_argument(
         "--trials",
         type=int,
         default=20,
         metavar="N",
-        help="held-out turns and targets that choose each agent's price of energy, and among the "
-        "agents (default 20; 0 for none)",
+        help="held-out episodes that select each agent's price of energy, and the best "
+        "agent (default 20; 0 for none)",
     )
-    command.add_argument("--tensorboard", action="store_true", help="write its files too")
-    command.add_argument("--no-plots", action="store_true", help="write no curve.png")
+    command.add_argument(
+        "--tensorboard", action="store_true", help="also write TensorBoard event files"
+    )
+    command.add_argument(
+        "--no-plots", action="store_true", help="do not plot the learning curve (curve.png)"
+    )
     _executor(command)
 
 
@@ -116,36 +161,54 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         "--reality",
         type=Path,
         required=True,
-        help="what training never sees: MODEL.json, or a Python file that offers make",
+        help="the reality that policies are tested in and never trained in: MODEL.json, or a"
+        " Python file with a function make",
     )
-    command.add_argument("--enriched", type=Path, help="MODEL.json with what diagnose found")
+    command.add_argument(
+        "--enriched",
+        type=Path,
+        help="model with diagnosed effects (MODEL.json), for the arm all-and-effects",
+    )
     command.add_argument(
         "--truth",
         type=Path,
         metavar="MODEL",
-        help="reality's own parameters, for the arm ceiling (default: --reality, where it is one)",
+        help="true parameters (MODEL.json), for the arm ceiling (default: --reality, if that"
+        " is a model)",
     )
-    command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the run's")
-    command.add_argument("--arms", nargs="+", choices=_ARMS, help="(default: all)")
     command.add_argument(
-        "--seeds", type=int, default=6, metavar="N", help="of each arm (default 6)"
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder of the run"
     )
-    command.add_argument("--repeats", type=int, default=10, help="turns of each agent (default 10)")
+    command.add_argument("--arms", nargs="+", choices=_ARMS, help="arms to compare (default: all)")
+    command.add_argument(
+        "--seeds",
+        type=int,
+        default=6,
+        metavar="N",
+        help="random seeds, each one agent, of each arm (default 6)",
+    )
+    command.add_argument(
+        "--repeats", type=int, default=10, help="episodes that each agent is tested on (default 10)"
+    )
     command.add_argument(
         "--reality-cell-m",
         type=float,
         metavar="M",
-        help="of its water (default: half of training's, or the Python file's own)",
+        help="cell of the fluid in the reality, m (default: half of that in training, or as "
+        "the Python file states)",
     )
     _sampled(command)
-    command.add_argument("--task", choices=_TASKS, help="to train at (default chain)")
-    command.add_argument("--quick", action="store_true", help="minutes on a CPU, in the twin")
+    command.add_argument("--task", choices=_TASKS, help="task to train on (default chain)")
+    command.add_argument(
+        "--quick", action="store_true", help="a small run in the twin: minutes on a CPU"
+    )
     command.add_argument(
         "--first",
         nargs="+",
         type=Path,
         metavar="POLICY",
-        help="policies that each arm's seeds go on from in turn, such as those of the arm midway",
+        help="policies that training continues from, one per seed in turn, such as those of "
+        "the arm midway",
     )
     _plan(command)
     _executor(command)
@@ -160,49 +223,70 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
         "also pnl-fast, pnl-frugal and so on",
     )
     _water(command)
-    command.add_argument("--task", choices=_TASKS, default="turn", help="(default turn)")
+    command.add_argument("--task", choices=_TASKS, default="turn", help="task (default turn)")
     _sampled(command)
-    command.add_argument("--episodes", type=int, default=50, help="robots (default 50)")
-    command.add_argument("--energy-weight", type=float, help="in the reward (default 0.0007)")
+    command.add_argument("--episodes", type=int, default=50, help="number of episodes (default 50)")
+    command.add_argument(
+        "--energy-weight", type=float, help="weight of the energy in the reward (default 0.0007)"
+    )
     command.add_argument(
         "--gains",
         type=Path,
         metavar="TOML",
-        help="of pnl and adrc (default: those tuned in the twin)",
+        help="gains of the controllers pnl and adrc (default: tuned in the twin)",
     )
-    command.add_argument("--out", type=Path, metavar="JSON", help="figures to write")
-    command.add_argument("--plot", type=Path, metavar="PNG", help="trajectories to draw")
+    command.add_argument("--out", type=Path, metavar="JSON", help="file to write the results to")
     command.add_argument(
-        "--video", type=Path, metavar="MP4", help="each policy's first robot, or a .avi, .gif of it"
+        "--plot", type=Path, metavar="PNG", help="plot of the trajectories to write"
+    )
+    command.add_argument(
+        "--video",
+        type=Path,
+        metavar="MP4",
+        help="video of the first episode of each policy to write (.mp4, .avi or .gif)",
     )
 
 
 def _export(command: argparse.ArgumentParser) -> None:
-    command.add_argument("policy", type=Path, metavar="POLICY", help="POLICY.zip, a trained SAC")
-    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy.npz")
+    command.add_argument("policy", type=Path, metavar="POLICY", help="trained policy (POLICY.zip)")
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="file to write (policy.npz)"
+    )
     command.add_argument(
         "--format",
         nargs="+",
         choices=("npz", "c", "onnx"),
-        help="NumPy arrays, a C header, ONNX: FILE with .npz, .h, .onnx (default: FILE's ending)",
+        help="NumPy arrays (.npz), a C header (.h) or ONNX (.onnx); by default as FILE ends",
     )
     command.add_argument(
         "--price",
         type=float,
-        help="of energy, over the training's: 0.5 is faster, 2 more frugal (default: the file's)",
+        help="price of energy relative to training: 0.5 swims faster, 2 saves energy "
+        "(default: as in the file)",
     )
 
 
 def _swim(command: argparse.ArgumentParser) -> None:
-    command.add_argument("policy", type=Path, metavar="POLICY", help="policy.npz, or a SAC's .zip")
     command.add_argument(
-        "--target", required=True, metavar="X,Y", help="in the pool's frame in m; --target=-1,0.5"
+        "policy", type=Path, metavar="POLICY", help="policy (policy.npz or policy.zip)"
     )
-    command.add_argument("--port", metavar="URL", help="the robot's radio: udp://HOST:PORT")
-    command.add_argument("--virtual", action="store_true", help="a virtual robot, in the twin")
-    command.add_argument("--robot", type=Path, help="robot.toml of the virtual robot")
-    command.add_argument("--model", type=Path, help="MODEL.json of the virtual robot")
-    command.add_argument("--seconds", type=float, default=20.0, help="at most (default 20)")
+    command.add_argument(
+        "--target",
+        required=True,
+        metavar="X,Y",
+        help="target in the frame of the pool, m; write negative values as --target=-1,0.5",
+    )
+    command.add_argument("--port", metavar="URL", help="radio of the robot: udp://HOST:PORT")
+    command.add_argument(
+        "--virtual", action="store_true", help="drive a virtual robot, simulated in the twin"
+    )
+    command.add_argument("--robot", type=Path, help="the virtual robot (robot.toml)")
+    command.add_argument(
+        "--model", type=Path, help="servos and body of the virtual robot (MODEL.json)"
+    )
+    command.add_argument(
+        "--seconds", type=float, default=20.0, help="longest time to swim, s (default 20)"
+    )
     command.add_argument("--out", type=Path, metavar="CSV", help="recording of the swim to write")
 
 

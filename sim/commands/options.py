@@ -30,12 +30,20 @@ def _calibrate(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="MODEL", help="model to write (MODEL.json)"
     )
-    command.add_argument("--no-plots", action="store_true", help="write no MODEL.RECORDING.png")
+    command.add_argument(
+        "--no-plots", action="store_true", help="do not plot the fit (MODEL.RECORDING.png)"
+    )
 
 
 def _validate(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--device", default="cpu", help="cpu (default) or cuda:0")
-    command.add_argument("--quick", action="store_true", help="seconds, with looser bars")
+    command.add_argument(
+        "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
+    )
+    command.add_argument(
+        "--quick",
+        action="store_true",
+        help="coarse versions with wider tolerances: seconds instead of hours",
+    )
     command.add_argument("--only", nargs="+", default=(), metavar="CASE")
     command.add_argument("--out", type=Path, default=Path("reports/validation.html"))
 
@@ -43,9 +51,13 @@ def _validate(command: argparse.ArgumentParser) -> None:
 def _diagnose(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.diagnose)
     command.add_argument(
-        "--out", type=Path, required=True, metavar="DIAGNOSIS", help="diagnosis.json to write"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIAGNOSIS",
+        help="diagnosis to write (diagnosis.json)",
     )
-    command.add_argument("--no-page", action="store_true", help="write no DIAGNOSIS.html")
+    command.add_argument("--no-page", action="store_true", help="do not write the HTML report")
 
 
 COMMANDS = (

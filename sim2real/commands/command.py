@@ -34,7 +34,7 @@ def add_recordings(command: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="RECORDING",
-        help="NAME.csv, NAME.json beside it",
+        help="recordings (NAME.csv with NAME.json in the same folder)",
     )
 
 

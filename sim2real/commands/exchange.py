@@ -9,15 +9,17 @@ from sim2real.commands.command import Command
 
 
 def _export_servo(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", type=Path, metavar="MODEL", help="MODEL.json")
+    command.add_argument("model", type=Path, metavar="MODEL", help="identified servos (MODEL.json)")
     command.add_argument(
         "--to",
         required=True,
         choices=("mujoco", "isaaclab", "genesis", "urdf", "json"),
-        help="the simulator, or the format",
+        help="simulator or format to write for",
     )
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
-    command.add_argument("--robot", type=Path, help="robot.toml, for limits and data sheets")
+    command.add_argument(
+        "--robot", type=Path, help="the robot, for joint limits and data sheets (robot.toml)"
+    )
     command.add_argument(
         "--recordings",
         nargs="+",
@@ -30,17 +32,28 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
 
 
 def _export_ranges(command: argparse.ArgumentParser) -> None:
-    command.add_argument("ranges", type=Path, metavar="RANGES", help="ranges.json")
     command.add_argument(
-        "--to", required=True, choices=("isaaclab", "mujoco-playground"), help="the simulator"
+        "ranges", type=Path, metavar="RANGES", help="randomization ranges (ranges.json)"
     )
-    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="Python to write")
+    command.add_argument(
+        "--to",
+        required=True,
+        choices=("isaaclab", "mujoco-playground"),
+        help="simulator to write for",
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="Python file to write"
+    )
 
 
 def _robot(command: argparse.ArgumentParser) -> None:
-    command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="what to read")
-    command.add_argument("source", type=Path, metavar="FILE", help="the robot's URDF or MJCF")
-    command.add_argument("--out", type=Path, required=True, metavar="TOML", help="robot.toml")
+    command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="format to read")
+    command.add_argument(
+        "source", type=Path, metavar="FILE", help="description of the robot (URDF or MJCF)"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="TOML", help="robot to write (robot.toml)"
+    )
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"
     )

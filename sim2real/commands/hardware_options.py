@@ -10,26 +10,55 @@ from sim2real.commands.command import Command
 
 def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "signal", metavar="SIGNAL", help="steps, sine, square, chirp, multisine, or COMMANDS.csv"
+        "signal",
+        metavar="SIGNAL",
+        help="steps, sine, square, chirp, multisine, or a file of commands (COMMANDS.csv)",
     )
-    command.add_argument("--robot", type=Path, required=True, help="robot.toml, for the limits")
-    command.add_argument("--port", metavar="URL", help="/dev/ttyUSB0, socket://, udp://HOST:PORT")
-    command.add_argument("--ids", metavar="LIST", help="servo in each joint, as 1,2,3")
+    command.add_argument(
+        "--robot",
+        type=Path,
+        required=True,
+        help="the robot, for the limits of its joints (robot.toml)",
+    )
+    command.add_argument(
+        "--port", metavar="URL", help="bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+    )
+    command.add_argument(
+        "--ids", metavar="LIST", help="id of the servo of each joint, such as 1,2,3"
+    )
     command.add_argument("--out", type=Path, metavar="CSV", help="recording to write")
-    command.add_argument("--joints", nargs="+", metavar="JOINT", help="only these (default: all)")
-    command.add_argument("--trim", metavar="LIST", help="ticks at angle 0 less 500, as 4,0,-2")
     command.add_argument(
-        "--reverse", nargs="+", metavar="JOINT", help="joints whose servo turns the other way"
+        "--joints", nargs="+", metavar="JOINT", help="joints to move (default: all)"
     )
-    command.add_argument("--inertia", metavar="LIST", help="load of each joint in kg m2")
+    command.add_argument(
+        "--trim",
+        metavar="LIST",
+        help="offset of each servo in ticks: position at angle 0 minus 500, such as 4,0,-2",
+    )
+    command.add_argument(
+        "--reverse",
+        nargs="+",
+        metavar="JOINT",
+        help="joints whose servo turns in the opposite direction",
+    )
+    command.add_argument(
+        "--inertia", metavar="LIST", help="inertia of the load on each joint, kg m2"
+    )
     command.add_argument("--medium", choices=("air", "water"), default="air")
-    command.add_argument("--source", metavar="TEXT", help="where the recording comes from")
-    command.add_argument("--seconds", type=float, default=30.0, help="length (default 30)")
+    command.add_argument("--source", metavar="TEXT", help="source of the recording, stored with it")
+    command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
     command.add_argument(
-        "--amplitude", type=float, metavar="RAD", help="(default: 3/4 of what the limits allow)"
+        "--amplitude",
+        type=float,
+        metavar="RAD",
+        help="amplitude, rad (default: 3/4 of what the limits allow)",
     )
     command.add_argument(
-        "--frequency", type=float, default=1.0, metavar="HZ", help="of sine and square (default 1)"
+        "--frequency",
+        type=float,
+        default=1.0,
+        metavar="HZ",
+        help="frequency of sine and square, Hz (default 1)",
     )
     command.add_argument(
         "--band",
@@ -37,29 +66,45 @@ def _record(command: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.1, 2.0),
         metavar="HZ",
-        help="of chirp and multisine (default 0.1 2)",
+        help="lowest and highest frequency of chirp and multisine, Hz (default 0.1 2)",
     )
     command.add_argument(
-        "--max-temperature", type=float, default=65.0, metavar="C", help="stop above (default 65)"
+        "--max-temperature",
+        type=float,
+        default=65.0,
+        metavar="C",
+        help="stop when a servo is hotter, degrees Celsius (default 65)",
     )
-    command.add_argument("--overwrite", action="store_true", help="replace a recording")
-    command.add_argument("--dry-run", action="store_true", help="show the signal, drive nothing")
-    command.add_argument("--plot", type=Path, metavar="PNG", help="draw the signal")
+    command.add_argument("--overwrite", action="store_true", help="replace an existing recording")
+    command.add_argument("--dry-run", action="store_true", help="show the signal and move nothing")
+    command.add_argument("--plot", type=Path, metavar="PNG", help="plot of the signal to write")
 
 
 def _scan(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--port", required=True, metavar="URL", help="as for record")
     command.add_argument(
-        "--ids", default="0-253", metavar="LIST", help="whom to ask, as 1,2,10-20 (default: all)"
+        "--port",
+        required=True,
+        metavar="URL",
+        help="bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT",
+    )
+    command.add_argument(
+        "--ids",
+        default="0-253",
+        metavar="LIST",
+        help="ids to ask, such as 1,2,10-20 (default: all)",
     )
 
 
 def _virtual_servo(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--ids", default="1", metavar="LIST", help="as 1,2,3 (default 1)")
     command.add_argument(
-        "--udp", metavar="HOST:PORT", help="be a radio there (default: a pseudo-terminal)"
+        "--ids", default="1", metavar="LIST", help="ids of the servos, such as 1,2,3 (default 1)"
     )
-    command.add_argument("--model", type=Path, help="MODEL.json: its joints in order")
+    command.add_argument(
+        "--udp",
+        metavar="HOST:PORT",
+        help="listen there for UDP packets (default: open a pseudo-terminal)",
+    )
+    command.add_argument("--model", type=Path, help="servos to simulate, in order (MODEL.json)")
     command.add_argument("--kp", type=float, default=2.2, metavar="NM_PER_RAD")
     command.add_argument("--kd", type=float, default=0.06, metavar="NMS_PER_RAD")
     command.add_argument("--latency", type=float, default=0.06, metavar="S")
@@ -67,21 +112,36 @@ def _virtual_servo(command: argparse.ArgumentParser) -> None:
     command.add_argument("--supply", type=float, default=7.4, metavar="V")
     command.add_argument("--temperature", type=float, default=30.0, metavar="C")
     command.add_argument("--heating", type=float, default=0.0, metavar="C_PER_S")
-    command.add_argument("--loss", type=float, default=0.0, help="share of packets lost, each way")
-    command.add_argument("--noise", type=float, default=0.0, help="share of bytes spoilt")
-    command.add_argument("--echo", action="store_true", help="the host hears itself, on one wire")
-    command.add_argument("--fast", action="store_true", help="bytes take no time on the wire")
+    command.add_argument(
+        "--loss", type=float, default=0.0, help="share of packets lost in each direction"
+    )
+    command.add_argument("--noise", type=float, default=0.0, help="share of corrupted bytes")
+    command.add_argument(
+        "--echo", action="store_true", help="echo what the host sends, as on a half-duplex wire"
+    )
+    command.add_argument(
+        "--fast", action="store_true", help="transmit without the delay of the baud rate"
+    )
 
 
 def _track(command: argparse.ArgumentParser) -> None:
-    command.add_argument("video", type=Path, metavar="VIDEO", help="from above the pool")
-    command.add_argument("--camera", type=Path, required=True, help="camera.toml")
-    command.add_argument("--out", type=Path, required=True, metavar="CSV", help="pool recording")
+    command.add_argument("video", type=Path, metavar="VIDEO", help="overhead video of the pool")
+    command.add_argument("--camera", type=Path, required=True, help="camera (camera.toml)")
     command.add_argument(
-        "--servo", type=Path, metavar="CSV", help="recording of the servos to join"
+        "--out", type=Path, required=True, metavar="CSV", help="pool recording to write"
     )
     command.add_argument(
-        "--joints", nargs="+", default=["j1"], metavar="JOINT", help="names, where none is joined"
+        "--servo",
+        type=Path,
+        metavar="CSV",
+        help="recording of the servos to combine with the poses",
+    )
+    command.add_argument(
+        "--joints",
+        nargs="+",
+        default=["j1"],
+        metavar="JOINT",
+        help="names of the joints, without --servo",
     )
     command.add_argument(
         "--sync",
@@ -94,21 +154,43 @@ def _track(command: argparse.ArgumentParser) -> None:
 
 def _calibrate_camera(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "pictures", nargs="+", type=Path, metavar="PICTURE", help="of a ChArUco board, or a video"
+        "pictures",
+        nargs="+",
+        type=Path,
+        metavar="PICTURE",
+        help="pictures of a ChArUco board, or a video of one",
     )
     command.add_argument(
-        "--board", default="7,5,0.04,0.03", metavar="LIST", help="across,down,square,marker in m"
+        "--board",
+        default="7,5,0.04,0.03",
+        metavar="LIST",
+        help="ChArUco board: squares across, squares down, side of a square in m, side of a "
+        "marker in m",
     )
     command.add_argument("--dictionary", choices=_DICTIONARIES, default="4x4_50")
-    command.add_argument("--pool", default="3.6,3.6", metavar="LIST", help="length,width in m")
     command.add_argument(
-        "--corners", nargs=4, metavar="U,V", help="pixels of the pool's corners: 0,0 first, then x"
+        "--pool", default="3.6,3.6", metavar="LIST", help="length and width of the pool in m"
     )
     command.add_argument(
-        "--corner-ids", metavar="LIST", help="markers on those corners, as 10,11,12,13"
+        "--corners",
+        nargs=4,
+        metavar="U,V",
+        help="pixels of the four corners of the pool: the origin first, then along x",
     )
-    command.add_argument("--pool-picture", type=Path, metavar="PICTURE", help="where they are seen")
-    command.add_argument("--out", type=Path, required=True, metavar="TOML", help="camera.toml")
+    command.add_argument(
+        "--corner-ids",
+        metavar="LIST",
+        help="ids of markers at the corners of the pool, such as 10,11,12,13",
+    )
+    command.add_argument(
+        "--pool-picture",
+        type=Path,
+        metavar="PICTURE",
+        help="picture that shows the corners of the pool",
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="TOML", help="camera (camera.toml)"
+    )
 
 
 _DICTIONARIES = (

@@ -12,7 +12,9 @@ from sim2real.commands.verb import add_verb
 
 def _check(command: argparse.ArgumentParser) -> None:
     add_recordings(command)
-    command.add_argument("--robot", type=Path, help="robot.toml, to check limits and names too")
+    command.add_argument(
+        "--robot", type=Path, help="the robot, to check limits and names as well (robot.toml)"
+    )
 
 
 def _identify(command: argparse.ArgumentParser) -> None:
@@ -20,14 +22,18 @@ def _identify(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="MODEL", help="model to write (MODEL.json)"
     )
-    command.add_argument("--no-plots", action="store_true", help="write no MODEL.JOINT.png")
+    command.add_argument(
+        "--no-plots", action="store_true", help="do not plot the fits (MODEL.JOINT.png)"
+    )
 
 
 def _density(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.density, positional=("robot",))
-    command.add_argument("--model", type=Path, help="MODEL.json to put the densities into")
-    command.add_argument("--out", type=Path, metavar="MODEL", help="the model with them")
-    command.add_argument("--plot", type=Path, metavar="PNG", help="how the mass is spread")
+    command.add_argument("--model", type=Path, help="model to add the densities to (MODEL.json)")
+    command.add_argument("--out", type=Path, metavar="MODEL", help="model to write (MODEL.json)")
+    command.add_argument(
+        "--plot", type=Path, metavar="PNG", help="plot of the mass distribution to write"
+    )
     add_former(command, "--png", "plot")
 
 
@@ -36,13 +42,17 @@ def _ranges(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="RANGES", help="ranges to write (ranges.json)"
     )
-    command.add_argument("--no-page", action="store_true", help="write no RANGES.html")
+    command.add_argument("--no-page", action="store_true", help="do not write the HTML report")
 
 
 def _predict(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", type=Path, metavar="MODEL", help="MODEL.json")
-    command.add_argument("commands", type=Path, metavar="COMMANDS", help="CSV: t_s, J.command_rad")
-    command.add_argument("--out", type=Path, required=True, metavar="CSV", help="predicted.csv")
+    command.add_argument("model", type=Path, metavar="MODEL", help="model (MODEL.json)")
+    command.add_argument(
+        "commands", type=Path, metavar="COMMANDS", help="commands: a CSV with t_s and J.command_rad"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="CSV", help="prediction to write (predicted.csv)"
+    )
 
 
 def _import(command: argparse.ArgumentParser) -> None:
@@ -60,7 +70,7 @@ def _import(command: argparse.ArgumentParser) -> None:
         "--command-topic",
         metavar="TOPIC",
         action="append",
-        help="bag: set-points; once, or once for each joint",
+        help="bag: commanded positions; once, or once for each joint",
     )
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="bag, dataset: joints, in order"
@@ -69,20 +79,25 @@ def _import(command: argparse.ArgumentParser) -> None:
         "--units",
         nargs="+",
         metavar="UNIT",
-        help="dataset, table: of the angles: rad, deg, turns, counts, range_m100_100 or "
-        "range_0_100; JOINT=UNIT for one joint",
+        help="dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or"
+        " range_0_100; JOINT=UNIT for one joint",
     )
-    command.add_argument("--calibration", type=Path, metavar="JSON", help="LeRobot calibration")
-    command.add_argument("--counts-per-turn", type=int, metavar="N", help="of the encoder")
-    command.add_argument("--zero-count", type=float, metavar="N", help="count at angle 0")
-    command.add_argument("--episode", type=int, metavar="K", help="dataset: which one, from 0")
+    command.add_argument(
+        "--calibration", type=Path, metavar="JSON", help="calibration file of LeRobot"
+    )
+    command.add_argument("--counts-per-turn", type=int, metavar="N", help="encoder counts per turn")
+    command.add_argument("--zero-count", type=float, metavar="N", help="encoder count at angle 0")
+    command.add_argument(
+        "--episode", type=int, metavar="K", help="dataset: number of the episode, from 0"
+    )
     command.add_argument(
         "--columns",
         nargs="+",
         metavar="OURS=THEIRS",
-        help="table: t=COLUMN J.command=COLUMN J.position=COLUMN ..., of arrays 'qpos[0]'",
+        help="table: names of the columns, t=COLUMN J.command=COLUMN J.position=COLUMN ...; "
+        "of arrays 'qpos[0]'",
     )
-    command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: of t")
+    command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: unit of t")
     command.add_argument(
         "--inertia",
         nargs="+",
@@ -99,7 +114,9 @@ def _import(command: argparse.ArgumentParser) -> None:
 
 
 def _completion(command: argparse.ArgumentParser) -> None:
-    command.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="which shell")
+    command.add_argument(
+        "shell", choices=("bash", "zsh", "tcsh"), help="shell to write the script for"
+    )
 
 
 COMMANDS = (

@@ -86,7 +86,8 @@ def _options(annotation: str, default: object) -> dict[str, Any]:
 
 def _help(text: str, default: object) -> str:
     """The entry of the docstring, with the default where that says something."""
-    lowered = text[:1].lower() + text[1:].removesuffix(".")
+    acronym = text[1:2].isupper()
+    lowered = (text[:1] if acronym else text[:1].lower()) + text[1:].removesuffix(".")
     stated = default not in (None, False, (), inspect.Parameter.empty)
     shown = f"{default:g}" if isinstance(default, float) else str(default)
     return (lowered + (f" (default {shown})" if stated else "")).replace("%", "%%")
