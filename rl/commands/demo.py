@@ -16,6 +16,7 @@ import torch
 from rl.commands import demo_pool
 from rl.commands.alongside import Alongside
 from rl.commands.demo_pool import PRETRAINED, Done, Pool, compared, pool_work
+from rl.commands.demo_summary import summary_section
 from rl.commands.demo_swim import swim_section
 from rl.experiments.ablation_report import (
     difference_figure,
@@ -38,7 +39,7 @@ from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
 from sim2real.commands.identify import most_held_out
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.result import write_diagnosis
+from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
@@ -68,14 +69,14 @@ def run(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     work = (options.pool, _ablation_in(options), options.seed, demo_pool.REPEATS, options.train)
     with Alongside(pool_work, *work) as beside:
-        bench, robot, model = _bench(options)
-        pool = _pool(options, beside)
+        bench, robot, model, servos = _bench(options)
+        pool, body, ablation, swim = _pool(options, beside)
     with _stage("report", str(page)):
         write_page(
             page,
             robot.name,
             f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
-            [*bench, *pool],
+            [summary_section(model, servos, body, ablation, swim), *bench, *pool],
             model.provenance,
             stages=[(name, True) for name in STAGES],
         )
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
+def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Diagnosis]:
     """Servos on a bench: recordings, identification, diagnosis."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
@@ -107,11 +108,17 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model]:
         identification_section(model, _shown(replays)),
         diagnosis_section(found),
     ]
-    return sections, robot, model
+    return sections, robot, model, found
 
 
-def _pool(options: argparse.Namespace, beside: Iterator[Done]) -> list[Section]:
-    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation, a swim."""
+def _pool(
+    options: argparse.Namespace, beside: Iterator[Done]
+) -> tuple[list[Section], Diagnosis, str, Section]:
+    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation, a swim.
+
+    Returns:
+        The sections, the diagnosis, the ablation's result in a sentence, and the swim's section.
+    """
     pool, out = Pool.of(options.pool), options.out
     agents = None if options.train else read_pretrained(options.pool / PRETRAINED)
     robot, swim = pool.robot, swim_of(pool.recordings[0], pool.robot)
@@ -139,13 +146,14 @@ def _pool(options: argparse.Namespace, beside: Iterator[Done]) -> list[Section]:
     print(markdown(told))
     if drift > 1:
         print(f"note: {_drifted(drift)}")
-    return [
+    ablation = _ablation(told, agents, drift)
+    sections = [
         calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
         ranges_section(found),
-        _ablation(told, agents, drift),
-        _swim(told, options, robot, fitted.model),
+        ablation,
     ]
+    return sections, missing, ablation.lead, _swim(told, options, robot, fitted.model)
 
 
 def _ablation_in(options: argparse.Namespace) -> Path:

@@ -30,6 +30,7 @@ from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffec
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.units import readable, readable_name
 
 Array = NDArray[np.float64]
 
@@ -120,11 +121,13 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
     for one in said.named:
         effect = next(e for e in c.effects if (e.name, e.component) == one.name)
         parameters = _estimates(found, fitted, effect, known.decisions["relative"])
-        told = ", ".join(f"{name} {x.mean:.3g}" for name, x in parameters.items())
+        sizes = ", ".join(
+            f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
+        )
         known_as = body_effect(effect.name)
         where = f" ({effect.component})" if known_as.by_material else ""
         others = ", ".join(f"{name} ({of})" for name, of in one.group[1:])
-        or_else = f" Or, as far as these swims tell: {others}." if others else ""
+        or_else = f" These swims do not distinguish it from {others}." if others else ""
         title = f"{known_as.title[0].upper()}{known_as.title[1:]}"
         named.append(
             NamedEffect(
@@ -141,36 +144,38 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
                     for k in c.base
                 },
                 stability=1.0,
-                statement=f"{title}{where}: {told}.{or_else}",
+                statement=f"{title}{where}: {sizes}.{or_else}",
             )
         )  # fmt: skip
     rivals = [Rival(name, of, p) for (name, of), p in said.rivals[:5]]
-    beside = "" if "water" not in c.model.body else ", put right by the fluid where it swam,"
+    corrected = "" if "water" not in c.model.body else ", corrected by simulations in the fluid"
     gate = [
-        f"By the reduced-order twin{beside} whose own error counts as a part of the noise "
-        "(reports/pool_diagnosis)."
+        f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
+        "counts as noise (reports/pool_diagnosis)."
     ]
     if not referred:
         gate.append(
-            "Without a swim in which nothing is missing: drag, friction and added mass that this "
-            "robot always has, and a law that is wrong for its shape, cannot be told from what is "
-            "missing."
+            "There are no reference swims in which nothing is missing. Drag, friction and added "
+            "mass that this robot always has, and errors of the twin for its shape, cannot be "
+            "distinguished from missing effects."
         )
     likely = known.decisions["likely"]
     if said.unlisted >= likely:
         gate.append(
-            f"Something is there that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
+            f"An effect is likely that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
         )
     moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
     if said.unlisted >= likely and moved > _ROLLS and moved > 1.5 * turn:
         gate.append(
-            f"What is left is how the head goes to and fro at the beat ({moved:.0f} times what is "
-            f"usual), more than how it turns ({turn:.0f}): so a body that rolls or heaves looks to "
-            "a camera above, and a model in the plane cannot follow it."
+            f"The residual is mainly the head's sideways motion at the tail beat ({moved:.0f} "
+            f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
+            "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
     repeated = poses.repeated(problem.swims)
     if repeated > _REPEATED:
-        gate.append(f"{100 * repeated:.0f} % of the poses repeat the one before: lost frames.")
+        gate.append(
+            f"{100 * repeated:.0f} % of the poses equal the one before: the camera lost frames."
+        )
     train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))
     noise = np.mean([np.broadcast_to(s.noise, s.signals.shape[1]) for s in problem.swims], axis=0)
     plain_model, model = (c.model_at(one.fit.x) for one in both)

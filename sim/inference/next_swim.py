@@ -96,7 +96,10 @@ def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]
         context=context,
         separation=far,
         duration_s=SECONDS,
-        statement=f"To tell {titles} apart: {name}{also}; they would be {far:.0f} noises apart.",
+        statement=(
+            f"To distinguish {titles}, record {name}{also}: the predictions would differ by "
+            f"{far:.0f} standard deviations of the noise."
+        ),
         t=t,
         signal=command,
     )

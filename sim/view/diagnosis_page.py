@@ -8,7 +8,7 @@ from sim.inference.coordinates import Swum
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import Swim
 from sim.view.calibration_plot import comparison
-from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival
+from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -54,7 +54,7 @@ def swims_section(
         rows = [
             (
                 one.statement,
-                f"{100 * one.probability:.0f} %",
+                percent(one.probability),
                 "; ".join(
                     f"{name} {x.mean:.3g} ({x.q05:.3g} to {x.q95:.3g})"
                     for name, x in one.parameters.items()
@@ -80,9 +80,7 @@ def swims_section(
     unlikely = [one for one in found.effects if one.probability < LAW_ERROR.decisions["likely"]]
     others: list[NamedEffect | Rival] = [*unlikely, *found.rivals]
     if others:
-        considered = [
-            (one.effect, one.component, f"{100 * one.probability:.0f} %") for one in others
-        ]
+        considered = [(one.effect, one.component, percent(one.probability)) for one in others]
         blocks.append(Table(("considered as well", "of", "probability"), considered))
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in found.gate)])
 

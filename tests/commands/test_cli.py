@@ -253,10 +253,11 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     page = (out / "index.html").read_text()
     assert "Identification" in page
     assert "Diagnosis of the swim" in page
+    assert page.index("Results</h2>") < page.index("data:image/gif") < page.index("Recordings</h2>")
     assert "<script" not in page
     assert ("The agents were trained in this run" in page) == train
     assert ("The agents were trained beforehand" in page) != train
-    assert "data:image/gif;base64," in page, "it ends in a swim to watch"
+    assert "data:image/gif;base64," in page, "it shows a swim to watch"
     assert (out / "swim.gif").read_bytes()[:6] == b"GIF89a"
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == f"report: {out / 'index.html'}"

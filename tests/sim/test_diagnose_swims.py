@@ -65,7 +65,7 @@ def test_what_was_concealed_is_named(few):
     assert named.parameters["stiffness_Nm_per_rad"].mean == pytest.approx(0.6, rel=0.06)
     assert named.heldout["rmse_after"] < named.heldout["rmse_before"]
     assert "spring" in named.statement
-    assert any("Without a swim" in line for line in found.gate)
+    assert any("no reference swims" in line for line in found.gate)
 
 
 def test_errors_are_of_a_fit_that_has_not_seen_the_end(few, monkeypatch):
