@@ -190,7 +190,7 @@ KEPT: list[TemporaryDirectory[str]] = []
 def said(one: ServoType) -> list[tuple[str, str, str, str]]:
     """Rows of what a type says."""
     rows = []
-    for name, (middle, sd) in one.beliefs.items():
+    for name, (middle, sd) in one.parameters.items():
         log = name.endswith(("_Nm", "rad_s", "_kgm2")) and not name.endswith("coulomb_Nm")
         value = float(np.exp(middle)) if log else middle
         short = name.removeprefix("motor.")

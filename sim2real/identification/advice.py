@@ -91,7 +91,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     values, log = motor.fit.values, motor.log
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [readable_name(name) for name in motor.fit.names]
-    told = motor.moved | (sd < _KEPT * motor.believed_sd)
+    told = motor.moved | (sd < _KEPT * motor.prior_sd)
     kept = [name for name, known in zip(names, told, strict=True) if not known]
     notes = []
     if kept:
@@ -114,7 +114,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     ):
         k = motor.fit.names.index(name)
         away = abs(np.log(values[k] / stated))
-        if away > 2 * motor.believed_sd[k] and sd[k] < 0.5 * away:
+        if away > 2 * motor.prior_sd[k] and sd[k] < 0.5 * away:
             notes.append(
                 f"{names[k]} is {values[k]:.3g}, but the data sheet states {stated:.3g}: check the "
                 "type of the servo and the supply voltage"

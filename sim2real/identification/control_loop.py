@@ -155,10 +155,10 @@ def arrivals(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> tuple[Arra
         late = _effect_of_delay(motor, trace, step, search=search)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
         every = np.hstack([late, slopes / units])
-        believed = np.concatenate(
+        prior_precision = np.concatenate(
             [np.full(step.size, (scale / search.delay_sd_s) ** 2), 1e-9 + 0 * units]
         )
-        precision = every.T @ every + np.diag(believed)
+        precision = every.T @ every + np.diag(prior_precision)
         inverse = np.linalg.inv(precision)
         delay = -(inverse @ (every.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])

@@ -41,7 +41,7 @@ class Fit:
         jacobians: Its derivatives by the fitted parameters, one array (n, F) a trace.
         converged: Whether the search ended at a minimum.
         inertia: The stated inertia, kg m2.
-        prior: Precision of what was believed of the free parameters, shape (F, F), if anything.
+        prior: Precision of the prior of the free parameters, shape (F, F); None without one.
         tempering: Variance in rad2 that one sample of the residual had beside that prior.
     """
 

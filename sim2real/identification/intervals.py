@@ -74,7 +74,7 @@ def symmetric_intervals(
 
 
 def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
-    """90 % intervals of a motor's parameters, what was believed of them included.
+    """90 % intervals of a motor's parameters, with their prior.
 
     Symmetric in what was searched: in the logarithm of gains, torque and speed.
     """

@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.identification.control_loop import sampled
 from sim2real.identification.fit import Fit
 from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
-from sim2real.identification.motor_prior import Prior, motor_prior
+from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
@@ -99,7 +99,7 @@ def choose_motor(
 def _continuous(
     fitted: list[Trace],
     plain: Fit,
-    prior: Prior,
+    prior: MotorPrior,
     noise: float,
     rng: np.random.Generator,
     known: ServoType | None,
@@ -108,8 +108,8 @@ def _continuous(
 ) -> MotorFit:
     """The motor whose controller looks all the time."""
     line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
-    if known is not None and set(known.beliefs) & set(LOSSES):  # nothing to choose
-        softness = SOFT if set(known.beliefs) & set(SOFT) else ()
+    if known is not None and set(known.parameters) & set(LOSSES):  # nothing to choose
+        softness = SOFT if set(known.parameters) & set(SOFT) else ()
         return fit_motor(fitted, plain, prior, (*line, *LOSSES, *softness), rng)
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:

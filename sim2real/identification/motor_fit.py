@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim2real.identification.fit import Fit
 from sim2real.identification.initial_guess import WINDOW_S
-from sim2real.identification.motor_prior import Prior
+from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.motor_problem import MOTOR_SEARCH, MotorProblem, MotorSearch
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD, Expansion, minimise, robust_scale, stacked
@@ -62,30 +62,31 @@ class MotorFit:
     def units(self) -> Array:
         """Sizes of the free parameters in their own units, shape (F,).
 
-        Wider than what was believed, so that what is only believed does not count as unknown.
+        At least twice the standard deviation of the prior, so that a parameter that only the prior
+        determines does not count as undetermined.
         """
         unit = self.problem.box[2]
-        believed = np.where(np.isfinite(self.believed_sd), 2 * self.believed_sd, 0.0)
-        unit = np.maximum(unit, believed)
+        prior_width = np.where(np.isfinite(self.prior_sd), 2 * self.prior_sd, 0.0)
+        unit = np.maximum(unit, prior_width)
         return np.where(self.log, unit * self.fit.values, unit)
 
     @property
     def log(self) -> NDArray[np.bool_]:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
-        return np.array([self.problem.prior.beliefs[k].log for k in self.problem.free])
+        return np.array([self.problem.prior.parameters[k].log for k in self.problem.free])
 
     @property
-    def believed_sd(self) -> Array:
-        """Spread of the free parameters before any recording, as searched, shape (F,)."""
-        return np.array([self.problem.prior.beliefs[k].sd for k in self.problem.free])
+    def prior_sd(self) -> Array:
+        """Prior standard deviation of the free parameters, as searched, shape (F,)."""
+        return np.array([self.problem.prior.parameters[k].sd for k in self.problem.free])
 
     @property
     def moved(self) -> NDArray[np.bool_]:
-        """Which of the free parameters lie far from what was believed, shape (F,)."""
-        beliefs = [self.problem.prior.beliefs[k] for k in self.problem.free]
-        middle = np.array([b.middle for b in beliefs])
+        """Which of the free parameters lie more than two prior standard deviations off, (F,)."""
+        parameters = [self.problem.prior.parameters[k] for k in self.problem.free]
+        middle = np.array([b.middle for b in parameters])
         away = np.abs(self.x[list(self.problem.free)] - middle)
-        return np.asarray(away > 2 * self.believed_sd)
+        return np.asarray(away > 2 * self.prior_sd)
 
     def losses(self, x: Array) -> Array:
         """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
@@ -107,7 +108,7 @@ class MotorFit:
 def fit_motor(
     traces: Sequence[Trace],
     plain: Fit,
-    prior: Prior,
+    prior: MotorPrior,
     free_names: Sequence[str],
     rng: np.random.Generator,
     *,
@@ -120,13 +121,13 @@ def fit_motor(
 
     Candidates drawn from the prior about the plain servo are ranked by their error; from the best,
     and from the plain servo without a limit, Levenberg-Marquardt searches go on in step. The
-    likelihood counts correlated residuals as fewer samples, so that misfit does not drown what is
-    believed; its scale is taken anew between rounds.
+    likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh the
+    prior; its scale is estimated again between rounds.
 
     Args:
         traces: The joint's recordings.
         plain: The fit of the plain servo.
-        prior: What is believed.
+        prior: Prior of the parameters.
         free_names: Columns to fit beside the gains and the latency.
         rng: For the candidates.
         start: A further start as searched, shape (F,).
@@ -221,15 +222,15 @@ def _starts(
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
     N = problem.search.candidates
-    x = np.full((N, len(prior.beliefs)), -np.inf)
-    for k, belief in enumerate(prior.beliefs):
-        x[:, k] = 0.0 if not belief.log else -np.inf
+    x = np.full((N, len(prior.parameters)), -np.inf)
+    for k, parameter in enumerate(prior.parameters):
+        x[:, k] = 0.0 if not parameter.log else -np.inf
         if k not in problem.free:
             continue
-        wide = belief.sd if np.isfinite(belief.sd) else 0.0
-        drawn = belief.middle + wide * rng.standard_normal(N)
-        x[:, k] = drawn if belief.log or belief.middle else 0.5 * np.abs(drawn)
-    damping = prior.beliefs[3].middle - prior.beliefs[4].middle
+        wide = parameter.sd if np.isfinite(parameter.sd) else 0.0
+        drawn = parameter.middle + wide * rng.standard_normal(N)
+        x[:, k] = drawn if parameter.log or parameter.middle else 0.5 * np.abs(drawn)
+    damping = prior.parameters[3].middle - prior.parameters[4].middle
     x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
     x[:, 1] = damping + 0.3 * rng.standard_normal(N)
     x[:, 2] = rng.uniform(0.0, max(latency, 0.01), N)
@@ -308,16 +309,16 @@ def _result(
     error = problem.residuals(x[None])
     by = problem.slopes(x)
     values = prior.values(x)
-    own = np.array([values[k] if prior.beliefs[k].log else 1.0 for k in free])
+    own = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
     unit = problem.box[2]
-    _, belief_by = problem.prior_slopes(x)
-    tie = belief_by / unit / own
+    _, prior_by = problem.prior_slopes(x)
+    tie = prior_by / unit / own
     counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
-    beliefs = [prior.beliefs[k] for k in free]
+    parameters = [prior.parameters[k] for k in free]
     fit = Fit(
         parameters=tuple(
             Parameter(b.name, b.low, b.high, u, log=b.log)
-            for b, u in zip(beliefs, unit * own, strict=True)
+            for b, u in zip(parameters, unit * own, strict=True)
         ),
         row=problem.rows(x[None])[0],
         scale_rad=robust_scale(error[0]),

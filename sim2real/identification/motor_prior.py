@@ -1,4 +1,4 @@
-"""What is believed of a servo's motor before it is recorded: its data sheet, with a wide margin."""
+"""Prior of a motor's parameters: its data sheet, with a wide margin."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spreads:
-    """What of the prior is judgement, and is checked by ``benchmarks/prior_choice.py``.
+    """Standard deviations of the prior that are judgement (see ``benchmarks/prior_choice.py``).
 
     Attributes:
-        losses: Spreads of losses and friction, over those stated below.
-        reported: Spread of the drive that the servo itself reports; infinite where it is not used.
+        losses: Factor on the standard deviations of losses and friction that are stated below.
+        reported: Standard deviation of the drive that the servo reports, as a logarithm; infinite
+            where it is not used.
     """
 
     losses: float = 1.0
@@ -34,8 +35,8 @@ _FREE = np.inf
 
 
 @dataclass(frozen=True)
-class MotorBeliefs:
-    """What is believed of any motor besides its data sheet.
+class PriorSettings:
+    """Prior knowledge of any motor in addition to its data sheet.
 
     Attributes:
         sheet_sd: Standard deviation of stall torque and no-load speed about the data sheet's, as
@@ -57,19 +58,19 @@ class MotorBeliefs:
     tick_s: float = 2e-7
 
 
-MOTOR_BELIEFS = MotorBeliefs()
+PRIOR_SETTINGS = PriorSettings()
 """The defaults."""
 
 
 @dataclass(frozen=True)
-class Belief:
-    """One parameter: where it is searched and what is believed of it.
+class ParameterPrior:
+    """Bounds and normal prior of one parameter.
 
     Attributes:
-        name: Its column.
+        name: Column of the law, see ``servo.parameters``.
         log: Whether it is searched as a logarithm; ``middle`` and ``sd`` are then the logarithm's.
         middle: Most likely value.
-        sd: Spread about it, infinite where nothing is believed.
+        sd: Standard deviation, infinite for a flat prior.
         low: Smallest value, in the parameter's own unit.
         high: Largest value.
         unit: A step that matters, as searched.
@@ -85,39 +86,39 @@ class Belief:
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Beliefs about all parameters and about what ties them together.
+class MotorPrior:
+    """Prior of all parameters of a motor, with the relations among them.
 
     Attributes:
-        beliefs: The parameters, gains and latency first.
+        parameters: Prior of each, gains and latency first.
         per_rad: Drive that the servo reports per radian of error, where it does.
         back_emf_sd: Scale of the damping about the back-EMF's.
     """
 
-    beliefs: tuple[Belief, ...]
+    parameters: tuple[ParameterPrior, ...]
     per_rad: float | None
-    back_emf_sd: float = MOTOR_BELIEFS.back_emf_sd
+    back_emf_sd: float = PRIOR_SETTINGS.back_emf_sd
 
     @property
     def names(self) -> tuple[str, ...]:
         """Columns of the parameters."""
-        return tuple(belief.name for belief in self.beliefs)
+        return tuple(parameter.name for parameter in self.parameters)
 
     def index(self, name: str) -> int:
         """Place of a parameter."""
         return self.names.index(name)
 
-    def loosened(self, factor: float) -> Prior:
-        """The prior with spreads of losses and friction so many times as wide."""
-        beliefs = tuple(
+    def loosened(self, factor: float) -> MotorPrior:
+        """The prior with the standard deviations of losses and friction times a factor."""
+        parameters = tuple(
             b if b.log or not np.isfinite(b.sd) else replace(b, sd=factor * b.sd)
-            for b in self.beliefs
+            for b in self.parameters
         )
-        return replace(self, beliefs=beliefs)
+        return replace(self, parameters=parameters)
 
     def values(self, x: Array) -> Array:
         """Parameters in their own units from those searched, shape (..., F)."""
-        log = np.array([belief.log for belief in self.beliefs])
+        log = np.array([parameter.log for parameter in self.parameters])
         return np.where(log, np.exp(np.where(log, x, 0.0)), x)
 
     def terms(self, x: Array) -> Array:
@@ -126,8 +127,8 @@ class Prior:
         Args:
             x: Parameters as searched, shape (B, F).
         """
-        middle = np.array([b.middle if np.isfinite(b.sd) else 0.0 for b in self.beliefs])
-        sd = np.array([belief.sd for belief in self.beliefs])
+        middle = np.array([b.middle if np.isfinite(b.sd) else 0.0 for b in self.parameters])
+        sd = np.array([parameter.sd for parameter in self.parameters])
         own = (x - middle) / sd
         kp, kd, stall, fast = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
         tie = (kd - stall + fast) / self.back_emf_sd
@@ -139,8 +140,8 @@ class Prior:
 
 
 def motor_prior(
-    servo: Servo, traces: Sequence[Trace], *, beliefs: MotorBeliefs = MOTOR_BELIEFS
-) -> Prior:
+    servo: Servo, traces: Sequence[Trace], *, settings: PriorSettings = PRIOR_SETTINGS
+) -> MotorPrior:
     """The prior of a servo's law from its data sheet and, where it reports it, its drive.
 
     What the data sheet calls torque and speed is the motor's line without friction, up to the
@@ -149,32 +150,36 @@ def motor_prior(
     """
     stall, fast = servo.max_torque_Nm, servo.no_load_speed_rad_s
     known = traces[0].load is not PER_INERTIA
-    torque_sd = beliefs.sheet_sd[0]
+    torque_sd = settings.sheet_sd[0]
     if not known:
-        stall, torque_sd = fast / beliefs.motor_time_s, beliefs.unknown_sd
+        stall, torque_sd = fast / settings.motor_time_s, settings.unknown_sd
     damping = stall / fast
     slopes = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
     inertia = traces[0].load.inertia_kgm2
 
-    def log(name: str, middle: float, sd: float, room: float = 4.0, unit: float = 0.3) -> Belief:
+    def log(
+        name: str, middle: float, sd: float, room: float = 4.0, unit: float = 0.3
+    ) -> ParameterPrior:
         low, high = float(middle * np.exp(-room)), float(middle * np.exp(room))
-        return Belief(name, True, float(np.log(middle)), sd, low, high, unit)
+        return ParameterPrior(name, True, float(np.log(middle)), sd, low, high, unit)
 
-    def share(name: str, sd: float, high: float, unit: float) -> Belief:
-        return Belief(name, False, 0.0, SPREADS.losses * sd, 0.0, high, unit)
+    def share(name: str, sd: float, high: float, unit: float) -> ParameterPrior:
+        return ParameterPrior(name, False, 0.0, SPREADS.losses * sd, 0.0, high, unit)
 
-    return Prior(
+    return MotorPrior(
         (
-            Belief("kp_Nm_per_rad", True, 0.0, _FREE, 1e-9 * inertia, 1.6e5 * inertia, 0.3),
-            Belief("kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3),
-            Belief("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
+            ParameterPrior("kp_Nm_per_rad", True, 0.0, _FREE, 1e-9 * inertia, 1.6e5 * inertia, 0.3),
+            ParameterPrior(
+                "kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3
+            ),
+            ParameterPrior("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
             log(LINE[0], stall, torque_sd),
-            log(LINE[1], fast, beliefs.sheet_sd[1]),
+            log(LINE[1], fast, settings.sheet_sd[1]),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
             log(
                 "motor.rotor_inertia_kgm2",
-                beliefs.motor_time_s * damping,
-                beliefs.motor_time_sd,
+                settings.motor_time_s * damping,
+                settings.motor_time_sd,
                 8.0,
             ),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
@@ -185,8 +190,8 @@ def motor_prior(
             log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(Belief(name, False, 0.0, _FREE, 0.0, 0.05, beliefs.tick_s) for name in LOOP),
+            *(ParameterPrior(name, False, 0.0, _FREE, 0.0, 0.05, settings.tick_s) for name in LOOP),
         ),
         float(np.median(slopes)) if slopes else None,
-        beliefs.back_emf_sd,
+        settings.back_emf_sd,
     )

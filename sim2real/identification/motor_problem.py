@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.identification.fit import errors, plain_row
-from sim2real.identification.motor_prior import Prior
+from sim2real.identification.motor_prior import MotorPrior
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP
 from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
@@ -64,7 +64,7 @@ class MotorProblem:
 
     Attributes:
         traces: The recordings of one joint.
-        prior: Prior of the N parameters.
+        prior: MotorPrior of the N parameters.
         free: Indices of the F fitted ones.
         substep_s: Longest sub-step of a rollout, s.
         simulator: Of these traces.
@@ -72,7 +72,7 @@ class MotorProblem:
     """
 
     traces: Sequence[Trace]
-    prior: Prior
+    prior: MotorPrior
     free: tuple[int, ...]
     substep_s: float
     simulator: Simulator
@@ -104,7 +104,7 @@ class MotorProblem:
         """The prior's residuals; parameters that are held have none."""
         held = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
         safe = x.copy()
-        safe[:, held] = [self.prior.beliefs[k].middle for k in held]
+        safe[:, held] = [self.prior.parameters[k].middle for k in held]
         terms = self.prior.terms(safe)
         terms[:, held] = 0.0
         if not {3, 4} <= set(self.free):
@@ -114,7 +114,7 @@ class MotorProblem:
     @property
     def box(self) -> tuple[Array, Array, Array]:
         """Smallest and largest values as searched, and units, of the free parameters."""
-        chosen = [self.prior.beliefs[k] for k in self.free]
+        chosen = [self.prior.parameters[k] for k in self.free]
         ends = [(np.log(b.low), np.log(b.high)) if b.log else (b.low, b.high) for b in chosen]
         low, high = np.array(ends).T
         return low, high, np.array([b.unit for b in chosen])

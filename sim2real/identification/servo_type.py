@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.identification.motor_fit import MotorFit
-from sim2real.identification.motor_prior import Belief, Prior
+from sim2real.identification.motor_prior import MotorPrior, ParameterPrior
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.output import write_json
 from sim2real.robot import Servo
@@ -42,42 +42,42 @@ _BETWEEN_SHARE, _BETWEEN_LEAST = 0.3, 0.1
 
 @dataclass(frozen=True)
 class ServoType:
-    """What is believed of servos of one type.
+    """Prior of the motors of one type of servo.
 
     Attributes:
         name: Its name.
         per_inertia: Whether the loads that it was learned from were unknown: torques and inertias
             are then per kg m2 of them, and say nothing of a load that is known, nor these of one
             that is not.
-        beliefs: Middle and spread by the law's column, as searched.
+        parameters: Mean and standard deviation by column of the law, as searched.
         source: What it was learned from.
     """
 
     name: str
     per_inertia: bool
-    beliefs: Mapping[str, tuple[float, float]]
+    parameters: Mapping[str, tuple[float, float]]
     source: str = ""
 
-    def prior(self, generic: Prior, *, per_inertia: bool) -> Prior:
+    def prior(self, generic: MotorPrior, *, per_inertia: bool) -> MotorPrior:
         """The generic prior with what is known of the type in its place."""
         told = {
-            name: belief
-            for name, belief in self.beliefs.items()
+            name: parameter
+            for name, parameter in self.parameters.items()
             if per_inertia == self.per_inertia or not name.endswith(("_Nm", "_kgm2"))
         }
-        beliefs = tuple(_typed(belief, told.get(belief.name)) for belief in generic.beliefs)
-        return replace(generic, beliefs=beliefs)
+        parameters = tuple(_typed(p, told.get(p.name)) for p in generic.parameters)
+        return replace(generic, parameters=parameters)
 
 
-def _typed(belief: Belief, known: tuple[float, float] | None) -> Belief:
+def _typed(parameter: ParameterPrior, known: tuple[float, float] | None) -> ParameterPrior:
     if known is None:
-        return belief
+        return parameter
     middle, sd = known
-    low, high = belief.low, belief.high
-    if belief.log:
+    low, high = parameter.low, parameter.high
+    if parameter.log:
         low = min(low, float(np.exp(middle - 4 * sd)))
         high = max(high, float(np.exp(middle + 4 * sd)))
-    return replace(belief, middle=middle, sd=sd, low=low, high=high)
+    return replace(parameter, middle=middle, sd=sd, low=low, high=high)
 
 
 def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bool) -> ServoType:
@@ -94,15 +94,15 @@ def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bo
         spread = uncertainty(motor.fit, motor.units).sd
         values = motor.fit.values
         for k, place in enumerate(motor.problem.free):
-            belief = motor.problem.prior.beliefs[place]
-            if belief.name in BASE or belief.name in LOOP:
+            parameter = motor.problem.prior.parameters[place]
+            if parameter.name in BASE or parameter.name in LOOP:
                 continue
-            sd = float(spread[k] / values[k] if belief.log else spread[k])
-            sd = min(max(sd, 1e-6), belief.sd)
-            row = float(motor.x[place]), sd, belief.unit, belief.log
-            seen.setdefault(belief.name, []).append(row)
-    beliefs = {column: _together(np.array(rows, dtype=np.float64)) for column, rows in seen.items()}
-    return ServoType(name, per_inertia, beliefs, source)
+            sd = float(spread[k] / values[k] if parameter.log else spread[k])
+            sd = min(max(sd, 1e-6), parameter.sd)
+            row = float(motor.x[place]), sd, parameter.unit, parameter.log
+            seen.setdefault(parameter.name, []).append(row)
+    parameters = {name: _together(np.array(rows, dtype=np.float64)) for name, rows in seen.items()}
+    return ServoType(name, per_inertia, parameters, source)
 
 
 def _together(rows: Array) -> tuple[float, float]:
@@ -132,14 +132,14 @@ def read_type(name: str, where: str = "robot", field: str = "type") -> ServoType
         raise InputError(where, field, repr(name), f"one of {known}, or a file *.json")
     content = read_json(path, SCHEMA)
     table = Fields(path, "", content).table("parameters")
-    beliefs = {}
+    parameters = {}
     for key in table.content:
         entry = table.table(key)
-        beliefs[f"motor.{key}"] = entry.number("middle"), entry.number("sd", above=0)
+        parameters[f"motor.{key}"] = entry.number("middle"), entry.number("sd", above=0)
     return ServoType(
         str(content.get("name", path.stem)),
         content.get("per_inertia") is True,
-        beliefs,
+        parameters,
         str(content.get("source", "")),
     )
 
@@ -154,7 +154,7 @@ def write_type(servo_type: ServoType, path: Path) -> None:
     """Write the file that ``read_type`` reads."""
     parameters = {
         name.removeprefix("motor."): {"middle": round(middle, 4), "sd": round(sd, 4)}
-        for name, (middle, sd) in servo_type.beliefs.items()
+        for name, (middle, sd) in servo_type.parameters.items()
     }
     write_json(
         path,

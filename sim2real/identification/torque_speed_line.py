@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.identification.fit import best_of, errors, gains
 from sim2real.identification.initial_guess import first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
-from sim2real.identification.motor_prior import Prior, motor_prior
+from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA
@@ -71,12 +71,12 @@ def with_stated_line(
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
 
 
-def _near_the_sheet(servo: Servo, given: Sequence[Trace], room: float) -> Prior:
+def _near_the_sheet(servo: Servo, given: Sequence[Trace], room: float) -> MotorPrior:
     prior = motor_prior(servo, given)
-    beliefs = list(prior.beliefs)
+    parameters = list(prior.parameters)
     for name in LINE:
         k = prior.index(name)
-        middle = float(np.exp(beliefs[k].middle))
+        middle = float(np.exp(parameters[k].middle))
         if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
-            beliefs[k] = replace(beliefs[k], low=middle / room, high=middle * room)
-    return replace(prior, beliefs=tuple(beliefs))
+            parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
+    return replace(prior, parameters=tuple(parameters))

@@ -47,7 +47,7 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
     gradient (Bartlett weights: Newey and West, Econometrica 55 (1987) 703-708). It is never taken
     smaller than the covariance for independent residuals. Intervals use Student's t with the
-    effective number of samples. What was believed beforehand counts as one more measurement.
+    effective number of samples. The prior counts as one more measurement.
 
     Args:
         fit: The fit.
@@ -70,16 +70,16 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         spans.append(span)
         squares += float(np.sum(error**2 / (1 + z2)))
         effective += error.size / time
-    believed = np.zeros_like(curvature)
+    prior_precision = np.zeros_like(curvature)
     if fit.prior is not None:
-        believed = fit.tempering * fit.prior * np.outer(units, units)
-        curvature += believed
-        spread += fit.tempering * believed
+        prior_precision = fit.tempering * fit.prior * np.outer(units, units)
+        curvature += prior_precision
+        spread += fit.tempering * prior_precision
     samples = sum(error.size for error in fit.residuals)
     level, directions = np.linalg.eigh(curvature)
     least = 1e-12 * max(level[-1], 1e-300)
     level = np.maximum(level, least)
-    independent = (squares / samples) * plain + fit.tempering * believed
+    independent = (squares / samples) * plain + fit.tempering * prior_precision
     along = np.maximum(
         np.einsum("ik,ij,jk->k", directions, spread, directions),
         np.einsum("ik,ij,jk->k", directions, independent, directions),

@@ -1,4 +1,4 @@
-"""Whether a chain is long enough to be believed, and what is left of it then."""
+"""Whether a chain has converged, and its samples after the burn-in."""
 
 from __future__ import annotations
 

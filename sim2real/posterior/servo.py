@@ -125,7 +125,7 @@ def sample_servo(
         progress: Called with the steps made.
 
     Returns:
-        The sample. Whether it may be believed is ``convergence.reached``.
+        The sample; ``convergence.reached`` says whether it has converged.
 
     Raises:
         InputError: If ``file`` holds the chain of other recordings, or there are too few walkers.

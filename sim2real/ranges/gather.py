@@ -114,8 +114,7 @@ def gather(
         sampling: How posteriors are sampled.
 
     Raises:
-        InputError: If recordings, robot and model do not agree, or a chain is too short to be
-            believed.
+        InputError: If recordings, robot and model do not agree, or a chain has not converged.
     """
     sampling = sampling or Sampling()
     _check(recordings, robot, model)
@@ -157,7 +156,7 @@ def sample_joints(
     """Posteriors of every joint that moves on the bench, and what they predict of what they miss.
 
     Raises:
-        InputError: If a chain is too short to be believed, or no recording has the name held out.
+        InputError: If a chain has not converged, or no recording has the name held out.
     """
     names = [recording.name for recording in bench]
     if sampling.held_out is not None and sampling.held_out not in names:

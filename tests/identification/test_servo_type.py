@@ -46,13 +46,13 @@ def learned():
 
 def test_a_type_is_what_the_fits_told_and_stays_so_on_disk(tmp_path):
     known = learned()
-    middle, sd = known.beliefs["motor.no_load_speed_rad_s"]
+    middle, sd = known.parameters["motor.no_load_speed_rad_s"]
     assert np.exp(middle) == pytest.approx(6.5, rel=0.01)
     assert 0.1 <= sd < 0.15  # the next servo differs more than this one is unsure
-    assert "kp_Nm_per_rad" not in known.beliefs  # a setting, not of the type
+    assert "kp_Nm_per_rad" not in known.parameters  # a setting, not of the type
     write_type(known, tmp_path / "hip.json")
     again = read_type(str(tmp_path / "hip.json"))
-    assert again.beliefs["motor.no_load_speed_rad_s"] == pytest.approx((middle, sd), abs=1e-4)
+    assert again.parameters["motor.no_load_speed_rad_s"] == pytest.approx((middle, sd), abs=1e-4)
 
 
 def test_what_a_quiet_recording_does_not_tell_comes_from_the_type(tmp_path):
@@ -76,13 +76,13 @@ def test_joints_of_one_make_tell_each_other():
 
 def test_torques_of_unknown_loads_say_nothing_of_known_ones():
     known = dataclasses.replace(learned(), per_inertia=True)
-    assert "motor.stall_torque_Nm" in known.beliefs
+    assert "motor.stall_torque_Nm" in known.parameters
     motor = fitted_motors([recorded([0.8])], robot("j0"))["j0"]
     generic = motor.problem.prior
     other = known.prior(generic, per_inertia=False)
     stall, fast = (generic.index(f"motor.{n}") for n in TRUE)
-    assert other.beliefs[stall] == generic.beliefs[stall]
-    assert other.beliefs[fast] != generic.beliefs[fast]
+    assert other.parameters[stall] == generic.parameters[stall]
+    assert other.parameters[fast] != generic.parameters[fast]
 
 
 def test_a_type_that_is_not_there_is_refused_in_one_line(tmp_path):
@@ -97,7 +97,7 @@ def test_a_type_that_is_not_there_is_refused_in_one_line(tmp_path):
 
 def test_the_types_that_ship_are_read_and_a_robot_may_name_one(tmp_path):
     for path in FOLDER.glob("*.json"):
-        assert read_type(path.stem).beliefs
+        assert read_type(path.stem).parameters
     file = tmp_path / "robot.toml"
     file.write_text(
         '[[joints]]\nname = "j1"\nservo = "hip"\n[servos.hip]\ntype = "xl330"\n'

@@ -49,8 +49,8 @@ class Explained:
         row: Parameters of the servo, shape (P,).
         shared: Derivatives of the angles by what the law shares among all, (T, F) each; F is 0
             where no law explains them.
-        precision: Of what is believed of these, shape (F, F).
-        variance: Of a sample beside that belief, what is left being correlated, rad2.
+        precision: Precision of the prior of these parameters, shape (F, F).
+        variance: Variance of a sample relative to that prior, with correlation counted, rad2.
         scale2: Mean square of what is left of the references, at least that of rounding, rad2.
     """
 
@@ -163,15 +163,15 @@ def _derivatives(
 ) -> tuple[tuple[Array, ...], Array]:
     """Derivatives of angles by the gains and the motor's parameters, in spreads or units."""
     prior = motor_prior(servo, traces)
-    beliefs = [b for b in prior.beliefs if b.name in _GAINS or row[COLUMNS.index(b.name)] > 0]
-    size = np.array([b.unit for b in beliefs])
-    rows = np.tile(row, (1 + len(beliefs), 1))
-    for k, belief in enumerate(beliefs):
-        column, step = COLUMNS.index(belief.name), _DIFFERENCE * belief.unit
+    parameters = [b for b in prior.parameters if b.name in _GAINS or row[COLUMNS.index(b.name)] > 0]
+    size = np.array([b.unit for b in parameters])
+    rows = np.tile(row, (1 + len(parameters), 1))
+    for k, parameter in enumerate(parameters):
+        column, step = COLUMNS.index(parameter.name), _DIFFERENCE * parameter.unit
         now = rows[1 + k, column]
-        rows[1 + k, column] = now * np.exp(step) if belief.log else now + step
+        rows[1 + k, column] = now * np.exp(step) if parameter.log else now + step
     slopes = [(a[1:] - a[:1]).T / _DIFFERENCE for a in simulated(traces, rows, row)]
-    sd = np.array([belief.sd for belief in beliefs])
+    sd = np.array([parameter.sd for parameter in parameters])
     return tuple(slopes), np.diag((size / sd) ** 2)
 
 
