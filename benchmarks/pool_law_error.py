@@ -40,7 +40,7 @@ from sim.inference.law_error import (
 )
 from sim.inference.linear_fit import together
 from sim.inference.swims import swim_of
-from sim.inference.twin_search import Belief, TwinSwims
+from sim.inference.twin_search import SwimPrior, TwinSwims
 from sim2real.model import Model, read_model
 from sim2real.output import write_json
 from sim2real.recording import read_recording
@@ -96,7 +96,7 @@ def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> N
     """A robot's swims in which nothing is missing, near the fit of its references."""
     robot, model, simulate = placed(folder, files)
     challenge, c = folder.parents[1], Coordinates.of(robot, model)
-    usual = Belief(*known.prior(c), known.imitation(c), known.shares)
+    usual = SwimPrior(*known.prior(c), known.imitation(c), known.shares)
     paths = sorted(folder.glob("ref_*.csv"))
     references = [swim_of(read_recording(p), robot) for p in paths]
     x = TwinSwims(c, references, simulate, usual).plain().fit.x

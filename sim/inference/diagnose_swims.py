@@ -228,7 +228,7 @@ def _estimates(
     problem, c = found.problem, found.problem.coordinates
     own = c.of_effect(effect)
     spread = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(own, own)]
-    spread = spread + np.diag(np.square(problem.belief.imitation[own]))
+    spread = spread + np.diag(np.square(problem.prior.imitation[own]))
     spread = spread + np.diag(np.square(relative * chosen.fit.x[own]))
     rng = np.random.default_rng(0)
     drawn = np.tile(chosen.fit.x, (_DRAWN, 1))

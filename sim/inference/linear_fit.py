@@ -1,4 +1,4 @@
-"""What is believed before a swim, and swims as they are near a point: linear."""
+"""Prior of the parameters of swims, and their errors linearised about a point."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ _HOLDS = 4
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What is known before a swim, of servos and law and of all effects, F columns.
+class SwimPrior:
+    """Prior of the F parameters of servos, force law and effects.
 
-    The twin's error passes for effects that are not there: for some in all swims of a robot alike,
-    which its references tell, for some in each swim anew.
+    The error of the twin looks like effects that are not there. A part of it is common to all swims
+    of a robot and is learned from reference swims; the rest differs from swim to swim.
 
     Attributes:
-        mean: Of servos and law; of effects what a robot's swims seem to have of them all, (F,).
-        covariance: Of a swim in which nothing is missing, shape (F, F).
-        imitation: Standard deviation from one swim of a robot to another, shape (F,).
-        shares: The twin's error by signal and band, (4, 3): that of this robot, where swims tell.
+        mean: Mean of each parameter; for effects the apparent size in reference swims, shape (F,).
+        covariance: Covariance for a swim in which nothing is missing, shape (F, F).
+        imitation: Standard deviation between swims of one robot, shape (F,).
+        shares: Relative error of the twin by signal and frequency band, shape (4, 3); of this robot
+            where reference swims are given.
     """
 
     mean: Array
@@ -33,14 +34,14 @@ class Belief:
     imitation: Array
     shares: Array
 
-    def beside(self, sizes: Array) -> Belief:
-        """With more columns, which have these standard deviations (m,) about 0."""
+    def extended(self, sizes: Array) -> SwimPrior:
+        """The prior with m more parameters of mean 0 and standard deviations ``sizes`` (m,)."""
         n = self.mean.size + sizes.size
         spread = np.zeros((n, n))
         spread[: self.mean.size, : self.mean.size] = self.covariance
         spread[self.mean.size :, self.mean.size :] = np.diag(sizes**2)
         more = np.zeros(sizes.size)
-        return Belief(
+        return SwimPrior(
             np.concatenate([self.mean, more]), spread,
             np.concatenate([self.imitation, sizes]), self.shares,
         )  # fmt: skip

@@ -80,7 +80,7 @@ def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]
         swim = replace(before, t=t, command=command, signals=empty, pose=None, repeated=0.0)
         signals = swum(problem.coordinates, swim, np.stack([one.x, other.x]), problem.simulate)
         blocks = Blocks.of(replace(swim, signals=signals[0]))
-        errors = blocks.errors(signals[1]) * blocks.weights(problem.belief.shares)
+        errors = blocks.errors(signals[1]) * blocks.weights(problem.prior.shares)
         found.append((float(np.sqrt(np.sum(errors**2))), name, command))
     far, name, command = max(found, key=lambda each: each[0])
     family = next(

@@ -1,10 +1,10 @@
-"""The search for what is missing in swims, before anything is decided.
+"""Search for the effects that are missing in swims, before probabilities are computed.
 
-It is that of ``sim2real.inference.selection`` on swims as ``twin_search`` has them: every
-effect of the catalogue beside servos and law, in which the twin's error is a part of the noise.
-What is named has to predict the end of each swim better when fitted to its beginning; what others
-can imitate is a group; and where a shape without a name (``unlisted``) does better than all, the
-diagnosis abstains. Thresholds are in ``law_error.json``.
+The search is ``sim2real.inference.selection`` on the problem of ``twin_search``: every effect of
+the catalogue is fitted together with servos and force law, and the error of the twin counts as
+noise. An effect is reported if it predicts the end of each swim better when fitted to the
+beginning. Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits
+better than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.linear_fit import together
 from sim.inference.swims import Swim
-from sim.inference.twin_search import Belief, Fit, TwinSwims
+from sim.inference.twin_search import Fit, SwimPrior, TwinSwims
 from sim.inference.unlisted import gains
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
@@ -34,22 +34,22 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 MOST = 2
-"""Effects of a set, beside lost frames that were counted."""
+"""Largest number of effects of a set, lost frames not counted."""
 COST = 3.422
-"""Evidence that an effect costs in the search; what it is worth saying is decided later."""
+"""Log-evidence that an effect must gain in the search; probabilities are computed later."""
 HELD_OUT = 0.3
-"""Share of each swim that decides whether what is named predicts better."""
+"""Share of each swim, at its end, on which predictions are compared."""
 _ITS_OWN = (0.5, 6.0)
-"""How much better or worse (in squares) than usual the twin may be for a robot."""
+"""Limits of the mean square error of the twin for one robot, relative to the usual one."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
-"""How much further than usual a robot's swims may be from its law."""
+"""Scales of the variation between swims of a robot that are compared."""
 _ROUNDS = 1
-"""Times that what swims have in common is worked out again, with slopes of its own."""
+"""Times that the common part of the error is estimated again, linearised anew."""
 _RIVALS = 4
 _DOUBTFUL = 3.0
-"""Evidence that such an error makes by itself, from which it counts."""
+"""Log-evidence above which an error of a strong effect counts as noise."""
 _CLOSE = 10.0
-"""Evidence within which a rival is fitted as carefully as the best."""
+"""Log-evidence within which a rival is fitted as carefully as the best set."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +124,15 @@ def learned(
     robot: Robot,
     simulate: Swum,
     known: LawError = LAW_ERROR,
-) -> Belief:
-    """What is known of servos and law before a swim: from swims in which nothing is missing.
+) -> SwimPrior:
+    """Prior of a robot's swims, learned from reference swims in which nothing is missing.
 
-    Without such swims it is what robots usually have.
+    Without reference swims it is the prior of all robots, with a larger error of the twin.
     """
     coordinates = Coordinates.of(robot, model)
     mean, covariance = known.prior(coordinates)
     imitation = known.imitation(coordinates)
-    usual = Belief(mean, covariance, imitation, known.shares)
+    usual = SwimPrior(mean, covariance, imitation, known.shares)
     if not references:
         return replace(usual, shares=known.decisions["unreferred"] * known.shares)
     problem = TwinSwims(coordinates, references, simulate, usual)
@@ -143,15 +143,15 @@ def learned(
         problem = TwinSwims(coordinates, references, simulate, replace(usual, mean=there))
         there, spread, scale = _shared(problem, problem.at(problem.centre(frozenset())), usual)
     imitation = scale * imitation
-    return Belief(there, spread + np.diag(imitation**2), imitation, known.shares * wrong)
+    return SwimPrior(there, spread + np.diag(imitation**2), imitation, known.shares * wrong)
 
 
-def _shared(problem: TwinSwims, fit: Fit, usual: Belief) -> tuple[Array, Array, float]:
-    """What swims of a robot have in common (F,), covariance of that, scale of what they have not.
+def _shared(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
+    """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
 
-    Near a fit each swim has columns of its own about those that are the robot's. How far they are
-    from these, over what is usual, is the likeliest of ``_SCALES`` (a linear mixed model; Laird and
-    Ware, Biometrics 38 (1982) 963).
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): each swim has
+    parameters of its own, distributed about those of the robot. The scale of their distribution,
+    relative to the usual one, is the likeliest of ``_SCALES``.
     """
     own = np.square(usual.imitation)
     common = usual.covariance - np.diag(own)
@@ -184,33 +184,33 @@ def searched(
     model: Model,
     robot: Robot,
     simulate: Swum,
-    belief: Belief,
+    prior: SwimPrior,
     progress: Callable[[float], None] = lambda share: None,
     begun: Model | None = None,
 ) -> Searched:
     """Try sets of effects on swims of one robot.
 
-    What the twin says of a strong effect is wrong by a share of what it changes. So where the fluid
-    has swum and the best set changes much, a second search counts that share of it as noise; with
-    the twin alone that has not been tried.
+    The twin predicts a strong effect with an error in proportion to the change that the effect
+    makes. Where the fluid was simulated and the best set changes much, a second search counts this
+    error as noise. It is not used with the twin alone, where it has not been graded.
 
     Args:
         swims: The recordings.
         model: The servos, and the law where the fluid has swum.
         robot: The robot.
-        simulate: The twin, alone or beside the fluid.
-        belief: What is known of servos and law.
+        simulate: The twin, alone or corrected by the fluid.
+        prior: Prior of servos, force law and effects, see ``learned``.
         progress: Called with the share that is done.
-        begun: With which the fluid swam, where that has effects: they are in no doubt.
+        begun: Model that the fluid simulated; its effects have no such error.
     """
-    problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief)
+    problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior)
     tried, order, best = _tried(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
         doubted = changed(problem, best.fit.x, begun)
         weighed = zip(doubted, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in weighed)
         if 0.5 * SHARE**2 * size > _DOUBTFUL:
-            problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, belief,
+            problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior,
                                 doubted=doubted)  # fmt: skip
             tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
     plain = tried[frozenset()]

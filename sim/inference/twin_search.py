@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
-from sim.inference.linear_fit import Belief, Fit, Slope, bounded
+from sim.inference.linear_fit import Fit, Slope, SwimPrior, bounded
 from sim.inference.starts import jumped
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
@@ -52,7 +52,7 @@ class TwinSwims:
         coordinates: Of the robot.
         swims: Its recordings.
         simulate: The twin.
-        belief: What is known before.
+        prior: Prior of the parameters.
         cost: What an effect costs in evidence.
         doubted: What effects change of each swim by the twin, (T, 3 + J): a share of it is wrong.
     """
@@ -60,7 +60,7 @@ class TwinSwims:
     coordinates: Coordinates
     swims: Sequence[Swim]
     simulate: Swum
-    belief: Belief
+    prior: SwimPrior
     cost: float = 0.0
     doubted: Sequence[Array] = ()
     blocks: list[Blocks] = field(init=False)
@@ -74,7 +74,7 @@ class TwinSwims:
 
     def __post_init__(self) -> None:
         """Take the recordings apart."""
-        seems = self.belief.mean.copy()
+        seems = self.prior.mean.copy()
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
@@ -82,7 +82,7 @@ class TwinSwims:
         for k, change in enumerate(self.doubted):
             doubts[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
         self.weights = [
-            one.weights(self.belief.shares, v) for one, v in zip(self.blocks, doubts, strict=True)
+            one.weights(self.prior.shares, v) for one, v in zip(self.blocks, doubts, strict=True)
         ]
         if self.doubted:
             self._doubt()
@@ -92,11 +92,11 @@ class TwinSwims:
                 weight[:, 3:] = 0.0
 
     def _doubt(self) -> None:
-        """Columns, and a belief, for what is wrong of what effects change."""
+        """Columns, and a prior, for what is wrong of what effects change."""
         joints = len(self.coordinates.model.joints)
         sizes = discrepancy.of_changes(joints)
         self.coordinates = self.coordinates.doubting()
-        self.belief = self.belief.beside(np.array(list(sizes.values())))
+        self.prior = self.prior.extended(np.array(list(sizes.values())))
         parts = []
         for blocks, weight, change in zip(self.blocks, self.weights, self.doubted, strict=True):
             shapes = discrepancy.shapes(change)
@@ -146,7 +146,7 @@ class TwinSwims:
     def precision(self, members: Members) -> Array:
         """Of all columns before the swim, shape (F, F)."""
         if members not in self._precisions:
-            c, spread = self.coordinates, self.belief.covariance.copy()
+            c, spread = self.coordinates, self.prior.covariance.copy()
             on = in_fit(c.columns, members)
             for k in np.flatnonzero(on):
                 column = c.columns[k]
@@ -162,7 +162,7 @@ class TwinSwims:
         """The mean before the swim, shape (F,); lost frames are counted, not fitted."""
         c = self.coordinates
         x = c.nominal
-        x[c.base] = self.belief.mean[c.base]
+        x[c.base] = self.prior.mean[c.base]
         if LOST in c.place and in_fit(c.columns, members)[c.place[LOST]]:
             x[c.place[LOST]] = poses.repeated(self.swims)
         return x
@@ -220,7 +220,7 @@ class TwinSwims:
         gradient = slope.T @ seen + prior @ off
         whole = normal + prior
         absent = ~in_fit(self.coordinates.columns, members)
-        far = _AT_MOST * np.sqrt(np.diag(self.belief.covariance))
+        far = _AT_MOST * np.sqrt(np.diag(self.prior.covariance))
         room = np.where(absent, np.stack([-far, far]), self.coordinates.room(fit.x))
         step = bounded(whole, gradient, room)
         loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
@@ -389,4 +389,4 @@ class TwinSwims:
         return bool(ledger.best.members)
 
 
-__all__ = ["Belief", "Fit", "Slope", "TwinSwims"]
+__all__ = ["SwimPrior", "Fit", "Slope", "TwinSwims"]

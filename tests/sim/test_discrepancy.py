@@ -55,9 +55,9 @@ def test_what_all_swims_of_a_robot_are_wrong_by_is_foretold(tmp_path):
     known = replace(OURS, unknown={**IN_WATER.unknown, **dict.fromkeys(
         (k for k in IN_WATER.unknown if k.startswith(("twin.", "water."))), 1e-4)})  # fmt: skip
     references = [slower(swum({}, seed=k), 0.03) for k in (1, 2)]
-    belief = learned(references, servos(), FISH, simulate, known)
+    prior = learned(references, servos(), FISH, simulate, known)
     fresh = slower(swum({}, seed=3), 0.03)
-    problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, belief)
+    problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, prior)
     x = problem.centre(frozenset())
     (said,) = signals_of(problem.coordinates, fresh, x[None], simulate)
     assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.008)
@@ -75,9 +75,9 @@ def test_an_error_that_is_usual_is_no_evidence():
     references = [swum({}, seed=k) for k in (1, 2)]
 
     def evidence(share):
-        belief = learned(references, servos(), FISH, simulate, OURS)
+        prior = learned(references, servos(), FISH, simulate, OURS)
         swim = slower(swum({}, seed=3), share)
-        found = searched([swim], servos(), FISH, simulate, belief)
+        found = searched([swim], servos(), FISH, simulate, prior)
         return found.best.evidence - found.plain.evidence
 
     assert evidence(own) < 6.0
