@@ -25,7 +25,7 @@ from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
 from sim2real.effects import named
-from sim2real.identification.fit import refitted
+from sim2real.identification.fit import Fit, refitted
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
 from sim2real.model import Model
@@ -160,69 +160,80 @@ def sampled_alike(
 def _joint_results(
     cases: Sequence[Case], rng: np.random.Generator, device: str, progress: Progress
 ) -> list[list[JointFindings]]:
-    """What is known of each joint of robots that were sampled alike."""
-    ready = [prepared(case) for case in cases]
-    given = joints = [joint for some in ready for joint in some]
-    robots = by_robot(ready)
-    joints, looked = _first_look(joints, rng, device)
+    """Findings on the joints of robots that were sampled alike, a list for each robot."""
+    robots_joints = [prepared(case) for case in cases]
+    robots = by_robot(robots_joints)
+    recorded = [joint for some in robots_joints for joint in some]
+    joints, first_ledgers = _first_look(recorded, rng, device)
     if not any(joint.before for joint in joints):
-        stamped = Batch([joint.traces for joint in joints], device)
-        joints = on_one_clock(stamped, joints, robots, [one.best for one in looked])
+        batch = Batch([joint.traces for joint in joints], device)
+        joints = on_one_clock(batch, joints, robots, [ledger.best for ledger in first_ledgers])
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
-        batch, joints, robots, rng=rng, known=looked, progress=lambda share: progress(0.8 * share)
+        batch,
+        joints,
+        robots,
+        rng=rng,
+        known=first_ledgers,
+        progress=lambda share: progress(0.8 * share),
     )
-    changed = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
-    sets = [[*_all_sets(a), *_all_sets(b)] for a, b in zip(findings, changed, strict=True)]
-    unseen = _unseen(joints, [list(dict.fromkeys(some)) for some in sets], changed, device)
+    compared = [against_references(batch, *one) for one in zip(joints, findings, strict=True)]
+    scores: list[dict[Set, Unseen]] = [{} for _ in joints]
+
+    def score(sets: Sequence[Sequence[Set]], of: Sequence[Finding]) -> None:
+        """Add the held-out errors of sets of effects of each joint that have none yet."""
+        missing = [
+            [members for members in dict.fromkeys(some) if members not in known]
+            for some, known in zip(sets, scores, strict=True)
+        ]
+        for known, added in zip(scores, _unseen(joints, missing, of, device), strict=True):
+            known.update(added)
+
+    pairs = zip(findings, compared, strict=True)
+    score([[*_all_sets(found), *_all_sets(changed)] for found, changed in pairs], compared)
     findings = [
-        now if joint.before else judged(finding, known)
-        for joint, finding, now, known in zip(joints, findings, changed, unseen, strict=True)
+        changed if joint.before else judged(found, errors)
+        for joint, found, changed, errors in zip(joints, findings, compared, scores, strict=True)
+    ]
+    named_only = [_with_what_is_named(finding) for finding in findings]
+    score([[fit.members] for fit in named_only], findings)
+    enriched = [
+        fit if joint.before else _enriched(finding, fit, errors)
+        for joint, finding, fit, errors in zip(joints, findings, named_only, scores, strict=True)
+    ]
+    smaller = [simpler(*one) for one in zip(findings, enriched, scores, strict=True)]
+    score([[members] for members in smaller], findings)
+    offered = [
+        fit if joint.before else offer(finding, fit, members, errors)
+        for joint, finding, fit, members, errors in zip(
+            joints, findings, enriched, smaller, scores, strict=True
+        )
     ]
     plain = [finding.tried.plain for finding in findings]
-    rich = [_with_what_is_named(finding) for finding in findings]
-    more = [
-        [h.members] if h.members not in known else [] for h, known in zip(rich, unseen, strict=True)
-    ]
-    for known, added in zip(unseen, _unseen(joints, more, findings, device), strict=True):
-        known.update(added)
-    rich = [
-        h if joint.before else _enriched(finding, h, known)
-        for joint, finding, h, known in zip(joints, findings, rich, unseen, strict=True)
-    ]
-    fewer = [simpler(*one) for one in zip(findings, rich, unseen, strict=True)]
-    more = [[m for m in (s,) if m not in known] for s, known in zip(fewer, unseen, strict=True)]
-    for known, added in zip(unseen, _unseen(joints, more, findings, device), strict=True):
-        known.update(added)
-    offered = [
-        h if joint.before else offer(finding, h, members, known)
-        for joint, finding, h, members, known in zip(
-            joints, findings, rich, fewer, unseen, strict=True
-        )
-    ]
-    before, after = (residual_angles(batch, joined([h.fit for h in x])) for x in (plain, offered))
-    ordinary = [
-        refitted(
-            joint.traces,
-            h.fit.servos.theta[0],
-            [named(e) for e in sorted(h.members) if not named(e).everywhere],
-        )
-        for joint, h in zip(given, plain, strict=True)
-    ]
+    before, after = (
+        residual_angles(batch, joined([fit.fit for fit in fits])) for fits in (plain, offered)
+    )
     results = [
         JointFindings(
             joint,
             findings[j],
-            rich[j],
+            enriched[j],
             offered[j],
             before[j],
             after[j],
-            ordinary[j].row,
-            unseen[j],
+            _refitted_plain(recorded[j], plain[j]).row,
+            scores[j],
         )
         for j, joint in enumerate(joints)
     ]
     return [[results[j] for j in robot] for robot in robots]
+
+
+def _refitted_plain(joint: JointCase, plain: Hypothesis) -> Fit:
+    """The plain servo fitted as ``identify`` does, without what every servo has a little of."""
+    effects = [named(effect) for effect in sorted(plain.members)]
+    theta = plain.fit.servos.theta[0]
+    return refitted(joint.traces, theta, [e for e in effects if not e.everywhere])
 
 
 def _first_look(
