@@ -242,21 +242,23 @@ class Batch:
                 whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
             )
         else:
-            here = _values(angle)  # the same memory
+            angles = _values(angle)  # the same memory
             run(fine, rows[servos])
-            exact = here[servos]
+            short_step_angles = angles[servos]
             run(coarse)
             # Damping that is strong and not linear may be unstable with long sub-steps.
-            lost: NDArray[np.bool_] = np.logical_not(np.isfinite(here).all(axis=1))
+            unstable: NDArray[np.bool_] = np.logical_not(np.isfinite(angles).all(axis=1))
             with np.errstate(over="ignore", invalid="ignore"):
-                lost[servos] |= ~(np.mean((here[servos] - exact) ** 2, axis=1) < _SAME_RAD**2)
-            again = np.isin(base, base[lost])
-            if again.any():
-                run(fine, rows[again])
+                unstable[servos] |= ~(
+                    np.mean((angles[servos] - short_step_angles) ** 2, axis=1) < _SAME_RAD**2
+                )
+            repeated = np.isin(base, base[unstable])
+            if repeated.any():
+                run(fine, rows[repeated])
             wp.launch(
                 whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
             )
-            here[servos] = exact
+            angles[servos] = short_step_angles
         wp.launch(
             whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
         )
