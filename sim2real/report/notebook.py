@@ -11,7 +11,7 @@ from functools import singledispatch
 
 from sim2real.check import Check, all_findings
 from sim2real.density import Density
-from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.result import Diagnosis, percent
 from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Range, Ranges
@@ -78,7 +78,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Section:
     if named:
         rows = [
             (
-                f"{100 * effect.probability:.0f} %",
+                percent(effect.probability),
                 printable(effect.effect),
                 printable(effect.component),
                 printable(effect.statement) + remark,

@@ -1,5 +1,6 @@
 """From recordings to a diagnosis: dry friction by its name, nothing where nothing is missing."""
 
+import html
 import json
 import re
 from dataclasses import replace
@@ -134,6 +135,15 @@ def test_page_file_and_terminal_state_one_probability(explained, written):
     blocks = diagnosis_section(explained).blocks
     (note,) = [b for b in blocks if isinstance(b, Note) and effect.statement in b.text]
     assert re.findall(r"(\d+)\s%", note.text) == [stated.removesuffix(" %")]
+
+
+def test_a_notebook_states_no_certainty_that_the_terminal_does_not(explained):
+    (effect,) = explained.effects
+    sure = replace(explained, effects=(replace(effect, probability=0.998),))
+    (line,) = [x for x in str(sure).splitlines() if effect.statement in x]
+    assert percent(0.998) in line and "100 %" not in line
+    page = sure._repr_html_()
+    assert "100 %" not in page and html.escape(percent(0.998)) in page.replace("\u00a0", " ")
 
 
 def test_the_verdict_says_what_is_left(explained):
