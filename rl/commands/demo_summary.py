@@ -23,15 +23,15 @@ def summary_section(
         swim: The film of a swim and what it shows.
     """
     rows = [
-        *_servos(model),
         ("missing from the servos", _verdict(servos)),
         ("missing from the body", _verdict(body)),
+        *_servos(model),
         ("ablation", ablation),
     ]
     lead = (
-        "Half a minute of recorded motion gives the parameters of the servos and of the body, the "
-        "physics that both models leave out, and ranges for training. A policy that was trained "
-        "with them swims below."
+        "The recordings give the parameters of the servos and of the body, the physics that both "
+        "models leave out, and ranges for training. The section on the ablation says how the "
+        "policy that swims below was trained."
     )
     film = [Text(swim.lead, "A swim of the trained policy"), *swim.blocks]
     return Section("Results", lead, [Table(("what", "result"), rows), *film])
