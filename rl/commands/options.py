@@ -30,7 +30,12 @@ def _water(command: argparse.ArgumentParser) -> None:
         type=Path,
         help="randomization ranges that episodes are drawn from (ranges.json)",
     )
-    command.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
+    command.add_argument(
+        "--fidelity",
+        choices=("twin", "fluid"),
+        default="twin",
+        help="simulate in the reduced-order twin (default) or in the fluid",
+    )
     command.add_argument(
         "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
     )
@@ -292,10 +297,26 @@ def _swim(command: argparse.ArgumentParser) -> None:
 
 def _demo(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--data", type=Path, default=Path("datasets/servo_steps"), metavar="FOLDER"
+        "--data",
+        type=Path,
+        default=Path("datasets/servo_steps"),
+        metavar="FOLDER",
+        help="recordings of the servos (default datasets/servo_steps)",
     )
-    command.add_argument("--pool", type=Path, default=Path("datasets/pool"), metavar="FOLDER")
-    command.add_argument("--out", type=Path, default=Path("reports/demo"), metavar="FOLDER")
+    command.add_argument(
+        "--pool",
+        type=Path,
+        default=Path("datasets/pool"),
+        metavar="FOLDER",
+        help="recordings of the pool (default datasets/pool)",
+    )
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("reports/demo"),
+        metavar="FOLDER",
+        help="folder for the report (default reports/demo)",
+    )
     command.add_argument(
         "--train",
         action="store_true",

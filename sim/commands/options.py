@@ -42,10 +42,18 @@ def _validate(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--quick",
         action="store_true",
-        help="coarse versions with wider tolerances: seconds instead of hours",
+        help="coarse versions with wider tolerances, in seconds",
     )
-    command.add_argument("--only", nargs="+", default=(), metavar="CASE")
-    command.add_argument("--out", type=Path, default=Path("reports/validation.html"))
+    command.add_argument(
+        "--only", nargs="+", default=(), metavar="CASE", help="cases to run (default: all)"
+    )
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("reports/validation.html"),
+        metavar="PAGE",
+        help="report to write (default reports/validation.html)",
+    )
 
 
 def _diagnose(command: argparse.ArgumentParser) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from sim2real.commands.command import Command
 
+_BUS = "bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+
 
 def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument(
@@ -20,9 +22,7 @@ def _record(command: argparse.ArgumentParser) -> None:
         required=True,
         help="the robot, for the limits of its joints (robot.toml)",
     )
-    command.add_argument(
-        "--port", metavar="URL", help="bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
-    )
+    command.add_argument("--port", metavar="URL", help=_BUS)
     command.add_argument(
         "--ids", metavar="LIST", help="id of the servo of each joint, such as 1,2,3"
     )
@@ -44,7 +44,12 @@ def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--inertia", metavar="LIST", help="inertia of the load on each joint, kg m2"
     )
-    command.add_argument("--medium", choices=("air", "water"), default="air")
+    command.add_argument(
+        "--medium",
+        choices=("air", "water"),
+        default="air",
+        help="what the robot moves in (default air)",
+    )
     command.add_argument("--source", metavar="TEXT", help="source of the recording, stored with it")
     command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
     command.add_argument(
@@ -85,7 +90,7 @@ def _scan(command: argparse.ArgumentParser) -> None:
         "--port",
         required=True,
         metavar="URL",
-        help="bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT",
+        help=_BUS,
     )
     command.add_argument(
         "--ids",
@@ -105,13 +110,55 @@ def _virtual_servo(command: argparse.ArgumentParser) -> None:
         help="listen there for UDP packets (default: open a pseudo-terminal)",
     )
     command.add_argument("--model", type=Path, help="servos to simulate, in order (MODEL.json)")
-    command.add_argument("--kp", type=float, default=2.2, metavar="NM_PER_RAD")
-    command.add_argument("--kd", type=float, default=0.06, metavar="NMS_PER_RAD")
-    command.add_argument("--latency", type=float, default=0.06, metavar="S")
-    command.add_argument("--inertia", type=float, default=0.002, metavar="KGM2")
-    command.add_argument("--supply", type=float, default=7.4, metavar="V")
-    command.add_argument("--temperature", type=float, default=30.0, metavar="C")
-    command.add_argument("--heating", type=float, default=0.0, metavar="C_PER_S")
+    command.add_argument(
+        "--kp",
+        type=float,
+        default=2.2,
+        metavar="NM_PER_RAD",
+        help="proportional gain without --model, N m/rad (default 2.2)",
+    )
+    command.add_argument(
+        "--kd",
+        type=float,
+        default=0.06,
+        metavar="NMS_PER_RAD",
+        help="damping without --model, N m s/rad (default 0.06)",
+    )
+    command.add_argument(
+        "--latency",
+        type=float,
+        default=0.06,
+        metavar="S",
+        help="latency without --model, s (default 0.06)",
+    )
+    command.add_argument(
+        "--inertia",
+        type=float,
+        default=0.002,
+        metavar="KGM2",
+        help="inertia of the load without --model, kg m2 (default 0.002)",
+    )
+    command.add_argument(
+        "--supply",
+        type=float,
+        default=7.4,
+        metavar="V",
+        help="reported supply voltage, V (default 7.4)",
+    )
+    command.add_argument(
+        "--temperature",
+        type=float,
+        default=30.0,
+        metavar="C",
+        help="reported temperature at the start, degrees Celsius (default 30)",
+    )
+    command.add_argument(
+        "--heating",
+        type=float,
+        default=0.0,
+        metavar="C_PER_S",
+        help="rate at which it rises, degrees Celsius per second (default 0)",
+    )
     command.add_argument(
         "--loss", type=float, default=0.0, help="share of packets lost in each direction"
     )
@@ -167,7 +214,12 @@ def _calibrate_camera(command: argparse.ArgumentParser) -> None:
         help="ChArUco board: squares across, squares down, side of a square in m, side of a "
         "marker in m",
     )
-    command.add_argument("--dictionary", choices=_DICTIONARIES, default="4x4_50")
+    command.add_argument(
+        "--dictionary",
+        choices=_DICTIONARIES,
+        default="4x4_50",
+        help="ArUco dictionary of the board (default 4x4_50)",
+    )
     command.add_argument(
         "--pool", default="3.6,3.6", metavar="LIST", help="length and width of the pool in m"
     )
