@@ -90,7 +90,7 @@ def check(
     findings = list(clock_findings(recording.t, clock))
     if np.isnan(recording.command).all():
         findings.append("No command was recorded: servos cannot be identified.")
-    if recording.kind == "pool" and "body.x_m" not in recording.columns:
+    if recording.kind == "pool" and not recording.has_poses:
         findings.append("The body was not tracked: body and fluid cannot be calibrated.")
     every = range(len(recording.joints))
     joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in every)

@@ -102,9 +102,14 @@ class Recording(NotebookDisplay):
         return 1 / float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
     @property
+    def has_poses(self) -> bool:
+        """Whether the pose of the body was tracked."""
+        return "body.x_m" in self.columns
+
+    @property
     def is_swim(self) -> bool:
         """Whether this is a swim whose body was tracked, not a recording of a bench."""
-        return self.kind == "pool" and "body.x_m" in self.columns
+        return self.kind == "pool" and self.has_poses
 
     def missing(self, joint: int) -> int:
         """Number of missing positions of joint number ``joint``."""

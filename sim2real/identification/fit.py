@@ -149,16 +149,21 @@ def fit(
     # Damping that an effect adds may be unstable with long sub-steps.
     stable = not np.any(active_effects(rows(np.ones((1, len(free))))) & ~MOTOR_BIT)
 
+    def expanded(x: Array, substep_s: float) -> tuple[Array, Array]:
+        return central(lambda points: simulate(points, substep_s), x, step, *box)
+
     def evaluate(x: Array) -> tuple[Array, Array]:
-        coarse = float(coarse_substep(np.array(fine(x)))) if stable else fine(x)
-        _, slope = central(lambda points: simulate(points, coarse), x, step, *box)
-        return simulate(x[None], fine(x))[0], slope
+        substep_s = fine(x)
+        if not stable:
+            return expanded(x, substep_s)
+        _, slope = expanded(x, float(coarse_substep(np.array(substep_s))))
+        return simulate(x[None], substep_s)[0], slope
 
     start = np.clip(row[columns] / unit, *box)
     x, converged = minimise_robustly(
         evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
     )
-    error, slope = central(lambda points: simulate(points, fine(x)), x, step, *box)
+    error, slope = expanded(x, fine(x))
     cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
     return Fit(
         parameters=tuple(free),

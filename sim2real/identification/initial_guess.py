@@ -128,4 +128,5 @@ def servos_at(points: Array, inertia: float | Array) -> Array:
     scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
     frequency, damping = np.exp(scaled[:, :2]).T
     kp = frequency**2 * inertia
-    return np.stack([kp, 2 * damping * frequency * inertia, 0 * kp + scaled[:, 2]], axis=-1)
+    kd = 2 * damping * frequency * inertia
+    return np.stack([kp, kd, np.broadcast_to(scaled[:, 2], kp.shape)], axis=-1)

@@ -93,7 +93,7 @@ class MotorFit:
         return self._losses(self.problem, x)
 
     def rough_losses(self, x: Array) -> Array:
-        """The same with longer sub-steps: to choose among servos where a search may begin."""
+        """Losses with longer sub-steps, to choose where a search begins, shape (B,)."""
         return self._losses(self.problem.coarse, x)
 
     def _losses(self, problem: MotorProblem, x: Array) -> Array:
@@ -277,7 +277,7 @@ def _descend(
         )
 
     def about(servo: Array, error: Array) -> Expansion:
-        by = problem.coarse.slopes(servo)
+        _, by = problem.coarse.slopes(servo)
         prior, prior_by = problem.prior_slopes(servo)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
         weighted = by * weight[:, None]
@@ -306,8 +306,7 @@ def _result(
 ) -> MotorFit:
     """The fit in the parameters' own units."""
     prior, free = problem.prior, list(problem.free)
-    error = problem.residuals(x[None])
-    by = problem.slopes(x)
+    error, by = problem.slopes(x)
     values = prior.values(x)
     own = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
     unit = problem.box[2]
@@ -321,8 +320,8 @@ def _result(
             for b, u in zip(parameters, unit * own, strict=True)
         ),
         row=problem.rows(x[None])[0],
-        scale_rad=robust_scale(error[0]),
-        residuals=tuple(np.split(error[0], counts)),
+        scale_rad=robust_scale(error),
+        residuals=tuple(np.split(error, counts)),
         jacobians=tuple(np.split(by / unit / own, counts)),
         converged=True,
         inertia=problem.traces[0].load.inertia_kgm2,

@@ -64,7 +64,7 @@ class MotorProblem:
 
     Attributes:
         traces: The recordings of one joint.
-        prior: MotorPrior of the N parameters.
+        prior: Prior of the N parameters.
         free: Indices of the F fitted ones.
         substep_s: Longest sub-step of a rollout, s.
         simulator: Of these traces.
@@ -119,8 +119,8 @@ class MotorProblem:
         low, high = np.array(ends).T
         return low, high, np.array([b.unit for b in chosen])
 
-    def slopes(self, x: Array) -> Array:
-        """Derivatives of the residuals by the free parameters, in units, shape (n, F)."""
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
         _, high, unit = self.box
         step = np.where(
             x[list(self.free)] + self.search.difference * unit > high,
@@ -128,7 +128,7 @@ class MotorProblem:
             self.search.difference,
         )
         here, *beside = self.residuals(np.stack([x, *self._beside(x, step)]))
-        return np.asarray((np.array(beside) - here).T / step)
+        return here, np.asarray((np.array(beside) - here).T / step)
 
     def prior_slopes(self, x: Array) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""

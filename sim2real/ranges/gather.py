@@ -258,6 +258,6 @@ def _notes(
             "latency varies within these recordings, and the gains were sampled with one of it: "
             "their ranges may be off"
         )
-    if not any("body.x_m" in recording.columns for recording in recordings):
+    if not any(recording.has_poses for recording in recordings):
         notes.append("no camera columns: position and direction have no range")
     return tuple(notes)

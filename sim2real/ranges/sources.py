@@ -143,7 +143,7 @@ def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
     place: dict[str, list[float]] = {}
     heading: dict[str, list[float]] = {}
     labels = labelled(recordings)
-    for recording in (r for r in recordings if "body.x_m" in r.columns):
+    for recording in (r for r in recordings if r.has_poses):
         label = labels[recording.file]
         t, x, y, yaw = _frames(recording)
         if t.size >= _FEWEST:

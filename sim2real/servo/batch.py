@@ -236,29 +236,18 @@ class Batch:
             simulate(on, latency, theta, signal, self._signals, longest, angle, which)
 
         servos = variant == 0
-        if V == 1 or dev != "cpu":
-            run(fine)
-            wp.launch(
-                whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
-            )
-        else:
+        long_steps = V > 1 and dev == "cpu"
+        run(fine, rows[servos] if long_steps else None)
+        if long_steps:
             angles = _values(angle)  # the same memory
-            run(fine, rows[servos])
-            short_step_angles = angles[servos]
+            exact = angles[servos]
             run(coarse)
-            # Damping that is strong and not linear may be unstable with long sub-steps.
-            unstable: NDArray[np.bool_] = np.logical_not(np.isfinite(angles).all(axis=1))
-            with np.errstate(over="ignore", invalid="ignore"):
-                unstable[servos] |= ~(
-                    np.mean((angles[servos] - short_step_angles) ** 2, axis=1) < _SAME_RAD**2
-                )
-            repeated = np.isin(base, base[unstable])
+            repeated = np.isin(base, base[_unstable(angles, servos, exact)])
             if repeated.any():
                 run(fine, rows[repeated])
-            wp.launch(
-                whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev
-            )
-            angles[servos] = short_step_angles
+        wp.launch(whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev)
+        if long_steps:
+            angles[servos] = exact
         wp.launch(
             whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
         )
@@ -332,6 +321,21 @@ class Batch:
         fine = np.maximum(longest, self.period / _MOST_SUBSTEPS)
         coarse = coarse_substep(fine)
         return coarse if rough else fine, coarse
+
+
+def _unstable(angles: Array, servos: NDArray[np.bool_], exact: Array) -> NDArray[np.bool_]:
+    """Rows for which long sub-steps are unstable, as strong nonlinear damping makes them, (rows,).
+
+    Args:
+        angles: Angles with long sub-steps in rad, shape (rows, T).
+        servos: Which rows are servos, not variants, shape (rows,).
+        exact: Angles of the servos with short sub-steps in rad, shape (servos, T).
+    """
+    unstable: NDArray[np.bool_] = np.logical_not(np.isfinite(angles).all(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        same = np.mean((angles[servos] - exact) ** 2, axis=1) < _SAME_RAD**2
+    unstable[servos] |= ~same
+    return unstable
 
 
 def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs

@@ -75,7 +75,7 @@ def evidence(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeatures:
     groups = [g for g in groups if link is None or link.effect not in g.members]
     without = finding.unmodelled
     smooth = without.smooth.evidence(float(best.fit.count[0]))
-    # OddsFeatures by which a function without a name is ahead of the best set.
+    # Evidence by which a function without a name is ahead of the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
     gain, limit = finding.search.left(tried, best.members)
     left = gain / max(limit, 1e-9)
