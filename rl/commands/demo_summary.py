@@ -23,8 +23,8 @@ def summary_section(
         swim: The film of a swim and what it shows.
     """
     rows = [
-        ("missing from the servos", _verdict(servos)),
-        ("missing from the body", _verdict(body)),
+        ("diagnosis of the servos", _verdict(servos)),
+        ("diagnosis of the body", _verdict(body)),
         *_servos(model),
         ("ablation", ablation),
     ]

@@ -15,6 +15,7 @@ from sim2real.report.page import Block, Figure, Note, Section, Table, Text
 from sim2real.report.quantity import change_text
 from sim2real.report.style import NARROW
 from sim2real.robot import Robot
+from sim2real.units import readable, readable_name
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _FOUND = {
@@ -56,13 +57,14 @@ def swims_section(
                 one.statement,
                 percent(one.probability),
                 "; ".join(
-                    f"{name} {x.mean:.3g} ({x.q05:.3g} to {x.q95:.3g})"
+                    f"{readable_name(name)} {readable(name, x.mean)} "
+                    f"({readable(name, x.q05)} to {readable(name, x.q95)})"
                     for name, x in one.parameters.items()
                 ),
             )
             for one in likely
         ]
-        header = ("what is missing", "probability", "parameters, SI, with 90 % intervals")
+        header = ("what is missing", "probability", "parameters with 90 % intervals")
         blocks.append(Table(header, rows))
     was, now = (
         {name: float(one["heldout"] or 0.0) for name, one in fit.items()}
