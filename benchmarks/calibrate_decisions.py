@@ -32,7 +32,7 @@ from benchmarks.decision_values import of_sensors, values_of
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = 0.96
 """Share of robots with nothing missing of which nothing must be said."""
-MEASURED_WITH = ("structured", "clean", "coarser", "most_certain")
+MEASURED_WITH = ("structured_excess", "noise_like_excess", "coarse_step_ratio", "most_certain")
 """Numbers by which the rows themselves are measured: with others the curves would not be theirs."""
 LARGEST_NUISANCE = 8.0
 """Noise levels up to which a wave in a foreign servo may be one of its nuisances."""
@@ -58,7 +58,7 @@ def main() -> None:
 
 def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[Sample]]:
     """For each curve what speaks for its findings, and whether they were so."""
-    found: dict[str, list[Sample]] = {"effect": [], "there": [], "nameless": [], "link": []}
+    found: dict[str, list[Sample]] = {"effect": [], "mismatch": [], "uncatalogued": [], "link": []}
     for row in rows:
         truth = set(row["truth"])
         known = truth | set(row.get("always", ()))
@@ -74,8 +74,8 @@ def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[Sample]]:
         # What nobody could see, or would act on, is no example of something there.
         right = [g["changes"] for g in row["groups"] if truth & set(g["members"])]
         if not matters or row["outside"] or max(right, default=0.0) >= negligible:
-            add("there", row["whole"], matters)
-        add("nameless", row["whole"], row["outside"])
+            add("mismatch", row["whole"], matters)
+        add("uncatalogued", row["whole"], row["outside"])
         if row["link"]:
             add("link", row["link"]["features"], row["link"]["effect"] in known)
     return found
@@ -111,13 +111,17 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
             " straightened on plants left out"
         )
     read_off = values_of(rows) | of_sensors(steps or rows)
-    there = curves["there"]
+    there = curves["mismatch"]
     if there is not None:
-        read_off["there"] = _quiet(there, given["there"], rows)
+        read_off["mismatch_probability"] = _quiet(there, given["mismatch"], rows)
     level = least_sure([one for k in ("effect", "link") if (one := curves[k]) is not None])
     if level is not None:
         n = sum(one.right.size for k in ("effect", "link") if (one := curves[k]) is not None)
-        read_off["sure"] = level, n, "98.5 % of what plants left out are told with more is right"
+        read_off["min_certain_probability"] = (
+            level,
+            n,
+            "98.5 % of what plants left out are told with more is right",
+        )
     for name, (value, n, why) in read_off.items():
         before = values[name]["value"]
         report["values"][name] = {"before": before, "value": value, "count": n, "how": why}

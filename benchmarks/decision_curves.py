@@ -83,7 +83,7 @@ def curve(samples: Sequence[Sample]) -> Curve | None:
     if min(y.sum(), (1 - y).sum()) < FEWEST:
         return None
     names = sorted({name for one in samples for name in one.features})
-    names.sort(key=lambda name: name != "one")
+    names.sort(key=lambda name: name != "intercept")
     x = np.array([[one.features.get(name, 0.0) for name in names] for one in samples])
     folds = _folds(samples)
     tried = []

@@ -217,7 +217,7 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointFindings, case: Case) -> Row:
-    from sim2real.diagnose.missing.calibrated_odds import evidence
+    from sim2real.diagnose.missing.calibrated_odds import odds_features
     from sim2real.diagnose.missing.nuisances import size_in_noise
     from sim2real.effects import named
 
@@ -230,7 +230,7 @@ def _row(answer: Row, one: JointFindings, case: Case) -> Row:
     raw = tuple(
         replace(g, probability=before.get(g.members[0], g.probability)) for g in finding.groups
     )
-    told = evidence(replace(finding, groups=raw), one.unseen)
+    told = odds_features(replace(finding, groups=raw), one.unseen)
     errors = [one.unseen[m].rmse if m in one.unseen else None for m in (tried.base, best.members)]
     small = {
         name: size_in_noise(h, name, one.joint.noise)

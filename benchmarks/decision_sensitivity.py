@@ -50,11 +50,11 @@ def _effects(row: Row, entry: Sequence[Any], weights: Values) -> set[str]:
     """What would be named, the groups' probabilities and stabilities being these."""
     features = {group["members"][0]: group["features"] for group in row["groups"]}
     said = set()
-    for members, p, stable in entry[1]:
+    for members, p, _ in entry[1]:
         usual = features.get(members[0])
         if usual is None:
             continue
         odds = -float(np.log(np.clip(1 / np.clip(p, 0.02, 0.98) - 1, 1e-3, 1e3)))
-        if Odds(weights).probability({**usual, "probability": odds, "stability": stable}) >= 0.5:
+        if Odds(weights).probability({**usual, "probability": odds}) >= 0.5:
             said.add(members[0])
     return said

@@ -23,11 +23,11 @@ def values_of(rows: Sequence[Row]) -> dict[str, Reading]:
     excess = [row["excess_plain"] for row in nothing]
     found = {}
     if len(excess) >= FEWEST:
-        found["structured"] = (
+        found["structured_excess"] = (
             max(float(np.quantile(excess, 0.99)), 1.05), len(excess),
             "99 % of joints that miss nothing leave less",
         )  # fmt: skip
-        found["clean"] = (
+        found["noise_like_excess"] = (
             max(float(np.quantile(excess, 0.9)), 1.02), len(excess),
             "90 % of joints that miss nothing leave less",
         )  # fmt: skip
@@ -45,7 +45,7 @@ def of_sensors(rows: Sequence[Row]) -> dict[str, Reading]:
     right, wrong = sum(x > level for x in coarse), sum(x > level for x in fine)
     why = f"{right} of {right + wrong} found are there; the rule of succession"
     return {
-        "coarser": (level, len(coarse), "between sensors as stated and coarser"),
+        "coarse_step_ratio": (level, len(coarse), "between sensors as stated and coarser"),
         "most_certain": ((right + 1) / (right + wrong + 2), right + wrong, why),
     }
 

@@ -41,7 +41,7 @@ class Chain:
     length: wp.array(dtype=wp.float64)
     limits: wp.array(dtype=wp.vec2d)
     servo: wp.array3d(dtype=wp.float64)
-    active: wp.array2d(dtype=wp.int32)
+    active: wp.array2d(dtype=wp.int64)
     memory: wp.array3d(dtype=wp.float64)
     push: wp.array2d(dtype=wp.float64)
     rough: wp.array2d(dtype=wp.float64)

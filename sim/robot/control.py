@@ -33,7 +33,7 @@ def send(
     p = chain.servo[e, k]
     now = s.clock[e]
     arrives = now + p[2]
-    if chain.active[e, k] != 0:
+    if chain.active[e, k] != wp.int64(0):
         arrives = arrival_time(
             arrives, wp.float64(number), zero, zero, now, zero, p, chain.memory[e, k],
             chain.active[e, k],

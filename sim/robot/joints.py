@@ -75,13 +75,13 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     push.stiffness = kp
     torque = pd_torque(kp, kd, error, v)
     explicit = bool(False)
-    if active != 0:
+    if active != wp.int64(0):
         before = s.torque[e, k]
         error = command_in_force(u, q, v, before, now, h, p, z, active) - q
         error = error_seen(error, q, v, before, now, h, p, z, active)
         load = load_torque(load, q, v, before, now, h, p, z, active)
         push.torque = kp * error
-        if kp > zero and (active & wp.static(MOTOR_BIT)) != 0:
+        if kp > zero and (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             m = read_motor(p)
             push = motor_push(kp, kd, error, v, m)
             weaker = wp.float64(1.0) / resistance(push, v, m)
@@ -94,7 +94,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
             explicit = made != torque
             torque = made
         bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
-        if (active & wp.static(MOTOR_BIT)) != 0:
+        if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             bound += gear_friction(v, torque, zero, read_motor(p))
         inertia = shaft_inertia(zero, p, z, active)
     s.torque[e, k] = torque

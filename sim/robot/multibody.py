@@ -313,7 +313,7 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
         s.q[e, 1] = s.q[e, 1] + off[1]
         pose_links(e, chain, s)
     for k in range(s.q.shape[1] - 3):
-        if (chain.active[e, k] & wp.static(SENSOR_BITS)) != 0:
+        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
             s.measured[e, k] = measured_angle(
                 s.q[e, 3 + k], s.q[e, 3 + k], s.v[e, 3 + k], s.torque[e, k], s.clock[e],
                 grid.step, chain.servo[e, k], chain.memory[e, k], chain.active[e, k],

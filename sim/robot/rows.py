@@ -43,7 +43,7 @@ _KINDS: Mapping[str, Any] = {
     "skin": wp.vec4d,
     "tether": wp.vec3d,
     "current": wp.vec2d,
-    "active": wp.int32,
+    "active": wp.int64,
     "tip": wp.vec2d,
     "along": wp.vec2d,
     "wake": wp.vec2d,

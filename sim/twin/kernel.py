@@ -238,7 +238,7 @@ def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
         s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
     for k in range(s.q.shape[1] - 3):
         seen = s.q[e, 3 + k]
-        if (chain.active[e, k] & wp.static(SENSOR_BITS)) != 0:
+        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
             seen = measured_angle(
                 seen, seen, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
                 chain.memory[e, k], chain.active[e, k],
@@ -255,7 +255,7 @@ def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
     zero = wp.float64(0.0)
     p = chain.servo[e, k]
     arrives = s.clock[e] + p[2]
-    if chain.active[e, k] != 0:
+    if chain.active[e, k] != wp.int64(0):
         arrives = arrival_time(
             arrives, wp.float64(number), zero, zero, s.clock[e], zero, p, chain.memory[e, k],
             chain.active[e, k],

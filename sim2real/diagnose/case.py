@@ -117,7 +117,11 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
         if before is not None and (before.law != "pd" or before.effects):
             continue
         given = traces(case.recordings, joint.name)
-        line = on_its_line(given, joint.servo, rng, room=1 / DECISION.sheet) if given else None
+        line = (
+            on_its_line(given, joint.servo, rng, room=1 / DECISION.data_sheet_share)
+            if given
+            else None
+        )
         # What changes the error by less, nobody would miss.
         if line is not None and line[1] < 1 - DECISION.negligible:
             found[joint.name] = line[0]
@@ -144,14 +148,14 @@ def lines_beside(
         assert joint.servo is not None
         row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
         # A limit at the data sheet's is the line by another name.
-        named_so = row[_LIMIT] > DECISION.sheet * joint.stall_Nm
+        named_so = row[_LIMIT] > DECISION.data_sheet_share * joint.stall_Nm
         other: Set = one.members & {_SATURATION} if named_so else frozenset()
         inertia = batch.load[batch.first_signal[j], :1]
         plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
         start = with_effects(plain, one.members - other, row, float(row[0]), float(inertia[0]))
         fit = minimise(batch, start, iterations=15)
         more = float(fit.loglikelihood[0] - one.fit.loglikelihood[0])
-        if more > (0.0 if other else DECISION.surely):
+        if more > (0.0 if other else DECISION.decisive_gain):
             found[j] = stated(fit.servos.theta[0], joint.traces[0].load)
     return found
 
@@ -181,6 +185,6 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     """
     steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in traces]
     found = min(steps)
-    if found <= DECISION.coarser * stated_rad or max(steps) > 1.1 * found:
+    if found <= DECISION.coarse_step_ratio * stated_rad or max(steps) > 1.1 * found:
         return None
     return found

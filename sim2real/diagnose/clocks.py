@@ -50,9 +50,9 @@ def on_one_clock(
             slope[place] += pull
         inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
         sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-        if (np.abs(inverse @ slope) > DECISION.crystals + 2 * sd).any():
+        if (np.abs(inverse @ slope) > DECISION.clock_tolerance + 2 * sd).any():
             continue
-        likely = np.eye(len(files)) * (2 / DECISION.crystals) ** 2
+        likely = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
         drift = dict(zip(files, np.linalg.solve(information + likely, slope), strict=True))
         for j in robot:
             theta = best[j].fit.servos.theta

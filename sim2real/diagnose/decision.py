@@ -1,8 +1,8 @@
-"""Every number that decides a verdict or a name, as ``decision.json`` has it.
+"""Every number that decides a verdict or a name, read from ``decision.json``.
 
-The file is written by ``benchmarks/calibrate_decisions.py`` from cases of the generators'
-development seeds; beside each value it says what it was read from. Values that no data could give
-say "chosen", and why: a calibration keeps them. A number of a group stands as ``group.name``.
+``benchmarks/calibrate_decisions.py`` writes the file from development cases; each value has the
+reason for it. Values that data cannot determine are "chosen", with the reason, and a calibration
+keeps them. A number of a group is stored as ``group.name``.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ from sim2real.structured import Fields, read_json
 
 FILE = Path(__file__).with_name("decision.json")
 SCHEMA = "sim2real.decision/1"
-CURVES = ("effect", "there", "nameless", "link")
-"""What there are odds of: an effect, anything missing, what has no name, an uneven link."""
+CURVES = ("effect", "mismatch", "uncatalogued", "link")
+"""What a curve is the odds of: an effect, any mismatch, a mismatch that no effect of the catalogue
+explains, irregular command timing."""
+EFFECT_PREFIX = "is "
+"""Prefix of features that state which effect it is; an effect without a weight counts as 0."""
 T = TypeVar("T")
 
 
@@ -28,10 +31,10 @@ T = TypeVar("T")
 class ChangeDecision:
     """Numbers that decide what has changed since the reference recordings."""
 
-    retuned: float  # log odds that a plain parameter was set anew, not that an effect came
-    farthest: float  # prior standard deviation of a change, in multiples of its start
-    law_error: float  # how far a straight line to a change may be from what it does
-    explained: float  # share of what changed that names must explain, or it has none
+    retuned_log_odds: float  # log odds that a plain parameter changed, against an effect
+    max_extrapolation: float  # prior standard deviation of a change, in multiples of its start
+    law_error: float  # relative error of a linearised change
+    explained_share: float  # share of a change that named effects must explain
     min_evidence: float  # evidence below which no change will be named, however well it fits
     most_certain: float  # largest probability of a change that the recordings show only in part
     foreign_misfit: float  # misfit of the case, relative to the references', that no servo has
@@ -49,10 +52,10 @@ class ChangeDecision:
 
 @dataclass(frozen=True)
 class LinkDecision:
-    """Numbers that decide whether set-points arrive unevenly."""
+    """Numbers that decide whether set-points arrive at irregular times."""
 
     min_gain: float  # gain in log-likelihood below which nothing is found
-    negligible_gain: float  # gain per sample below which an uneven link does not matter
+    negligible_gain: float  # gain per sample below which irregular timing does not matter
 
 
 @dataclass(frozen=True)
@@ -70,9 +73,9 @@ class ReportDecision:
 
     most_rivals: int  # effects that are listed as considered
     rival_min_probability: float  # probability above which an effect is listed as considered
-    throughout: float  # share of the time from which a mismatch is there throughout
+    throughout_share: float  # share of the time from which a mismatch is present throughout
     driving_gain: float  # gain in log-likelihood from which a state drives a mismatch
-    experiment_min_separation: float  # distance in noises that an experiment must reach
+    experiment_min_separation: float  # distance that an experiment must reach, in noise SD
     experiment_rivals: int  # effects of one group between which an experiment is to decide
 
 
@@ -83,26 +86,26 @@ class Decision:
     false_alarms: float  # share of robots with nothing missing that may be called mismatched
     named: float  # probability from which an effect is named
     negligible: float  # share of the held-out error below whose change an effect does not matter
-    group_share: float  # a rival this probable, relative to the likeliest, cannot be told from it
+    group_share: float  # a rival this probable, relative to the likeliest, is in one group with it
     missing_share: float  # share of joints that are expected to miss something; the prior
     prior_sd: float  # prior standard deviation of an effect's parameter, in typical values
-    surely: float  # gain that is never left to chance, however uneven the noise
-    law_error: float  # how far the law of an effect may be from what a servo does, relative to it
-    most_certain: float  # no effect is more probable
-    sure: float  # probability from which 0.9 and more is said; below it 0.89 at most
-    there: float  # probability from which something is missing, named or not
-    structured: float  # excess from which a residual is more than noise and slow wander
-    clean: float  # excess below which nothing is left, and nothing without a name is looked for
-    ripple: float  # what every servo has a little of is a finding from so many noises on
-    crystals: float  # relative difference of two clocks up to which it is none, and is taken off
-    turn_s: float  # jitter below which a set-point only waits for the controller's next turn
-    sheet: float  # share of what a data sheet states from which a limit is the data sheet's own
-    drawing: float  # share of the stated inertia by which a drawing may be off
-    coarser: float  # step of a sensor, relative to the stated one, from which it is a finding
-    nameless: float  # probability that what is missing has no name, where effects leave most of it
+    decisive_gain: float  # gain that is never due to chance, however irregular the noise
+    law_error: float  # relative error of an effect's law
+    most_certain: float  # largest probability of an effect
+    min_certain_probability: float  # probability below which max_uncertain_probability is the most
+    max_uncertain_probability: float  # largest probability of an effect that is not certain
+    mismatch_probability: float  # probability from which something is missing, named or not
+    structured_excess: float  # excess from which a residual is more than noise and slow drift
+    noise_like_excess: float  # excess below which no uncatalogued physics is searched for
+    nuisance_finding_size: float  # size of a nuisance from which it is a finding, in noise SD
+    clock_tolerance: float  # relative difference of two clocks that is corrected, not reported
+    controller_wait_s: float  # jitter that the controller's own period explains
+    data_sheet_share: float  # share of the stated torque or speed from which a limit is the stated
+    inertia_tolerance: float  # relative error of a stated inertia
+    coarse_step_ratio: float  # step of a sensor, relative to the stated one, that is a finding
+    uncatalogued_probability: float  # probability stated where effects leave most of a mismatch
     detection_gain: float  # gain at which an effect is noticed
-    search_substeps: float  # sub-steps of rollouts after which the search on a joint goes no wider
-    below_sure: float  # largest probability that is stated of an effect less certain than ``sure``
+    search_substeps: float  # sub-steps of rollouts after which the search on a joint ends
     nuisance_min_evidence: float  # evidence that cogging and eccentricity must add to be kept
     segments_share: float  # share of a recording from which segments are no longer exceptions
     change: ChangeDecision
@@ -116,13 +119,22 @@ class Odds:
     """A logistic curve: the log odds are the sum of features times their weights.
 
     Attributes:
-        weights: By feature; that of one the curve does not know is 0.
+        weights: By feature.
     """
 
     weights: Mapping[str, float]
 
     def probability(self, features: Mapping[str, float], largest_log_odds: float = 40.0) -> float:
-        """That it is so; log odds are clipped, beyond which a float holds no difference."""
+        """Probability by the curve; log odds are clipped to what a float distinguishes.
+
+        Raises:
+            ValueError: If a feature has no weight, or a weight no feature; effects excepted.
+        """
+        unmatched = sorted(
+            x for x in features.keys() ^ self.weights.keys() if not x.startswith(EFFECT_PREFIX)
+        )
+        if unmatched:
+            raise ValueError(f"features and weights differ: {', '.join(unmatched)}")
         odds = sum(self.weights.get(name, 0.0) * value for name, value in features.items())
         return float(1 / (1 + np.exp(-np.clip(odds, -largest_log_odds, largest_log_odds))))
 
@@ -162,8 +174,8 @@ def read_odds(path: Path = FILE) -> dict[str, Odds]:
 
 
 DECISION = read_decision()
-"""Those that ship."""
+"""The numbers of ``decision.json``."""
 ODDS = read_odds()
-"""The curves that ship."""
+"""The curves of ``decision.json``."""
 LOG_PRIOR = float(np.log(DECISION.missing_share / len(FITTED)))
 """Logarithm of the prior odds of each effect."""

@@ -257,7 +257,7 @@ def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator)
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
     if all(joint.before for joint in joints):
         return ledgers
-    large = [DECISION.ripple * joint.noise for joint in joints]
+    large = [DECISION.nuisance_finding_size * joint.noise for joint in joints]
     first_look(ServoSearch(batch, DECISION.false_alarms, rng), ledgers, large)
     return ledgers
 

@@ -109,15 +109,15 @@ class JointFindings:
     def leaves_structure(self) -> bool:
         """Whether the offered servo leaves more than noise and slow wander, fitted or held out.
 
-        ``DECISION.structured`` is the largest squared error, relative to that of noise and wander,
-        which 99 % of joints that miss nothing leave. Set-points that arrive unevenly are exempt:
-        they are drawn anew in each recording, and no model removes their error.
+        ``DECISION.structured_excess`` is the largest squared error, relative to noise and drift,
+        which 99 % of joints that miss nothing leave. Irregular command timing is exempt:
+        it differs in each recording, and no model removes its error.
         """
         if self.finding.link is not None:
             return False
         heldout = self.fit(enriched=True)["heldout"]
         unseen = 0.0 if heldout is None else (heldout / self.floor) ** 2
-        return max(self.finding.excess, unseen) > DECISION.structured
+        return max(self.finding.excess, unseen) > DECISION.structured_excess
 
     def changes(self, effect: str) -> float:
         """Share by which an effect changes the held-out error, see ``Finding.changes``."""

@@ -21,7 +21,7 @@ from sim2real.warp_start import start_warp
 
 start_warp()
 
-MOST_EFFECTS = 31
+MOST_EFFECTS = 62
 """Effects of servos that a simulation can tell apart: bits of the mask of those that are on."""
 
 

@@ -33,7 +33,7 @@ def at_rest(u: wp.float64, kp: wp.float64, p: Row) -> wp.vec4d:
 
 @wp.func
 def measured(
-    state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: int
+    state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: wp.int64
 ) -> wp.float64:
     """What the sensor says at the end of a sub-step."""
     return measured_angle(state[0], state[0], state[1], state[2], time, h, p, z, active)
@@ -44,13 +44,13 @@ def _same_clock(
     row: int,
     other: int,
     theta: wp.array2d(dtype=wp.float64),
-    active: wp.array(dtype=wp.int32),
+    active: wp.array(dtype=wp.int64),
     signal: wp.array(dtype=wp.int32),
     longest: Row,
 ) -> bool:
     """Whether two rows stop at the same events and take the same sub-steps between them."""
-    uneven = (active[row] | active[other]) & wp.static(ARRIVAL_BITS)
-    if signal[row] != signal[other] or longest[row] != longest[other] or uneven != 0:
+    uneven = (active[row] | active[other]) & wp.static(wp.int64(ARRIVAL_BITS))
+    if signal[row] != signal[other] or longest[row] != longest[other] or uneven != wp.int64(0):
         return False
     for k in range(wp.static(len(_CLOCK))):
         if theta[row, wp.static(_CLOCK[k])] != theta[other, wp.static(_CLOCK[k])]:
@@ -70,7 +70,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
     @wp.kernel(enable_backward=False, module="unique")
     def simulate_servos(
         theta: wp.array2d(dtype=wp.float64),
-        active: wp.array(dtype=wp.int32),
+        active: wp.array(dtype=wp.int64),
         memory: wp.array2d(dtype=wp.float64),
         signal: wp.array(dtype=wp.int32),
         order: wp.array(dtype=wp.int32),
@@ -100,8 +100,8 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             z_b = memory[row_b]
             effects = active[row]
             effects_b = active[row_b]
-            others = effects & wp.static(mask)
-            others_b = effects_b & wp.static(mask)
+            others = effects & wp.static(wp.int64(mask))
+            others_b = effects_b & wp.static(wp.int64(mask))
             m = read_motor(p)
             m_b = read_motor(p_b)
             t = times[signal[row]]
@@ -121,7 +121,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             state_b = at_rest(u, kp_b, p_b)
             angle = wp.float64(state[0])
             angle_b = wp.float64(state_b[0])
-            following = (others | others_b) & wp.static(FOLLOWING_BITS)
+            following = (others | others_b) & wp.static(wp.int64(FOLLOWING_BITS))
             start = t[0]
             now = wp.float64(start)
             sample = int(0)
@@ -136,7 +136,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                 arrives = t[samples - 1] + wp.float64(1.0)
                 if arrival < samples:
                     arrives = t[arrival] + latency
-                    if others != 0:
+                    if others != wp.int64(0):
                         number = wp.float64(arrival)
                         since = t[arrival] - start
                         arrives = arrival_time(
@@ -168,7 +168,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                                 state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
                                 effects_b, look,
                             )  # fmt: skip
-                            if following != 0:
+                            if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
                                 angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
                     else:
@@ -178,7 +178,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             state = substep(
                                 state, u, time, h, kp, kd, inertia, m, p, z, effects, look
                             )
-                            if following != 0:
+                            if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
                     now = until
                     tick = False
@@ -192,7 +192,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                         kd_b = zero
                         u = zero
                 elif until == t[sample]:
-                    asked = sample == 0 or following == 0
+                    asked = sample == 0 or following == wp.int64(0)
                     if asked:
                         angle = measured(state, now - start, zero, p, z, others)
                     position[row, sample] = angle

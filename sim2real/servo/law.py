@@ -60,12 +60,12 @@ def _chain(site: str) -> wp.Function:
         h: wp.float64,
         p: Row,
         z: Row,
-        active: int,
+        active: wp.int64,
     ) -> wp.float64:
-        if (active & wp.static(every)) == 0:
+        if (active & wp.static(wp.int64(every))) == wp.int64(0):
             return x
         for k in range(wp.static(len(terms))):
-            if (active & wp.static(bits[k])) != 0:
+            if (active & wp.static(wp.int64(bits[k]))) != wp.int64(0):
                 x = wp.static(terms[k])(
                     x, q, v, torque, time, h, p, wp.static(columns[k]), z, wp.static(cells[k])
                 )
@@ -93,7 +93,7 @@ ARRIVAL_BITS = _at("arrival")[-1]
 
 
 @wp.func
-def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: int) -> wp.float64:
+def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
     """Inertia on the shaft in kg m2: the load's, the rotor's and what effects add."""
     zero = wp.float64(0.0)
     inertia += read_motor(p).rotor
@@ -137,7 +137,7 @@ def substep_of(effects: bool) -> wp.Function:
         m: Motor,
         p: Row,
         z: Row,
-        active: int,
+        active: wp.int64,
         tick: bool,
     ) -> wp.vec4d:
         half = wp.float64(0.5) * h
@@ -152,7 +152,7 @@ def substep_of(effects: bool) -> wp.Function:
         load = pendulum_torque(q, p[4])
         weight = load
         error = u - q
-        others = active & wp.static(mask)
+        others = active & wp.static(wp.int64(mask))
         if others != 0:
             error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
             error = error_seen(error, q, speed, state[2], time, h, p, z, active)
@@ -160,11 +160,11 @@ def substep_of(effects: bool) -> wp.Function:
         after = ((wp.float64(1.0) - damping) * v + impulse * (kp * error + load)) * stiff
         middle = wp.float64(0.5) * (v + after)
         torque = pd_torque(kp, kd, error, middle)
-        if active == 0:
+        if active == wp.int64(0):
             return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
         still = wp.float64(0.0)
         dry = wp.float64(0.0)
-        if (active & wp.static(MOTOR_BIT)) != 0:
+        if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             if kp > still:
                 if tick:
                     z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
@@ -200,7 +200,7 @@ def substep_of(effects: bool) -> wp.Function:
                     else:
                         after += impulse * stiff * (made - torque)
                 torque = made
-            if (active & wp.static(MOTOR_BIT)) != 0:
+            if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
                 dry = gear_friction(speed, torque, weight, m)
             way = speed
             if v == still:
@@ -208,7 +208,7 @@ def substep_of(effects: bool) -> wp.Function:
             dry = friction_bound(dry, q, way, torque, time, h, p, z, active)
         stop = impulse * stiff * dry
         if stop > still:
-            if (active & wp.static(MOTOR_BIT)) != 0 and softness(m) > still:
+            if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0) and softness(m) > still:
                 slowed = after - wp.clamp(after - soft_stop(v, after, h, m), -stop, stop)
                 return wp.vec4d(q + half * slowed, slowed, torque, (slowed - v) * per_h)
             return slide(state, after, stop, half, torque, per_h)

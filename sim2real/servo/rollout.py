@@ -208,22 +208,22 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
-def active_effects(rows: Array) -> NDArray[np.int32]:
+def active_effects(rows: Array) -> NDArray[np.int64]:
     """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,)."""
     motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
-    active: NDArray[np.int32] = np.where(motor, MOTOR_BIT, 0).astype(np.int32)
+    active: NDArray[np.int64] = np.where(motor, MOTOR_BIT, 0).astype(np.int64)
     for k, effect in enumerate(CATALOGUE):
         first = FIRST_COLUMN[effect.name]
         on = rows[:, first : first + len(effect.parameters)].any(axis=1)
-        active |= on.astype(np.int32) << np.int32(k)
+        active |= on.astype(np.int64) << np.int64(k)
     return active
 
 
 def simulate(
-    active: NDArray[np.int32],
+    active: NDArray[np.int64],
     latency: Array,
     theta: Any,  # noqa: ANN401 - Warp has no stubs
-    signal: NDArray[np.int32],
+    signal: NDArray[np.int64],
     signals: Sequence[Any],
     longest: Array,
     out: Any,  # noqa: ANN401
@@ -248,12 +248,13 @@ def simulate(
         order = order[np.lexsort((latency[order], longest[order], signal[order]))]
     effects = bool(np.any(active & ~MOTOR_BIT))
     memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
-    given = [to_warp(x, device) for x in (active, signal, order.astype(np.int32))]
+    mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
+    rows_of = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
     wp.launch(
         KERNELS[effects, pairs],
         dim=1 if pairs else order.size,
         inputs=[
-            theta, given[0], memory, *given[1:], order.size if pairs else 1, *signals,
+            theta, mask, memory, *rows_of, order.size if pairs else 1, *signals,
             to_warp(longest, device),
         ],
         outputs=[out],

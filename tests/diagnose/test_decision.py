@@ -55,10 +55,10 @@ def test_a_number_of_a_group_is_read_and_has_its_type(tmp_path):
 
 def test_a_number_that_is_missing_is_told(tmp_path):
     content = json.loads(FILE.read_text())
-    del content["values"]["structured"]
+    del content["values"]["structured_excess"]
     file = tmp_path / "decision.json"
     file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"values\.structured\.value"):
+    with pytest.raises(InputError, match=r"values\.structured_excess\.value"):
         read_decision(file)
 
 
@@ -66,7 +66,7 @@ def row(**more):
     usual = {
         "case": "a", "set": "own", "kind": "null", "joint": "j1", "truth": [], "outside": False,
         "nuisances": {}, "excess_plain": 1.0, "excess": 1.0, "step": 1.0, "groups": [],
-        "whole": {"one": 1.0, "own": 0.0}, "link": None,
+        "whole": {"intercept": 1.0, "own": 0.0}, "link": None,
     }  # fmt: skip
     return usual | more
 
@@ -82,7 +82,9 @@ def test_a_curve_is_judged_on_plants_left_out(curves):
     """What says nothing gets no weight worth having, and half of all is stated as half."""
     rng = np.random.default_rng(0)
     given = [
-        curves.Sample(f"plant {k % 3}", str(k), {"one": 1.0, "noise": rng.normal()}, bool(k % 2))
+        curves.Sample(
+            f"plant {k % 3}", str(k), {"intercept": 1.0, "noise": rng.normal()}, bool(k % 2)
+        )
         for k in range(400)
     ]
     found = curves.curve(given)
@@ -94,13 +96,13 @@ def test_a_quantile_is_that_of_what_misses_nothing(script):
     rng = np.random.default_rng(0)
     rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
     rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _ = script.values_of(rows)["structured"]
+    value, count, _ = script.values_of(rows)["structured_excess"]
     assert count == 400
     assert value == pytest.approx(1.1, abs=0.003)
 
 
 def test_an_effect_that_a_nuisance_is_counts_as_there(script):
-    group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"one": 1.0}}
+    group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"intercept": 1.0}}
     there = row(groups=[group], nuisances={"cogging": 3.0})
     told = script.samples([there, row(groups=[group])], 0.05)["effect"]
     assert [one.right for one in told] == [True, False]
@@ -116,9 +118,9 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     assert read_decision(target) == read_decision()
     assert read_odds(target) == read_odds()
     script.write([row(case=str(k), excess_plain=1.2) for k in range(60)], dry=False, measures=True)
-    assert read_decision(target).structured == pytest.approx(1.2)
+    assert read_decision(target).structured_excess == pytest.approx(1.2)
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
-    assert report["values"]["structured"]["count"] == 60
+    assert report["values"]["structured_excess"]["count"] == 60
     assert set(report["odds"]) == set(CURVES)
 
 
@@ -126,7 +128,7 @@ def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
     fine = [row(case=str(k), step=1.0) for k in range(60)]
     coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
     found = script.of_sensors(fine + coarse)
-    assert 1.2 < found["coarser"][0] < 2.0
+    assert 1.2 < found["coarse_step_ratio"][0] < 2.0
     assert found["most_certain"][0] == pytest.approx(10 / 11)
 
 
@@ -145,13 +147,13 @@ def test_the_detection_gain_is_that_from_which_most_are_named(script):
 def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
     from benchmarks.decision_sensitivity import alike, sensitivity
 
-    group = {"members": ["backlash"], "features": {"one": 1.0}}
+    group = {"members": ["backlash"], "features": {"intercept": 1.0}}
     named, less = (
         [["backlash"], [[["backlash"], 0.9, 1.0]]],
         [["backlash"], [[["backlash"], 0.4, 1.0]]],
     )
     varied = {"": named, "law_error=0": named, "law_error=0.1": less}
     rows = [row(case=str(k), groups=[group], varied=varied) for k in range(5)]
-    told = sensitivity(rows, {"law_error": 0.03}, {"one": -0.5, "probability": 1.0})
+    told = sensitivity(rows, {"law_error": 0.03}, {"intercept": -0.5, "probability": 1.0})
     assert told["law_error"] == {"value": 0.03, "0": 0, "0.1": 5}
     assert alike("law_error", told).startswith("from 0 to 0.03 at most 0 of 5 joints")

@@ -79,7 +79,7 @@ def _contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BAN
 
 def _straight(of: Explained) -> float:
     """How many times as far as its start a change goes along a straight line."""
-    return DECISION.change.farthest if of.way == "law" else 1.0
+    return DECISION.change.max_extrapolation if of.way == "law" else 1.0
 
 
 @dataclass(frozen=True)
@@ -177,12 +177,17 @@ def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] 
     late = _uneven(of, bank[of.way].known) if likely else None
     if late is not None or (windows is None and not alien):
         return late or one
-    less = {n: (1 - DECISION.nameless) * p for n, p in one.probability.items()}
+    less = {n: (1 - DECISION.uncatalogued_probability) * p for n, p in one.probability.items()}
     groups = tuple(
-        replace(g, probability=(1 - DECISION.nameless) * g.probability) for g in one.groups
+        replace(g, probability=(1 - DECISION.uncatalogued_probability) * g.probability)
+        for g in one.groups
     )
     return replace(
-        one, groups=groups, probability=less, nameless=DECISION.nameless, windows=windows
+        one,
+        groups=groups,
+        probability=less,
+        nameless=DECISION.uncatalogued_probability,
+        windows=windows,
     )
 
 
@@ -246,10 +251,10 @@ def _alone(of: Explained, found: Contrast) -> Change:
     if of.way != "law":
         excess = max(float(found.gone[best] + found.left[best]) - found.scale2, 0.0)
         beyond = max(float(found.left[best]) - found.scale2, 0.0)
-        if beyond > (1 - DECISION.change.explained) * excess and beyond > found.scale2:
-            strange = DECISION.nameless
+        if beyond > (1 - DECISION.change.explained_share) * excess and beyond > found.scale2:
+            strange = DECISION.uncatalogued_probability
     share = np.exp(weight - weight[best])
-    share *= [np.exp(DECISION.change.retuned) if n in BASE else 1.0 for n in found.effects]
+    share *= [np.exp(DECISION.change.retuned_log_odds) if n in BASE else 1.0 for n in found.effects]
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
     group = _group(probability)
@@ -319,7 +324,7 @@ def _two(of: Explained, found: Contrast, by: Directions, *, partners: int = 2) -
     row, left = fits[best]
     whole = energy(of, of.case)
     beyond = max(left - of.scale2, 0.0)
-    strange = beyond > (1 - DECISION.change.explained) * whole and beyond > of.scale2
+    strange = beyond > (1 - DECISION.change.explained_share) * whole and beyond > of.scale2
     if strange or DECISION.change.misfit_ratio * left > float(found.left.min()):
         return None
     probability: dict[str, float] = {}

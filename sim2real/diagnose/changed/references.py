@@ -129,7 +129,7 @@ def _coarser(joint: JointCase, grid: float) -> float:
 
     Of all angles on a finer grid one in so many lies on the coarser one.
     """
-    if joint.step_rad is None or joint.step_rad <= DECISION.coarser * grid:
+    if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0
     levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
     gaps = sum(max(one.size - 1, 0) for one in levels)

@@ -50,7 +50,7 @@ def search(
     if known and all(known):
         return ledgers, problem
     if noise is not None:
-        large = [DECISION.ripple * sd for sd in noise]
+        large = [DECISION.nuisance_finding_size * sd for sd in noise]
         if best is None:
             first_look(problem, ledgers, large)
         before = best or [one.best for one in ledgers]
@@ -79,7 +79,7 @@ def search(
     if noise is not None:
         going = [k for k, one in enumerate(ledgers) if not problem.exhausted(one)]
         again = beside_rivals(
-            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.surely
+            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.decisive_gain
         )
         selection.select(problem, again, BREADTH, exhausted=problem.exhausted)
     problem.release(ledgers)

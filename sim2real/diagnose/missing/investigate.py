@@ -96,7 +96,7 @@ class Finding:
         where set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and self.link.effect == effect:
-            waits = effect == "latency_jitter" and self.link.value < DECISION.turn_s
+            waits = effect == "latency_jitter" and self.link.value < DECISION.controller_wait_s
             return 0.0 if waits else self.uneven
         best = self.best.members
         rich = unseen.get(best)
@@ -127,7 +127,7 @@ def investigate(
     """
     findings = _pass(batch, joints, robots, rng, lambda share: progress(0.7 * share), known)
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
-    again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured]
+    again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
     if again:
         some = [joints[j] for j in again]
         free = Batch(
@@ -227,7 +227,7 @@ def link_data(
     joints: Sequence[JointCase],
     robot: Sequence[int],
     fits: Sequence[Hypothesis],
-    noticed: float = DECISION.surely,
+    noticed: float = DECISION.decisive_gain,
 ) -> LinkData:
     """What fits leave of a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
@@ -299,14 +299,14 @@ def _finding(
     )
     if joint.step_rad is not None:
         groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
-    structured = without.excess > DECISION.structured
+    structured = without.excess > DECISION.structured_excess
     return Finding(
         tried,
         problem,
         after,
         best,
         structured or problem.remains(tried, tried.base),
-        excess_after > DECISION.structured,
+        excess_after > DECISION.structured_excess,
         groups,
         without,
         0.0,
@@ -328,10 +328,10 @@ def _as_seen(best: Hypothesis, group: Group, joint: JointCase) -> Group:
 def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
-        return size_in_noise(best, effect, joint.noise) < DECISION.ripple
+        return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
     theta = best.fit.servos.theta[0]
     if effect == "unmodelled_inertia":
-        small = DECISION.drawing * joint.traces[0].load.inertia_kgm2
+        small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
         return bool(abs(theta[_INERTIA]) < small)
     stated = effect == "torque_saturation" and joint.stall_Nm is not None
-    return stated and theta[_LIMIT] > DECISION.sheet * (joint.stall_Nm or 0.0)
+    return stated and theta[_LIMIT] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)

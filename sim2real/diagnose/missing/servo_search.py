@@ -246,7 +246,9 @@ class ServoSearch:
         What every servo has a little of must explain as much as is never left to chance.
         """
         gain, limit = self.left(ledger, members)
-        return gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.surely
+        return (
+            gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.decisive_gain
+        )
 
     def exhausted(self, ledger: Tried) -> bool:
         """Whether a case that would be searched further has spent its budget; noted down if so.
@@ -265,7 +267,7 @@ class ServoSearch:
         """
         seen, given = self.seen(ledger, members)
         counted = seen.of(np.array([not c.effect.everywhere for c in given]))
-        limit = min(counted.threshold(self.level, self.rng), DECISION.surely)
+        limit = min(counted.threshold(self.level, self.rng), DECISION.decisive_gain)
         return float(counted.gain.max()), limit
 
     def rebased(self, ledgers: Sequence[Tried]) -> list[Tried]:

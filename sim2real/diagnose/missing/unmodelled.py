@@ -61,7 +61,7 @@ def unmodelled(
         plain: The fit of the plain servo, one a joint.
     """
     residuals, excesses = beyond_noise(batch, joints, plain)
-    suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.clean]
+    suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.noise_like_excess]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
     given = [
@@ -146,7 +146,8 @@ def intermittent(
             return {}
     # Each segment must earn as much as is never left to chance, and so must each second of it.
     costs = {
-        j: DECISION.surely * sum(1 + b - a for some in w for a, b in some) for j, w in found.items()
+        j: DECISION.decisive_gain * sum(1 + b - a for some in w for a, b in some)
+        for j, w in found.items()
     }
     return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
 

@@ -264,7 +264,7 @@ def _when(one: JointFindings) -> list[tuple[Window, ...]]:
     rows = measured_only(one.before, traces)
     everywhere = np.concatenate(rows)
     spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
-    sd = max(noise, min(spread, DECISION.structured * noise))
+    sd = max(noise, min(spread, DECISION.structured_excess * noise))
     return [windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True)]
 
 
@@ -279,7 +279,7 @@ def _where(
     telling = smooth.shares[best] > DECISION.report.driving_gain
     words = _WORDS[best] if telling else "the residual depends on no single state"
     shaded = sum(b - a for w in when for a, b in w)
-    if shaded > DECISION.report.throughout * sum(float(t.t[-1] - t.t[0]) for t in traces):
+    if shaded > DECISION.report.throughout_share * sum(float(t.t[-1] - t.t[0]) for t in traces):
         return f"throughout: {words}" if telling else "throughout"
     if intermittent and any(when):
         segments = [
