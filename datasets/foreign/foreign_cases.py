@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import gear_plant
 import mujoco_plant
 import numpy as np
 import own_plant
@@ -59,6 +60,11 @@ CAN = {
         "gravity_load", "unmodelled_inertia", "cogging", "thermal_derating", "supply_droop",
     ),
     "own": tuple(EFFECTS),
+    "gears": (
+        *_COMMON, "coulomb_friction", "backlash", "compliance", "gravity_load",
+        "unmodelled_inertia", "torque_saturation", "quadratic_drag", "deadband",
+        "integral_action", "cogging",
+    ),
 }  # fmt: skip
 """Effects of the catalogue that each plant can have."""
 OUTSIDE = {
@@ -67,7 +73,12 @@ OUTSIDE = {
     "voltage": ("external_push", "vibration", "end_stop", "gain_schedule", "potentiometer",
                 "stuck_sensor", "jam", "brown_out"),
     "own": tuple(OUTSIDERS),
+    "gears": ("external_push", "vibration", "end_stop", "gain_schedule", "potentiometer",
+              "stuck_sensor", "jam"),
 }  # fmt: skip
+
+
+SIMULATORS = {"mujoco": mujoco_plant, "voltage": voltage_plant, "gears": gear_plant}
 
 
 @dataclass
@@ -114,8 +125,7 @@ class ForeignCase:
         for j in which:
             servo, load = servos[j], servos[j].loads[recording]
             if self.plant != "own":
-                plant = mujoco_plant if self.plant == "mujoco" else voltage_plant
-                angle = plant.simulate(servo, load, body[j], grid, *sent[j], windows[j])
+                angle = SIMULATORS[self.plant].simulate(servo, load, body[j], grid, *sent[j], windows[j])
             else:
                 angle = angles[j]
             out[:, j] = seen(take, grid, angle, servo, acting[j], bent=bent)

@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from bench import JOINTS, STEPS_RAD, Sensor, Servo, _draw_loads, _log_uniform
 
-PLANTS = ("mujoco", "voltage", "own")
+PLANTS = ("mujoco", "voltage", "own", "gears")
 BENCHES = (0.5, 0.35, 0.15)
 """Shares of benches of one, two and three servos."""
 MOST_NOISE_LEVELS = 5.0
 LARGEST_NUISANCE_RAD = 6e-3
 RANGE_RAD = 0.8
 """Angles over which a sensor is calibrated."""
+FLAT_SHARE = 0.5
+"""Share of servos of the plant "gears" whose drive is limited in current."""
 SHEET_SPREAD = 0.07
 """Standard deviation of the true stall torque and speed about the stated ones, as logarithms."""
 SLOW_LOOP_HZ = 400.0
@@ -32,11 +34,15 @@ class ForeignServo(Servo):
         loop_Hz: Rate of the controller.
         eccentric: Amplitude in rad, cycles per radian and phase of the sensor's error.
         read_s: How long after the set-point is sent the angle is read.
+        friction_on_output: Whether dry friction acts on the output of the gear train, not its motor.
+        sensor_on_output: Whether the recorded sensor is on the output of the gear train.
     """
 
     loop_Hz: float = 1000.0
     eccentric: tuple[float, float, float] = (0.0, 1.0, 0.0)
     read_s: float = 0.0
+    friction_on_output: bool = False
+    sensor_on_output: bool = False
     calibration: tuple[float, float] = field(init=False, default=(0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -97,8 +103,22 @@ def _draw(plant: str, place: int, rng: np.random.Generator) -> ForeignServo:
         read_s=float(place * rng.uniform(0.2e-3, 1e-3)),
     )
     off = np.exp(SHEET_SPREAD * rng.normal(size=2))
+    if plant == "gears":
+        _draw_gears(servo, rng)
     servo.stated = {
         "max_torque_Nm": float(servo.stall_Nm * off[0]),
         "no_load_speed_rad_s": float(servo.no_load_speed_rad_s * off[1]),
     }
+    if plant == "gears" and rng.random() < FLAT_SHARE:
+        # Limited in current: no line of torque over speed limits the drive.
+        servo.firmware_damping = float(rng.uniform(0.0, 0.6))
+        servo.stated["no_load_speed_rad_s"] = _log_uniform(rng, 3.0, 10.0)
     return servo
+
+
+def _draw_gears(servo: ForeignServo, rng: np.random.Generator) -> None:
+    """Where friction and sensor are, and how much of the inertia is the rotor's."""
+    least = min(load.inertia_kgm2 for load in servo.loads.values())
+    servo.rotor_inertia = float(rng.uniform(0.15, 0.6) * least)
+    servo.friction_on_output = bool(rng.random() < 0.5)
+    servo.sensor_on_output = bool(rng.random() < 0.5)

@@ -1,4 +1,4 @@
-"""Make cases of servos that are simulated in three ways: MuJoCo, by the circuit, and our own.
+"""Make cases of servos of four plants: MuJoCo, by the circuit, a gear train, and our own.
 
 Needs ``pip install mujoco numba``. Run ``python datasets/foreign/make_foreign.py --help``.
 """
@@ -30,16 +30,18 @@ TIER = "T1'"
 Row = dict[str, Any]
 
 
-def plan(counts: Row, rng: np.random.Generator) -> list[tuple[str, str, str]]:
+def plan(
+    counts: Row, rng: np.random.Generator, plants: Sequence[str] = PLANTS
+) -> list[tuple[str, str, str]]:
     """Plant, kind and name of every case, in random order; plants and effects in turn."""
     cases = []
     for kind, count in counts.items():
         names = {}
-        for plant in PLANTS:
+        for plant in plants:
             of = {"single": CAN[plant], "outside": OUTSIDE[plant]}.get(kind, ("",))
             names[plant] = [str(n) for n in rng.permutation(list(of))]
         for k in range(count):
-            plant, turn = PLANTS[k % len(PLANTS)], k // len(PLANTS)
+            plant, turn = plants[k % len(plants)], k // len(plants)
             name, what = names[plant][turn % len(names[plant])], kind
             if kind == "null" and turn % round(1 / TRAP_SHARE) == 0:
                 what, name = "trap", TRAPS[turn // round(1 / TRAP_SHARE) % len(TRAPS)]
@@ -58,7 +60,10 @@ def make(job: tuple[Path, int, int, tuple[str, str, str], bool]) -> Row:
     rest["drawn"] = [plant, kind, name]
     rest["servos"] = [
         {"loop_Hz": s.loop_Hz, "eccentric": s.eccentric, "stall_Nm": s.stall_Nm,
-         "no_load_speed_rad_s": s.no_load_speed_rad_s, "kp": s.kp, "noise_rad": s.noise_rad}
+         "no_load_speed_rad_s": s.no_load_speed_rad_s, "kp": s.kp, "noise_rad": s.noise_rad,
+         "firmware_damping": s.firmware_damping, "stated": s.stated,
+         "rotor_inertia": s.rotor_inertia, "friction_on_output": s.friction_on_output,
+         "sensor_on_output": s.sensor_on_output}
         for s in case.servos
     ]  # fmt: skip
     return {**answer(case, label), **rest, "oracle": consult(case) if oracle else {}}
@@ -87,6 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--processes", type=int, default=1, metavar="N")
     for kind, count in (("null", 210), ("single", 270), ("double", 72), ("outside", 60)):
         parser.add_argument(f"--{kind}", type=int, default=count, metavar="N")
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=PLANTS, metavar="PLANT")
     parser.add_argument("--no-oracle", action="store_true", help="leave out what a knower can tell")
     parser.add_argument("--consult", action="store_true", help="of a set that is there: only that")
     options = parser.parse_args(arguments)
@@ -97,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"{options.out} is not empty")
     seed = secrets.randbits(63) if options.seed is None else options.seed
     counts = {kind: getattr(options, kind) for kind in ("null", "single", "double", "outside")}
-    cases = plan(counts, np.random.default_rng(seed))
+    cases = plan(counts, np.random.default_rng(seed), options.plants)
     jobs = [(options.out, seed, k, case, not options.no_oracle) for k, case in enumerate(cases)]
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
