@@ -13,7 +13,7 @@ from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.ranges/1"
 _ALL_DIGITS = 17
-"""Digits at which two different numbers always read differently."""
+"""Significant digits with which different numbers are always printed differently."""
 
 Period = Literal["episode", "step"]
 
