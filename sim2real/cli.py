@@ -101,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        left = "the same call goes on" if options.resumes else "nothing written"
-        print(f"sim2real {options.command}: interrupted; {left}", file=sys.stderr)
+        outcome = "the same command continues" if options.resumes else "nothing written"
+        print(f"sim2real {options.command}: interrupted; {outcome}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

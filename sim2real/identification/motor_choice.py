@@ -8,7 +8,7 @@ import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, soft_starts
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
@@ -122,7 +122,7 @@ def _fit_continuous(
     chosen = _better(first, full, len(LOSSES), criteria=criteria)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
-    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=softer(full))
+    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=soft_starts(full))
     return _better(
         chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0), criteria=criteria
     )

@@ -195,7 +195,7 @@ def averaged(fits: Sequence[MotorFit]) -> MotorFit:
     return _result(first.problem, x, first.fit.scale_rad, first.inflation, loss)
 
 
-def softer(motor: MotorFit) -> Array:
+def soft_starts(motor: MotorFit) -> Array:
     """Starts as searched (S, F) from a fit, with gradual friction."""
     x = np.tile(motor.x, (len(motor.problem.search.soft_s), 1))
     x[:, [motor.problem.prior.index(name) for name in SOFT]] = motor.problem.search.soft_s

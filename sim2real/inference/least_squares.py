@@ -41,8 +41,8 @@ class Expansion:
 
     def replaced(self, rows: Index, by: Expansion, taken: Mask) -> Expansion:
         """Replace the ``rows`` for which ``taken`` by those of another expansion, in place."""
-        for mine, other in zip(self._arrays(), by._arrays(), strict=True):
-            mine[rows[taken]] = other[taken]
+        for target, source in zip(self._arrays(), by._arrays(), strict=True):
+            target[rows[taken]] = source[taken]
         return self
 
     def _arrays(self) -> list[Array]:

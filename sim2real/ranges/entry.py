@@ -144,7 +144,7 @@ def read_ranges(path: str | os.PathLike[str]) -> Ranges:
     """Read ``ranges.json``.
 
     Raises:
-        InputError: If the file or one of its fields is not as the format says.
+        InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
     notes = top.content.get("notes", [])

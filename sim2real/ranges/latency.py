@@ -272,11 +272,11 @@ def latencies(
     group = np.array([conditions.index(condition) for condition in conditions])
     models = [model.joints[joint] for _, _, joint, _ in episodes]
     value, sd = episode_latencies([x for *_, x in episodes], models, group, settings=settings)
-    sure = sd < settings.largest_sd_s
-    if not sure.any():
+    precise = sd < settings.largest_sd_s
+    if not precise.any():
         return None
-    kept = [(n, j) for (_, n, j, _), good in zip(episodes, sure, strict=True) if good]
-    return _combined(kept, value[sure], sd[sure], windows, int(np.sum(~sure)), settings=settings)
+    kept = [(n, j) for (_, n, j, _), good in zip(episodes, precise, strict=True) if good]
+    return _combined(kept, value[precise], sd[precise], windows, int(np.sum(~precise)), settings=settings)
 
 
 def _windows(name: str, whole: Trace, *, settings: LatencySettings) -> list[tuple[str, Trace]]:

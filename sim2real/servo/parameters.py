@@ -107,8 +107,8 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     for name, value in joint.motor.items():
         column = f"motor.{name}"
         if column not in MOTOR:
-            known = ", ".join(column.removeprefix("motor.") for column in MOTOR)
-            raise InputError(where, "motor", repr(name), f"one of {known}")
+            valid = ", ".join(column.removeprefix("motor.") for column in MOTOR)
+            raise InputError(where, "motor", repr(name), f"one of {valid}")
         row[COLUMNS.index(column)] = value
     for fitted in joint.effects:
         _fill(row, fitted, where)
