@@ -71,8 +71,7 @@ class BodyEffect:
         title: Description before a colon and its size, without direction if the size may have
             either sign.
         parameters: Its parameters, all 0 where it is absent.
-        act: Function that adds the effect to the forces, for parameters and a material (or an empty
-            string).
+        act: Adds the effect to the forces, from parameters and a material (empty for all).
         by_material: Whether each material has separate parameters.
         order: Position in lists.
     """
@@ -99,8 +98,7 @@ class CameraEffect:
         title: Description before a colon and its size, without direction if the size may have
             either sign.
         parameters: Its parameters, all 0 where it is absent.
-        see: Function from evenly spaced times in s (T,), true poses (T, 3) and parameters to
-            measured poses.
+        see: Measured poses from even times in s (T,), true poses (T, 3) and parameters.
         order: Position in the sequence of effects on the poses.
     """
 

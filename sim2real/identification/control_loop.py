@@ -248,9 +248,8 @@ def _starts(
 def _equivalent_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
     """Gains kp, kd with a loop that are equivalent to those of the fit without.
 
-    With measurements delayed by half a period P, the torque is kp (e + v P / 2) - (kd - b)
-    (v - a P / 2) - b v: the first term reduces the damping; the second, with the damping b by the
-    back-EMF, increases the inertia.
+    A delay of half a period P makes the torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b
+    from the back-EMF: less damping by the first term, more inertia by the second.
     """
     row, half = motor.fit.row, 0.5 * period_s
     kp, kd = (float(x) for x in row[[_KP, _KD]])

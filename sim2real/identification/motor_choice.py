@@ -28,11 +28,9 @@ class MotorCriteria:
 
     Attributes:
         min_gain: Smallest decrease of the loss beyond chance.
-        loop_parameters: Effective number of parameters of a sampled loop, which is the best of a
-            thousand periods and phases.
+        loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
         white: Lag-1 autocorrelation below which a residual counts as white.
-        loop_error_before: Largest residual without a loop for which one is searched, in standard
-            deviations of the noise.
+        loop_error_before: Largest residual over noise without a loop for which one is searched.
         loop_error_after: Largest residual with a loop, likewise.
     """
 

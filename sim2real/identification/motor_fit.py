@@ -283,9 +283,8 @@ def _search(
         weighted = slopes * weight[:, None]
         loss = 0.5 * _loss(problem, servo[None], error[None], scale, inflation)
         slope = weighted.T @ error + prior_slopes.T @ prior
-        return Expansion(
-            loss, slope[None], (slopes.T @ weighted + prior_slopes.T @ prior_slopes)[None], {}
-        )
+        curvature = slopes.T @ weighted + prior_slopes.T @ prior_slopes
+        return Expansion(loss, slope[None], curvature[None], {})
 
     minimum = minimise(
         expand,

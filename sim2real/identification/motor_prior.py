@@ -41,8 +41,7 @@ class PriorSettings:
     Attributes:
         sheet_sd: Standard deviations of the logarithms of stall torque and no-load speed about the
             data sheet's.
-        unknown_sd: Standard deviation of the logarithm of the stall torque per unit of an unknown
-            inertia.
+        unknown_sd: Standard deviation of the logarithm of stall torque per unknown inertia.
         motor_time_s: Time constant of small geared motors, rotor inertia times no-load speed over
             stall torque.
         motor_time_sd: Standard deviation of its logarithm.

@@ -41,8 +41,7 @@ class JointSample:
 def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator) -> JointSample:
     """Draws of all joints, in random order and as many as the shortest chain has, 4000 at most.
 
-    Posteriors of joints are independent, so that draws of different joints can be combined in any
-    order; correlations within a joint are preserved.
+    Posteriors of joints are independent; correlations within a joint are preserved.
     """
     count = min([MOST_DRAWS, *(servo.values.shape[0] for servo in servos.values())])
     columns = [

@@ -272,11 +272,11 @@ def latencies(
     group = np.array([conditions.index(condition) for condition in conditions])
     models = [model.joints[joint] for _, _, joint, _ in episodes]
     value, sd = episode_latencies([x for *_, x in episodes], models, group, settings=settings)
-    precise = sd < settings.largest_sd_s
-    if not precise.any():
+    used = sd < settings.largest_sd_s
+    if not used.any():
         return None
-    kept = [(n, j) for (_, n, j, _), good in zip(episodes, precise, strict=True) if good]
-    return _combined(kept, value[precise], sd[precise], windows, int(np.sum(~precise)), settings=settings)
+    kept = [(n, j) for (_, n, j, _), good in zip(episodes, used, strict=True) if good]
+    return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)), settings=settings)
 
 
 def _windows(name: str, whole: Trace, *, settings: LatencySettings) -> list[tuple[str, Trace]]:

@@ -190,8 +190,7 @@ class SetPoints:
 
     Attributes:
         first: Number of samples from a set-point to the first that it can affect.
-        late: Simulated minus measured angle per second of delay of a set-point, in rad/s, shape
-            (K, W).
+        late: Simulated minus measured angle per delay of a set-point in rad/s, shape (K, W).
         missing: Simulated minus measured angle per rad by which the set-point in force, until the
             next one, is below the one sent, shape (K, W).
         change: Set-points minus the previous ones in rad, shape (K,).
