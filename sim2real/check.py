@@ -92,8 +92,8 @@ def check(
         findings.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and not recording.has_poses:
         findings.append("The body was not tracked: body and fluid cannot be calibrated.")
-    every = range(len(recording.joints))
-    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in every)
+    index = range(len(recording.joints))
+    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index)
     return Check(
         recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
     )

@@ -91,8 +91,8 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
 def _listed(columns: list[str]) -> str:
     """The first columns of a header, shortened for a message."""
     named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
-    more = len(columns) - len(named)
-    return ", ".join(named) + (f" and {more} more" if more else "")
+    omitted = len(columns) - len(named)
+    return ", ".join(named) + (f" and {omitted} more" if omitted else "")
 
 
 def _time_column(name: str, columns: list[str]) -> str | None:

@@ -33,11 +33,11 @@ def quantization_step(
         The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
     """
     levels, visits = np.unique(np.round(position[np.isfinite(position)], 9), return_counts=True)
-    apart = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
-    if not apart.any():
+    distinct = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
+    if not distinct.any():
         return 0.0
-    visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, apart]))
-    levels = levels[np.r_[True, apart]]
+    visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, distinct]))
+    levels = levels[np.r_[True, distinct]]
     gaps, printed = np.diff(levels), _printed_step(levels)
     repeated = int(np.sum(visits > 1)) >= max(2, levels.size / 2)
     candidates = 20

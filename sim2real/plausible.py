@@ -101,9 +101,9 @@ def validate_commands(
         if joint is None or not joint.states("limits_rad") or not np.isfinite(command).any():
             continue
         low, high = joint.limits_rad
-        away = np.abs(command - (low + high) / 2)
-        row = int(np.nanargmax(away))
-        if away[row] > limits.range_ratio * (high - low) / 2:
+        distance = np.abs(command - (low + high) / 2)
+        row = int(np.nanargmax(distance))
+        if distance[row] > limits.range_ratio * (high - low) / 2:
             raise InputError(
                 recording.file,
                 f"{name}.command_rad at {recording.t[row]:.4g} s",
@@ -187,8 +187,8 @@ def _check_torque(
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
     if middle.size < limits.fewest_samples:
         return
-    before, now, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
-    acceleration = np.abs(after - 2 * now + before) / window**2
+    before, mid, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
+    acceleration = np.abs(after - 2 * mid + before) / window**2
     usual = float(np.quantile(acceleration, limits.quantile)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
     if torque <= limits.torque_ratio * stated:

@@ -82,8 +82,8 @@ def fit_sampled_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Mo
     rates = _rates(sent + delay, spread, search=search)
     coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread, search=search) for hz in rates])
     loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
-    near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    fit = refitted(motor, near, search.first_steps)[0]
+    starts = coarse[np.arange(rates.size), loss.argmin(axis=1)]
+    fit = refitted(motor, starts, search.first_steps)[0]
     for _ in range(search.rounds):
         candidates = np.concatenate([fit.x[None], _with_other_phases(fit, search=search)])
         fit = refitted(fit, candidates[np.argsort(fit.rough_losses(candidates))[: search.best]])[0]

@@ -135,9 +135,9 @@ def fit(
     step = np.full(len(free), difference)
 
     def rows(x: Array) -> Array:
-        every = np.tile(row, (len(x), 1))
-        every[:, columns] = x * unit
-        return every
+        filled = np.tile(row, (len(x), 1))
+        filled[:, columns] = x * unit
+        return filled
 
     def simulate(points: Array, substep_s: float) -> Array:
         return np.concatenate(errors(simulator, rows(points), substep_s), axis=1)

@@ -80,10 +80,10 @@ def first_guess(
         best = np.argsort(error)[: search.elite]
         points, error = points[best], error[best]
         around = np.repeat(points, search.candidates // (4 * search.elite), axis=0)
-        near = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
+        drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
         points, error = (
-            np.vstack([points, near]),
-            np.append(error, _errors(near, trace, search=search)),
+            np.vstack([points, drawn]),
+            np.append(error, _errors(drawn, trace, search=search)),
         )
     order = np.argsort(error)
     equal = order[error[order] < search.rival_error * error[order[0]]]
@@ -92,7 +92,7 @@ def first_guess(
         distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
         if distance > search.rival_distance and len(chosen) <= search.most_rivals:
             chosen.append(candidate)
-    rows = np.array([plain_row(*one) for one in servos_at(points[chosen], trace.load.inertia_kgm2)])
+    rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
     return rows[0], rows[1:]
 
 

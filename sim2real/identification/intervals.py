@@ -41,14 +41,14 @@ def intervals(
         largest_symmetric: Half-width in natural units above which symmetric ends are not used.
     """
     equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
-    wide = {k for direction in spread.open_directions for k in direction}
+    undetermined = {k for direction in spread.open_directions for k in direction}
     result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
     for k, p in enumerate(best.parameters):
         value, half = float(best.values[k]), float(spread.half_width[k])
         ends = (max(value - half, p.low), min(value + half, p.high))
         values = [float(rival.row[COLUMNS.index(p.name)]) for rival in (best, *equal)]
         elsewhere = any(abs(other - value) > half for other in values)
-        if k in wide or elsewhere or half > largest_symmetric * units[k]:
+        if k in undetermined or elsewhere or half > largest_symmetric * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
                 _profiled(best, k, -first, p.low, fitted, spread.inflation),
@@ -63,11 +63,11 @@ def symmetric_intervals(
     best: Fit, spread: Uncertainty, units: Array
 ) -> dict[str, tuple[float, float]]:
     """90 % intervals from the covariance, with infinite upper ends in open directions."""
-    wide = {k for direction in spread.open_directions for k in direction}
+    undetermined = {k for direction in spread.open_directions for k in direction}
     result = {}
     for k, (p, value) in enumerate(zip(best.parameters, best.values, strict=True)):
         half = float(spread.half_width[k])
-        unbounded = k in wide or half > units[k]
+        unbounded = k in undetermined or half > units[k]
         ends = (p.low, np.inf) if unbounded else (float(value) - half, float(value) + half)
         result[p.name] = (max(ends[0], p.low), ends[1])
     return result
@@ -107,20 +107,20 @@ def _profiled(
     proportional gain is moved by factors, the others by differences.
     """
     value, name = float(best.values[k]), best.names[k]
-    held = best.row.copy()
+    row = best.row.copy()
 
     def moved(step: float) -> float:
         trial = value * float(np.exp(step / value)) if name == COLUMNS[0] else value + step
         return min(trial, limit) if first > 0 else max(trial, limit)
 
     def accounts(trial: float) -> bool:
-        held[COLUMNS.index(name)] = trial
-        scaled = {p.name: p for p in gains(held, best.inertia)}
+        row[COLUMNS.index(name)] = trial
+        scaled = {p.name: p for p in gains(row, best.inertia)}
         others = [scaled.get(p.name, p) for p in best.parameters if p.name != name]
-        other = fit(fitted, held, others, rounds=1, evaluations=8)
-        if _excess(other, best, inflation) > _CHI2_90:
+        profile = fit(fitted, row, others, rounds=1, evaluations=8)
+        if _excess(profile, best, inflation) > _CHI2_90:
             return False
-        held[:] = other.row
+        row[:] = profile.row
         return True
 
     inside, outside = 0.0, first

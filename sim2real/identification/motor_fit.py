@@ -85,8 +85,8 @@ class MotorFit:
         """Which of the free parameters lie more than two prior standard deviations off, (F,)."""
         parameters = [self.problem.prior.parameters[k] for k in self.problem.free]
         middle = np.array([b.middle for b in parameters])
-        away = np.abs(self.x[list(self.problem.free)] - middle)
-        return np.asarray(away > 2 * self.prior_sd)
+        deviation = np.abs(self.x[list(self.problem.free)] - middle)
+        return np.asarray(deviation > 2 * self.prior_sd)
 
     def losses(self, x: Array) -> Array:
         """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,)."""
@@ -147,8 +147,8 @@ def fit_motor(
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
-        near = replace(problem, traces=[window], simulator=Simulator([window]))
-        size = np.mean(np.abs(near.residuals(x)), axis=1)
+        windowed = replace(problem, traces=[window], simulator=Simulator([window]))
+        size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
         x = x[np.argsort(size)[: search.starts]]
     error = problem.residuals(x)

@@ -60,10 +60,10 @@ class Servos:
 
     def wide(self, width: int) -> Servos:
         """Add or remove places for free parameters at the end, to ``width`` places."""
-        columns, unit = _wide(self.columns, width), _wide(self.unit, width)
+        columns, unit = _resized(self.columns, width), _resized(self.unit, width)
         columns[:, self.columns.shape[1] :] = -1
         unit[:, self.columns.shape[1] :] = 1.0
-        low, high = _wide(self.low, width), _wide(self.high, width)
+        low, high = _resized(self.low, width), _resized(self.high, width)
         return Servos(self.joint, self.theta, columns, unit, low, high)
 
     @property
@@ -87,11 +87,11 @@ class Servos:
         return replace(self, theta=theta)
 
 
-def _wide(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
+def _resized(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
     """Pad with zeros, or truncate, to ``width`` places along some axes."""
     for axis in axes:
-        more = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
-        values = np.pad(values, more).take(np.arange(width), axis)
+        widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
+        values = np.pad(values, widths).take(np.arange(width), axis)
     return values
 
 
@@ -196,7 +196,7 @@ class Fits:
 
     def wide(self, width: int) -> Fits:
         """Change the number of places for free parameters, see ``Servos.wide``."""
-        gram = _wide(self.gram, 1 + width, (2, 3))
+        gram = _resized(self.gram, 1 + width, (2, 3))
         return Fits(self.servos.wide(width), gram, self.count, self.autoregression)
 
 

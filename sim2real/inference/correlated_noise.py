@@ -96,11 +96,11 @@ def autoregression(products: Array, least_gain: float = 0.0) -> Array:
     Returns:
         Shape (N, p).
     """
-    past, now = products[:, 1:, 1:].copy(), products[:, 1:, 0]
+    past, present = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     size = np.einsum("nii->n", past) / past.shape[1]
     past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
     free, ones = np.moveaxis(
-        np.linalg.solve(past, np.stack([now, np.ones_like(now)], axis=2)), 2, 0
+        np.linalg.solve(past, np.stack([present, np.ones_like(present)], axis=2)), 2, 0
     )
     excess = np.maximum(free.sum(axis=1) - (1 - least_gain), 0.0)
     return np.ascontiguousarray(free - (excess / ones.sum(axis=1))[:, None] * ones)

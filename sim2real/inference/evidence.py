@@ -50,5 +50,5 @@ def student(score2: ArrayLike, references: float) -> Array:
         score2: Squared scores, of any shape.
         references: Number of unchanged recordings that the scores are relative to.
     """
-    more = 0.5 * (references + 1) * np.log1p(np.asarray(score2) / references)
-    return np.asarray(more - 0.5 * np.log1p(score2))
+    gain = 0.5 * (references + 1) * np.log1p(np.asarray(score2) / references)
+    return np.asarray(gain - 0.5 * np.log1p(score2))

@@ -102,13 +102,13 @@ def run_chain(
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
     blocks = [chain.coordinates], [chain.log_density]
     accepted = chain.accepted.copy()
-    made = chain.steps
-    if made:
+    completed = chain.steps
+    if completed:
         state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
     else:
         state = State(chain.origin["start"], random_state=chain.random)
-    while made < steps:
-        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * made)), steps - made)
+    while completed < steps:
+        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * completed)), steps - completed)
         coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
         before = state.coords.copy()
         for k, new in enumerate(sampler.sample(state, iterations=block, store=False)):
@@ -116,7 +116,7 @@ def run_chain(
             accepted += np.any(new.coords != before, axis=1)
             before = new.coords.copy()
             state = new
-        made += block
+        completed += block
         blocks[0].append(coordinates)
         blocks[1].append(log_posterior)
         chain = Chain(
@@ -129,7 +129,7 @@ def run_chain(
         )
         if file is not None:
             write_chain(chain, file)
-        progress(made)
+        progress(completed)
     return chain
 
 

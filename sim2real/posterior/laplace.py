@@ -158,6 +158,6 @@ def _differences(
     ahead, back, corner = value[1 : F + 1], value[F + 1 : 2 * F + 1], value[2 * F + 1 :]
     curvature = np.diag(2 * value[0] - ahead - back) / h**2
     for k, (i, j) in enumerate(pairs):
-        across = corner[4 * k] - corner[4 * k + 1] - corner[4 * k + 2] + corner[4 * k + 3]
-        curvature[i, j] = curvature[j, i] = -across / (4 * h**2)
+        cross = corner[4 * k] - corner[4 * k + 1] - corner[4 * k + 2] + corner[4 * k + 3]
+        curvature[i, j] = curvature[j, i] = -cross / (4 * h**2)
     return (ahead - back) / (2 * h), curvature

@@ -105,10 +105,10 @@ def _with_gains(
     """Latencies fitted with fixed gains (N, 2), and the curvature by all three parameters."""
     x = start.servos.values()
     x[:, :2] = gains / servos.unit[:, :2]
-    held = servos.at(x)
+    fixed = servos.at(x)
     latency_only = Servos(
-        held.joint, held.theta, held.columns[:, 2:], held.unit[:, 2:], held.low[:, 2:],
-        held.high[:, 2:],
+        fixed.joint, fixed.theta, fixed.columns[:, 2:], fixed.unit[:, 2:], fixed.low[:, 2:],
+        fixed.high[:, 2:],
     )  # fmt: skip
     latency_fits = minimise(batch, latency_only, iterations=settings.iterations)
     x[:, 2] = latency_fits.servos.values()[:, 0]
@@ -127,9 +127,9 @@ def _weights(fits: Fits, lags: int) -> tuple[Array, Array]:
 def _eliminated(weights: tuple[Array, Array]) -> tuple[Array, Array]:
     """Gradient (N, 2) and curvature (N, 2, 2) by the gains, with latencies eliminated."""
     slope, curvature = weights
-    across = curvature[:, :2, 2] / curvature[:, 2, 2][:, None]
-    inner = curvature[:, :2, :2] - across[:, :, None] * curvature[:, None, 2, :2]
-    return slope[:, :2] - across * slope[:, 2:], inner
+    cross = curvature[:, :2, 2] / curvature[:, 2, 2][:, None]
+    inner = curvature[:, :2, :2] - cross[:, :, None] * curvature[:, None, 2, :2]
+    return slope[:, :2] - cross * slope[:, 2:], inner
 
 
 def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -> Array:

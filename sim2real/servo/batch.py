@@ -107,27 +107,27 @@ class Batch:
         white: bool = False,
         period: float | None = None,
     ) -> None:
-        every = [trace for traces in joints for trace in traces]
-        longest = max(trace.t.size for trace in every)
+        all_traces = [trace for traces in joints for trace in traces]
+        longest = max(trace.t.size for trace in all_traces)
         if period is None:
-            period = float(np.median(np.concatenate([np.diff(x.t) for x in every[:64]])))
+            period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
         self.device, self.threads, self.period = device, threads, period
         self.least_gain = WANDER.least_gain(period) if bounded else 0.0
         self.lags, self.white = lags(period), white
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
-        self.length = np.array([trace.t.size for trace in every], dtype=np.int32)
-        self.load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in every])
-        t, command, position = (np.zeros((len(every), longest)) for _ in range(3))
-        counts = np.zeros((len(every), longest), dtype=np.int32)
-        for s, trace in enumerate(every):
+        self.length = np.array([trace.t.size for trace in all_traces], dtype=np.int32)
+        self.load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in all_traces])
+        t, command, position = (np.zeros((len(all_traces), longest)) for _ in range(3))
+        counts = np.zeros((len(all_traces), longest), dtype=np.int32)
+        for s, trace in enumerate(all_traces):
             part = np.s_[s, : trace.t.size]
             t[part], command[part] = trace.t, trace.command
             position[part] = np.where(trace.used, trace.position, np.nan)
             counts[part] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
-        self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in every])
+        self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in all_traces])
         self._signals = [to_warp(x, device) for x in (t, command, self.length)]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
@@ -181,8 +181,8 @@ class Batch:
                 results = list(pool.map(evaluate_part, parts))
         else:
             results = [evaluate_part(part) for part in parts]
-        gram, square, model, *kept = (np.concatenate(x) for x in zip(*results, strict=True))
-        return Normal(gram, square, self.count(problems.joint), model, *kept)
+        gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
+        return Normal(gram, square, self.count(problems.joint), model, *extras)
 
     def _evaluate(
         self,
@@ -251,7 +251,7 @@ class Batch:
         wp.launch(
             whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
         )
-        kept = [self._fetch(angle, first, count, recordings)] if keep else []
+        extras = [self._fetch(angle, first, count, recordings)] if keep else []
         layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
         noise_model = coefficients
         if noise_model is None:
@@ -278,7 +278,7 @@ class Batch:
             device=dev,
         )
         if keep:
-            kept.append(self._fetch(angle, first, count, recordings))
+            extras.append(self._fetch(angle, first, count, recordings))
         packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
         wp.launch(
             whitening.gram,
@@ -287,7 +287,7 @@ class Batch:
             outputs=[packed],
             device=dev,
         )
-        return (*_unpacked(_values(packed), size[1], count, order), noise_model, *kept)
+        return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
 
     def _fetch(self, angle: Any, first: Whole, count: Whole, recordings: Whole) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""

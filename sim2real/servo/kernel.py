@@ -123,7 +123,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             angle_b = wp.float64(state_b[0])
             following = (others | others_b) & wp.static(FOLLOWING_BITS)
             start = t[0]
-            now = wp.float64(start)
+            clock = wp.float64(start)
             sample = int(0)
             arrival = int(0)
             period = m.period
@@ -147,19 +147,19 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             continue
                 until = wp.min(t[sample], arrives)
                 if period > zero:
-                    if now >= next_tick:
+                    if clock >= next_tick:
                         tick = True
                         ticks += wp.float64(1.0)
                         next_tick = start + m.phase + ticks * period
                     until = wp.min(until, next_tick)
-                if until > now:
-                    h = until - now
+                if until > clock:
+                    h = until - clock
                     count = int(wp.ceil(h * per_longest))
                     if count > 1:
                         h = h / wp.float64(count)
                     if paired:
                         for k in range(count):
-                            time = now - start + wp.float64(k) * h
+                            time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
                                 state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
@@ -173,14 +173,14 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                                 angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
                     else:
                         for k in range(count):
-                            time = now - start + wp.float64(k) * h
+                            time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
                                 state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
                             )
                             if following != 0:
                                 angle = measured(state, time, h, p, z, effects)
-                    now = until
+                    clock = until
                     tick = False
                 if arrives <= until:
                     u = sent[arrival]
@@ -194,11 +194,11 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                 elif until == t[sample]:
                     at_sample = sample == 0 or following == 0
                     if at_sample:
-                        angle = measured(state, now - start, zero, p, z, others)
+                        angle = measured(state, clock - start, zero, p, z, others)
                     position[row, sample] = angle
                     if paired:
                         if at_sample:
-                            angle_b = measured(state_b, now - start, zero, p_b, z_b, others_b)
+                            angle_b = measured(state_b, clock - start, zero, p_b, z_b, others_b)
                         position[row_b, sample] = angle_b
                     sample += 1
 
@@ -229,7 +229,7 @@ def solve_servos(
     kd = wp.float64(p[1])
     u = wp.float64(sent[0])
     state = wp.vec4d(u, zero, zero, zero)
-    now = wp.float64(t[0])
+    clock = wp.float64(t[0])
     sample = int(0)
     arrival = int(1)
     while sample < samples:
@@ -241,9 +241,9 @@ def solve_servos(
         if arrival < samples and t[arrival] + p[2] <= until:
             until = t[arrival] + p[2]
             arrived = int(1)
-        if until > now:
-            state = exact_motion(state, u, until - now, kp, kd, p[3])
-            now = until
+        if until > clock:
+            state = exact_motion(state, u, until - clock, kp, kd, p[3])
+            clock = until
         if arrived == 1:
             u = sent[arrival]
             arrival += 1

@@ -189,8 +189,8 @@ def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor)
     if m.slow_of_motor + m.slow_of_load > wp.float64(0.0):
         slow = v * m.per_slow
         if slow * slow < _NO_EXPONENT:
-            more = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
-            bound += decay(slow * slow) * more
+            stribeck = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
+            bound += decay(slow * slow) * stribeck
     return bound
 
 
