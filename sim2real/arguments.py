@@ -1,4 +1,4 @@
-"""Arguments of Python calls, checked before any work: a mistake is an InputError, in one line."""
+"""Checks of the arguments of Python calls; an invalid one raises an InputError of one line."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from sim2real.structured import nearest, shown
 
 
 def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
-    """Make sure that ``value`` is one of ``choices``.
+    """Check that ``value`` is one of ``choices``.
 
     Args:
         call: The function that was called, for the message.
         argument: The argument's name.
-        value: What was given.
-        choices: What may be given.
+        value: Its value.
+        choices: Valid values.
 
     Raises:
-        InputError: If it is none of them; the message names the choice that is most like it.
+        InputError: If it is none of them; the message names the most similar choice.
     """
     names = list(choices)
     if isinstance(value, str) and value in names:
@@ -30,10 +30,10 @@ def check_choice(call: str, argument: str, value: object, choices: Iterable[str]
 
 
 def check_whole(call: str, argument: str, value: object, least: int = 0) -> None:
-    """Make sure that ``value`` is a whole number of at least ``least``, as a seed is.
+    """Check that ``value``, such as a seed, is a whole number of at least ``least``.
 
     Raises:
-        InputError: If it is none.
+        InputError: If it is not.
     """
     whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
     if not whole:
@@ -41,10 +41,10 @@ def check_whole(call: str, argument: str, value: object, least: int = 0) -> None
 
 
 def names_of(call: str, argument: str, value: str | Sequence[str]) -> list[str]:
-    """Names in their order, each once; a lone string is a list of one.
+    """A list of names without duplicates, from a list or a single name.
 
     Raises:
-        InputError: If an entry is no string.
+        InputError: If an entry is not a string.
     """
     listed = [value] if isinstance(value, str) else list(value)
     for entry in listed:

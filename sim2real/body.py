@@ -27,8 +27,8 @@ def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEf
     for effect in every:
         if effect.name == name:
             return effect
-    known = ", ".join(effect.name for effect in every)
-    raise InputError(where, "effects", repr(name), f"one of {known}")
+    names = ", ".join(effect.name for effect in every)
+    raise InputError(where, "effects", repr(name), f"one of {names}")
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:
@@ -43,14 +43,14 @@ def values(model: Model, where: str = "model") -> dict[str, float]:
     listed: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
     for entry in listed:
         effect = body_effect(str(entry.get("effect")), where)
-        known = {parameter.name for parameter in effect.parameters}
+        names = {parameter.name for parameter in effect.parameters}
         prefix = effect.name
         if effect.by_material:
             prefix += f".{entry.get('component', '')}"
         for name, value in dict(entry.get("parameters", {})).items():
             field = f"body.effects {effect.name}.{name}"
-            if name not in known:
-                raise InputError(where, field, "no such parameter", " or ".join(sorted(known)))
+            if name not in names:
+                raise InputError(where, field, "no such parameter", " or ".join(sorted(names)))
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(where, field, repr(value), "a number")
             out[f"{prefix}.{name}"] = float(value)

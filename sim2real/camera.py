@@ -25,7 +25,7 @@ def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
     """
     out = np.array(pose, dtype=np.float64)
     for effect in CAMERA:
-        given = {p.name: parameters.get(f"{effect.name}.{p.name}", 0.0) for p in effect.parameters}
-        if any(given.values()):
-            out = effect.see(t, out, given)
+        values = {p.name: parameters.get(f"{effect.name}.{p.name}", 0.0) for p in effect.parameters}
+        if any(values.values()):
+            out = effect.see(t, out, values)
     return out

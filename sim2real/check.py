@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim2real.clock import Timing, clock_findings, timing
 from sim2real.display import NotebookDisplay
-from sim2real.findings import Seen, joint_findings, moves
+from sim2real.findings import PoweredJoint, joint_findings, moves
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
@@ -92,8 +92,8 @@ def check(
         findings.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and not recording.has_poses:
         findings.append("The body was not tracked: body and fluid cannot be calibrated.")
-    every = range(len(recording.joints))
-    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in every)
+    index = range(len(recording.joints))
+    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index)
     return Check(
         recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
     )
@@ -155,7 +155,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     noise = noise_floor(recording.t, recording.command[:, j], position)
     findings: tuple[str, ...] = ()
     if powered > 1:
-        seen = Seen(
+        powered_joint = PoweredJoint(
             joint=name,
             t=recording.t[:powered],
             command=command,
@@ -167,7 +167,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
             load=load,
             sheet=robot.joint(name) if robot else None,
         )
-        findings = tuple(joint_findings(seen))
+        findings = tuple(joint_findings(powered_joint))
     return JointCheck(
         joint=name,
         range_rad=_range(position),

@@ -1,7 +1,7 @@
-"""The command line: which commands there are, where they live, and how they leave.
+"""The command line: its commands, their modules and exit codes.
 
-What a command takes stands in an ``options`` file beside its code, which is imported only when that
-command is called; its code only when it runs. So help is instant.
+The options of a command are defined in a module that is imported only when that command is called,
+and its code only when it runs, so that help is printed without delay.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ COMMANDS = {
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
     "completion": (_SERVOS, "print a shell completion script"),
 }
-"""Each command's options and what it does in a line, in the order in which help lists them."""
+"""Module of the options and summary of each command, in the order of the help."""
 
 _SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
 """Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
-linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
+linear algebra library would busy-wait for work and slow down the rollouts."""
 
 
 def _natural(text: str) -> int:
-    """A whole number that is not negative, as a seed is."""
+    """A non-negative whole number, such as a seed."""
     if not text.strip().isdecimal():
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number of at least 0")
     return int(text)
@@ -82,10 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Returns:
-        0 if it is done, 2 if its input is at fault (said in one line), 1 for anything else.
+        0 on success, 2 for invalid input (with a message of one line), 1 for any other error.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser(only=given[:1]).parse_args(given)
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser(only=argv[:1]).parse_args(argv)
     if options.command in _SMALL_MATRICES:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
     try:
@@ -101,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        left = "the same call goes on" if options.resumes else "nothing written"
-        print(f"sim2real {options.command}: interrupted; {left}", file=sys.stderr)
+        outcome = "the same command continues" if options.resumes else "nothing written"
+        print(f"sim2real {options.command}: interrupted; {outcome}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """The parser; the options of all commands, or of these only."""
+    """The parser, with the options of all commands or only of those given."""
     whole = argparse.ArgumentParser(
         prog="sim2real",
         description="Identify servos, diagnose missing physics, generate randomization ranges.",
@@ -119,25 +119,25 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action=_Version, help="print the version and exit")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (home, said) in COMMANDS.items():
-        wanted = only is None or name in only
-        one = find(name, home) if wanted else None
+    for name, (home, summary) in COMMANDS.items():
+        selected = only is None or name in only
+        definition = find(name, home) if selected else None
         command = commands.add_parser(
             name,
             parents=[_COMMON],
-            help=said,
-            description=said[0].upper() + said[1:] + ".",
-            epilog=f"example:\n  {one.example}" if one else None,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            epilog=f"example:\n  {definition.example}" if definition else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if one:
-            command.set_defaults(module=one.module, resumes=one.resumes, result=None)
-            one.add(command)
+        if definition:
+            command.set_defaults(module=definition.module, resumes=definition.resumes, result=None)
+            definition.add(command)
     return whole
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is read only then: argparse's own action takes it at once."""
+    """Print the version, which is read only on demand, unlike with argparse's own action."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
@@ -150,7 +150,7 @@ class _Version(argparse.Action):
 
 
 def find(name: str, home: str) -> Command:
-    """The command of that name in a file of options."""
+    """The command with this name in a module of options."""
     listed: tuple[Command, ...] = importlib.import_module(home).COMMANDS
     return next(command for command in listed if command.name == name)
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 GAP = 2.5  # median steps
 SLOWEST_RATE_HZ = 20.0
 SHORTEST_PERIOD_S = 20e-6
-"""50 kHz: current loops of motor drives are not faster, and servo buses run at a tenth of it."""
+"""50 kHz: current loops of motor drives are not faster; servo buses run at a tenth of it."""
 LONGEST_PERIOD_S = 0.5
 """Servos complete a motion in less time: their dynamics are not visible at a slower rate."""
 LONGEST_COMMAND_PERIOD_S = 10.0

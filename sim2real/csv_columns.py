@@ -43,7 +43,7 @@ def read_table(csv: Path) -> pd.DataFrame:
                 csv, f"row {row}", f"{cells} cells", f"{columns}, as in the header"
             ) from None
         raise InputError(csv, "", f"no table ({error})", "comma-separated rows") from None
-    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
+    if not isinstance(table.index, pd.RangeIndex):  # pandas reads excess cells as row names
         cells = table.index.nlevels + len(table.columns)
         raise InputError(csv, "row 2", f"{cells} cells", f"{len(table.columns)}, as in the header")
     names = header.iloc[0].dropna()
@@ -69,7 +69,7 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     """A column as numbers, NaN where a cell is empty, shape (T,).
 
     Raises:
-        InputError: If there is none of that name, or a cell is not a number.
+        InputError: If there is no such column, or a cell is not a number.
     """
     if name not in table:
         columns = [str(column) for column in table.columns]
@@ -89,14 +89,14 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
 
 
 def _listed(columns: list[str]) -> str:
-    """The first columns of a header, as many as a message has room for."""
+    """The first columns of a header, shortened for a message."""
     named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
-    more = len(columns) - len(named)
-    return ", ".join(named) + (f" and {more} more" if more else "")
+    omitted = len(columns) - len(named)
+    return ", ".join(named) + (f" and {omitted} more" if omitted else "")
 
 
 def _time_column(name: str, columns: list[str]) -> str | None:
-    """What is probably the time where ``t_s`` is missing."""
+    """The column that is probably the time, if ``t_s`` is missing."""
     if name != "t_s":
         return None
     return next((c for c in columns if c.lower() == "t" or "time" in c.lower()), None)
@@ -127,7 +127,7 @@ def angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: st
 
 
 def check_times(csv: Path, t: Array) -> None:
-    """Make sure that times (T,) are present and increase.
+    """Check that times (T,) are present and increase.
 
     Raises:
         InputError: If they do not.
@@ -145,15 +145,15 @@ def check_times(csv: Path, t: Array) -> None:
 
 
 def check_commands(csv: Path, joints: tuple[str, ...], command: Array) -> None:
-    """Make sure that set-points (T, J) are missing at the end of a joint only.
+    """Check that set-points (T, J) are missing only at the end of a joint's column.
 
     Raises:
-        InputError: If one is missing before.
+        InputError: If one is missing before the last one.
     """
     for j, joint in enumerate(joints):
-        given = np.isfinite(command[:, j])
-        last = int(np.flatnonzero(given)[-1]) if given.any() else 0
-        hole = np.flatnonzero(~given[: last + 1])
+        present = np.isfinite(command[:, j])
+        last = int(np.flatnonzero(present)[-1]) if present.any() else 0
+        hole = np.flatnonzero(~present[: last + 1])
         if hole.size:
             place = cell(csv, int(hole[0]), f"{joint}.command_rad")
             expected = "a set-point in rad (empty only at the end, where the torque is off)"

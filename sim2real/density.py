@@ -72,9 +72,9 @@ def normalised_density(robot: Robot) -> Density:
     """
     mass, length = (np.array([getattr(x, n) for x in robot.links]) for n in ("mass_kg", "length_m"))
     value = mass / length * length.sum() / mass.sum()
-    given = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
+    stated = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
     sd = None
-    if given:
+    if stated:
         mass_sd, length_sd = (
             np.array([getattr(x, n) or 0.0 for x in robot.links])
             for n in ("mass_sd_kg", "length_sd_m")

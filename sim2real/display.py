@@ -1,4 +1,4 @@
-"""How results show themselves: figures, tables and HTML are in ``sim2real.report``, loaded late."""
+"""Display of results by functions of ``sim2real.report``, which are imported on demand."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 def from_report(name: str) -> Callable[..., Any]:
     """A function of ``sim2real.report`` by name, as ``"table.fit_report"``.
 
-    Results use it to print and draw themselves: they import no figure, and Matplotlib and Jinja are
-    loaded when something is drawn.
+    Results use it to print and plot, so that Matplotlib and Jinja are imported only for plots and
+    HTML.
     """
     module, _, function = name.rpartition(".")
-    found: Callable[..., Any] = getattr(
+    report_function: Callable[..., Any] = getattr(
         importlib.import_module(f"sim2real.report.{module}"), function
     )
-    return found
+    return report_function
 
 
 class NotebookDisplay:
-    """Base of results that Jupyter shows as tables; ``report.notebook`` has a section for each."""
+    """Base of results that Jupyter shows as tables, by ``report.notebook``."""
 
     def _repr_html_(self) -> str | None:
         """HTML for IPython, or None (it then shows the text) where Jinja is not installed."""

@@ -20,7 +20,7 @@ STUCK_S = 0.5
 
 
 @dataclass(frozen=True)
-class Seen:
+class PoweredJoint:
     """One joint of a recording while its torque is on.
 
     Attributes:
@@ -58,47 +58,47 @@ def moves(t: Array, command: Array) -> int:
     return 1 + int(np.sum(turned | pause))
 
 
-def joint_findings(seen: Seen) -> Iterator[str]:
-    """Findings about one joint, and what its load leaves unidentifiable."""
-    finite = np.isfinite(seen.position)
+def joint_findings(data: PoweredJoint) -> Iterator[str]:
+    """Findings about one joint, including what its load does not allow to identify."""
+    finite = np.isfinite(data.position)
     if not finite.any():
-        yield f"{seen.joint} has no measured positions."
+        yield f"{data.joint} has no measured positions."
         return
     missing = float(np.mean(~finite))
     if missing > 0.01:
-        yield f"{seen.joint} lacks {100 * missing:.2g} % of its positions."
-    span, least = float(np.ptp(seen.command)), max(2 * seen.step_rad, 9 * seen.noise_rad)
-    if span <= max(2 * seen.step_rad, 1e-4):
-        yield f"{seen.joint} is never commanded to move: nothing can be fitted to it."
-    elif float(np.ptp(seen.position[finite])) <= min(least, 0.5 * span):
-        yield f"{seen.joint} does not move, although its command spans {span:.3g} rad."
+        yield f"{data.joint} lacks {100 * missing:.2g} % of its positions."
+    span, least = float(np.ptp(data.command)), max(2 * data.step_rad, 9 * data.noise_rad)
+    if span <= max(2 * data.step_rad, 1e-4):
+        yield f"{data.joint} is never commanded to move: nothing can be fitted to it."
+    elif float(np.ptp(data.position[finite])) <= min(least, 0.5 * span):
+        yield f"{data.joint} does not move, although its command spans {span:.3g} rad."
     else:
-        yield from _motion(seen, finite)
-    yield from _start(seen, finite)
-    yield from _excitation(seen)
-    if seen.sheet is not None:
-        yield from _data_sheet(seen, seen.sheet)
-    if seen.off_s is not None:
-        yield f"{seen.joint}'s torque is off from {seen.off_s:.4g} s on."
-    if seen.bench and seen.load is None:
-        yield f"{seen.joint} has no stated load: its gains are identified per unit of inertia."
-    elif seen.bench and seen.load is not None and not seen.load.gravity_Nm:
+        yield from _motion(data, finite)
+    yield from _start(data, finite)
+    yield from _excitation(data)
+    if data.sheet is not None:
+        yield from _data_sheet(data, data.sheet)
+    if data.off_s is not None:
+        yield f"{data.joint}'s torque is off from {data.off_s:.4g} s on."
+    if data.bench and data.load is None:
+        yield f"{data.joint} has no stated load: its gains are identified per unit of inertia."
+    elif data.bench and data.load is not None and not data.load.gravity_Nm:
         yield (
-            f"{seen.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
+            f"{data.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
             "identifiable, so the stated inertia cannot be checked."
         )
 
 
-def _motion(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
-    t, command, position = seen.t[finite], seen.command[finite], seen.position[finite]
+def _motion(data: PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+    t, command, position = data.t[finite], data.command[finite], data.position[finite]
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
         # Commands at the end of the interval have not taken effect yet.
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
-        if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * seen.step_rad):
+        if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * data.step_rad):
             yield (
-                f"{seen.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
+                f"{data.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
                 f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
                 "stuck."
             )
@@ -108,7 +108,7 @@ def _motion(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
     match = [_correlation(command[: t.size - k], position[k:]) for k in lags]
     if match and max(match) < 0 and min(match) < -0.5:
         yield (
-            f"{seen.joint} moves against its command (correlation {min(match):.2f}): the sign of "
+            f"{data.joint} moves against its command (correlation {min(match):.2f}): the sign of "
             "one of them is reversed."
         )
 
@@ -119,73 +119,73 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(seen: Seen, finite: NDArray[np.bool_]) -> Iterator[str]:
-    changed = np.flatnonzero(seen.command != seen.command[0])
-    rest = int(changed[0]) + 1 if changed.size else seen.t.size  # the change itself comes later
-    early = np.flatnonzero(finite[:rest] & (seen.t[:rest] <= seen.t[0] + 0.5))
+def _start(data: PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+    changed = np.flatnonzero(data.command != data.command[0])
+    rest = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
+    early = np.flatnonzero(finite[:rest] & (data.t[:rest] <= data.t[0] + 0.5))
     if not early.size:
         return
-    offset = float(np.median(seen.position[early] - seen.command[0]))
-    if float(np.ptp(seen.position[early])) > max(5 * seen.step_rad, 9 * seen.noise_rad, 0.01):
-        yield f"{seen.joint} is moving at the start of the recording: it should be at rest."
+    offset = float(np.median(data.position[early] - data.command[0]))
+    if float(np.ptp(data.position[early])) > max(5 * data.step_rad, 9 * data.noise_rad, 0.01):
+        yield f"{data.joint} is moving at the start of the recording: it should be at rest."
     elif abs(offset) > 0.1:
-        yield f"{seen.joint} starts {abs(offset):.2g} rad away from its first command."
-    elif abs(offset) > max(3 * seen.step_rad, 4 * seen.noise_rad, 0.005):
+        yield f"{data.joint} starts {abs(offset):.2g} rad away from its first command."
+    elif abs(offset) > max(3 * data.step_rad, 4 * data.noise_rad, 0.005):
         side = "above" if offset > 0 else "below"
         yield (
-            f"{seen.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
+            f"{data.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
             "be an offset, a load or a dead band."
         )
 
 
-def _excitation(seen: Seen) -> Iterator[str]:
-    count = moves(seen.t, seen.command)
+def _excitation(data: PoweredJoint) -> Iterator[str]:
+    count = moves(data.t, data.command)
     if not count:
         return
     if count < FEWEST_MOVES:
         times = ("once", "twice", "three times")[count - 1]
         yield (
-            f"{seen.joint} is commanded to move only {times}: too little to hold out for "
+            f"{data.joint} is commanded to move only {times}: too little to hold out for "
             "validation."
         )
-    step = np.diff(seen.t)
-    spread = float(np.average((seen.command[1:] - seen.command.mean()) ** 2, weights=step))
-    speed = float(np.average((np.diff(seen.command) / step) ** 2, weights=step))
+    step = np.diff(data.t)
+    spread = float(np.average((data.command[1:] - data.command.mean()) ** 2, weights=step))
+    speed = float(np.average((np.diff(data.command) / step) ** 2, weights=step))
     frequency = float(np.sqrt(speed / spread)) / (2 * np.pi)  # exact for a sine
     if frequency < SLOWEST_EXCITATION_HZ:
         yield (
-            f"{seen.joint} is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
+            f"{data.joint} is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
             "inertia are hardly identifiable."
         )
 
 
-def _data_sheet(seen: Seen, sheet: Joint) -> Iterator[str]:
+def _data_sheet(data: PoweredJoint, sheet: Joint) -> Iterator[str]:
     if sheet.states("limits_rad"):
-        yield from _limits(seen, *sheet.limits_rad)
-    changed = np.flatnonzero(np.diff(seen.command)) + 1
-    slope = np.abs(np.diff(seen.command[changed]) / np.diff(seen.t[changed]))
+        yield from _limits(data, *sheet.limits_rad)
+    changed = np.flatnonzero(np.diff(data.command)) + 1
+    slope = np.abs(np.diff(data.command[changed]) / np.diff(data.t[changed]))
     # Two slopes in a row: one alone may be a step, which no servo follows.
     fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
     servo = sheet.servo
     if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
         yield (
-            f"{seen.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
+            f"{data.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
             f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: the response will be limited by it."
         )
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
-    counts = seen.step_rad / stated if stated > 0 else 0.0
+    counts = data.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
         yield (
-            f"{seen.joint} is measured in steps of {seen.step_rad:.3g} rad, but the data sheet "
+            f"{data.joint} is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
             f"states {stated:.3g} rad."
         )
 
 
-def _limits(seen: Seen, low: float, high: float) -> Iterator[str]:
-    extremes = (float(seen.command.min()), float(seen.command.max()))
+def _limits(data: PoweredJoint, low: float, high: float) -> Iterator[str]:
+    extremes = (float(data.command.min()), float(data.command.max()))
     if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
         beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
         yield (
-            f"{seen.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
+            f"{data.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
             f"{high:.3g} rad."
         )

@@ -201,8 +201,8 @@ def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
     infinite = (-math.inf, math.inf)
     if isinstance(ends, list) and len(ends) == 2:
         low, high = (
-            end if given is None else number_or_infinity(given)
-            for given, end in zip(ends, infinite, strict=True)
+            end if value is None else number_or_infinity(value)
+            for value, end in zip(ends, infinite, strict=True)
         )
         if low is not None and high is not None and low <= high:
             return low, high

@@ -26,18 +26,18 @@ def quantization_step(
 
     Args:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-        finest_rad: Smallest step; below it none can be told from printing with six decimals.
+        finest_rad: Smallest step; smaller ones are not distinguishable from rounding in the file.
         coarsest_rad: Largest step, by default that of 126 counts a turn.
 
     Returns:
         The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
     """
     levels, visits = np.unique(np.round(position[np.isfinite(position)], 9), return_counts=True)
-    apart = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
-    if not apart.any():
+    distinct = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
+    if not distinct.any():
         return 0.0
-    visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, apart]))
-    levels = levels[np.r_[True, apart]]
+    visits = np.add.reduceat(visits, np.flatnonzero(np.r_[True, distinct]))
+    levels = levels[np.r_[True, distinct]]
     gaps, printed = np.diff(levels), _printed_step(levels)
     repeated = int(np.sum(visits > 1)) >= max(2, levels.size / 2)
     candidates = 20
@@ -85,15 +85,15 @@ def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad, shape (T,); NaN where there is none.
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-        fewest_blocks: Blocks of 10 samples at rest that the estimate takes; 4 have 32 degrees of
-            freedom, with which the standard deviation is good to 12 %.
+        fewest_blocks: Smallest number of blocks of 10 samples at rest; 4 blocks have 32 degrees of
+            freedom, for a relative error of the standard deviation of 12 %.
 
     Returns:
         The standard deviation in rad, at least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
     """
     step = quantization_step(position)
-    given = np.isfinite(position)
-    t, command, position = t[given], command[given], position[given]
+    measured = np.isfinite(position)
+    t, command, position = t[measured], command[measured], position[measured]
     blocks, variance = _quiet_blocks(t, command, position, step)
     sd = difference_noise(t, position)
     if len(blocks) >= fewest_blocks:
@@ -129,13 +129,13 @@ def difference_noise(t: Array, position: Array, *, block: int = 20) -> float:
         times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
         unit = times[:, 1:2] - times[:, :1]
         others = (np.delete(times, k, axis=1) for k in range(order + 1))
-        apart = [(times[:, k : k + 1] - other) / unit for k, other in enumerate(others)]
-        weight = 1 / np.stack([between.prod(axis=1) for between in apart], axis=1)
+        gaps = [(times[:, k : k + 1] - other) / unit for k, other in enumerate(others)]
+        weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
         weight /= np.linalg.norm(weight, axis=1, keepdims=True)
         square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
         size = min(block, square.size)
         blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
-        # Neighbouring differences share samples, so that fewer of a block's are free.
+        # Neighbouring differences share samples, which reduces the degrees of freedom.
         free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
         estimates.append(_quietest(blocks, free))
     return float(np.sqrt(min(estimates)))

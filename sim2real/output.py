@@ -100,7 +100,8 @@ def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> di
 def provenance_of(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
     """``provenance`` of inputs that are file names or objects read from a file (``path``)."""
     files = [
-        one if isinstance(one, str | os.PathLike) else getattr(one, "path", None) for one in inputs
+        source if isinstance(source, str | os.PathLike) else getattr(source, "path", None)
+        for source in inputs
     ]
     return provenance([file for file in files if file is not None], seed)
 

@@ -1,6 +1,7 @@
-"""Mistakes of unit and column that make a recording look valid though no servo moves like that.
+"""Validation of recordings against mistakes of units and columns.
 
-What is merely odd is a finding of ``check``; what is refused here can only be a mistake.
+Recordings that are rejected here can only be mistakes; what is merely unusual is a finding of
+``check``.
 """
 
 from __future__ import annotations
@@ -21,19 +22,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlausibleLimits:
-    """What no recording of a servo exceeds, unless by a mistake.
+    """Limits that recordings of servos exceed only by mistake.
 
     Attributes:
         range_ratio: Distance of a command from the middle of the joint's range, in half ranges:
             degrees read as radians are 57 times too large.
-        speed_ratio: Times the no-load speed of the data sheet, which servos exceed by half at a
-            higher voltage.
-        torque_ratio: Times the stall torque of the data sheet, which servos exceed by half at a
-            higher voltage.
+        speed_ratio: Largest speed relative to the no-load speed of the data sheet, which servos
+            may exceed by 50 % at a higher voltage.
+        torque_ratio: Largest torque relative to the stall torque of the data sheet, likewise.
         speed_window_s: Time over which a speed is measured.
         torque_window_s: Time over which an acceleration is measured.
-        quantile: Quantile of speed and acceleration that counts, so that an outlier or an end stop
-            does not.
+        quantile: Quantile of speed and acceleration that is compared, to exclude outliers and end
+            stops.
         fewest_samples: With fewer samples speed and torque are not checked.
     """
 
@@ -53,24 +53,24 @@ PLAUSIBLE = PlausibleLimits()
 def validate_recording(
     recording: Recording, robot: Robot | None = None, *, limits: PlausibleLimits = PLAUSIBLE
 ) -> None:
-    """Refuse a recording whose times, commands or measured angles can only be a mistake.
+    """Reject a recording whose times, commands or measured angles can only be a mistake.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded; without it units of angles and loads are not checked.
-        limits: What counts as a mistake.
+        limits: Limits of valid values.
 
     Raises:
-        InputError: If the robot lacks a joint, the sampling period is none of a servo bus, a column
-            is both command and position, a joint moves before its command, or angles, speeds or
-            torques are many times those that the robot's file states.
+        InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, a
+            column is both command and position, a joint moves before its command, or angles, speeds
+            or torques are many times those that the robot's file states.
     """
     validate_commands(recording, robot, limits=limits)
     for j, joint in enumerate(recording.joints):
         powered = recording.powered(j)
         t, command = recording.t[:powered], recording.command[:powered, j]
         position = recording.position[:powered, j]
-        if powered > 1 and recording.kind == "servo":  # a film's joints may be prescribed
+        if powered > 1 and recording.kind == "servo":  # joints of a filmed swim may be prescribed
             _check_columns(recording, joint, t, command, position)
         sheet = robot.joint(joint) if robot else None
         if sheet is not None:
@@ -81,15 +81,15 @@ def validate_recording(
 def validate_commands(
     recording: Recording, robot: Robot | None = None, *, limits: PlausibleLimits = PLAUSIBLE
 ) -> None:
-    """Refuse times and commands that can only be a mistake; what was measured is not looked at.
+    """Reject times and commands that can only be a mistake; measured angles are not checked.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded; without it only the times are checked.
-        limits: What counts as a mistake.
+        limits: Limits of valid values.
 
     Raises:
-        InputError: If the robot lacks a joint, the sampling period is none of a servo bus, or a
+        InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, or a
             command is far beyond the joint's limits.
     """
     check_sampling(recording.file, recording.t)
@@ -101,9 +101,9 @@ def validate_commands(
         if joint is None or not joint.states("limits_rad") or not np.isfinite(command).any():
             continue
         low, high = joint.limits_rad
-        away = np.abs(command - (low + high) / 2)
-        row = int(np.nanargmax(away))
-        if away[row] > limits.range_ratio * (high - low) / 2:
+        distance = np.abs(command - (low + high) / 2)
+        row = int(np.nanargmax(distance))
+        if distance[row] > limits.range_ratio * (high - low) / 2:
             raise InputError(
                 recording.file,
                 f"{name}.command_rad at {recording.t[row]:.4g} s",
@@ -116,11 +116,11 @@ def validate_commands(
 def _check_columns(
     recording: Recording, joint: str, t: Array, command: Array, position: Array
 ) -> None:
-    seen = np.isfinite(position)
+    measured = np.isfinite(position)
     if (
-        seen.sum() > 1
-        and np.ptp(command[seen]) > 0
-        and np.array_equal(command[seen], position[seen])
+        measured.sum() > 1
+        and np.ptp(command[measured]) > 0
+        and np.array_equal(command[measured], position[measured])
     ):
         raise InputError(
             recording.file,
@@ -142,13 +142,13 @@ def _check_columns(
 def _check_speed(
     recording: Recording, joint: Joint, position: Array, *, limits: PlausibleLimits
 ) -> None:
-    """Refuse angles that change much faster than the servo turns, as degrees do."""
+    """Reject angles that change much faster than the servo can turn, such as degrees."""
     if not joint.servo.states("no_load_speed_rad_s"):
         return
-    seen = np.isfinite(position)
-    if seen.sum() < limits.fewest_samples:
+    measured = np.isfinite(position)
+    if measured.sum() < limits.fewest_samples:
         return
-    t, angle = recording.t[seen], position[seen]
+    t, angle = recording.t[measured], position[measured]
     window = _window(t, limits.speed_window_s)
     change = np.abs(
         np.interp(t[t <= t[-1] - window] + window, t, angle) - angle[t <= t[-1] - window]
@@ -171,24 +171,24 @@ def _check_speed(
 def _check_torque(
     recording: Recording, joint: Joint, position: Array, *, limits: PlausibleLimits
 ) -> None:
-    """Refuse a load that the servo is too weak for to have accelerated as it was seen to.
+    """Reject a load whose measured acceleration needs far more torque than the servo has.
 
-    The second difference over a window is a mean of the acceleration, so it never exceeds the
-    largest; the weight of a pendulum may account for a part.
+    The second difference over a window is a weighted mean of the acceleration, so it never exceeds
+    the maximum; a part may be due to the weight of a pendulum.
     """
     load = recording.loads.get(joint.name, PER_INERTIA)
     if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
         return
-    seen = np.isfinite(position)
-    if seen.sum() < limits.fewest_samples:
+    measured = np.isfinite(position)
+    if measured.sum() < limits.fewest_samples:
         return
-    t, angle = recording.t[seen], position[seen]
+    t, angle = recording.t[measured], position[measured]
     window = _window(t, limits.torque_window_s)
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
     if middle.size < limits.fewest_samples:
         return
-    before, now, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
-    acceleration = np.abs(after - 2 * now + before) / window**2
+    before, mid, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
+    acceleration = np.abs(after - 2 * mid + before) / window**2
     usual = float(np.quantile(acceleration, limits.quantile)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
     if torque <= limits.torque_ratio * stated:

@@ -1,4 +1,4 @@
-"""The same work on many things, shared among processes where there are many."""
+"""Map a function over many items, in several processes if there are enough."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-Given = TypeVar("Given")
-Made = TypeVar("Made")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 MANY = 24
-"""Things from which it pays to start processes."""
+"""Number of items from which processes are started."""
 
 
-def shared(work: Callable[[Given], Made], things: Sequence[Given]) -> list[Made]:
-    """``work`` on every thing, in order.
+def shared(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Results of ``work`` for every item, in order.
 
-    ``work`` must be a function of a module that is quick to import and free of Warp.
+    ``work`` must be a function of a module that is quick to import and does not use Warp.
     """
-    if len(things) < MANY:
-        return [work(thing) for thing in things]
+    if len(items) < MANY:
+        return [work(item) for item in items]
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(work, things, chunksize=4))
+        return list(pool.map(work, items, chunksize=4))

@@ -1,4 +1,4 @@
-"""Progress bars of everything that takes more than two seconds."""
+"""Progress bars for operations that take more than two seconds."""
 
 from __future__ import annotations
 

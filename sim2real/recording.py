@@ -136,8 +136,8 @@ class Recording(NotebookDisplay):
 
     def powered(self, joint: int) -> int:
         """Number of samples before the torque of joint ``joint`` is switched off, at most T."""
-        given = np.flatnonzero(np.isfinite(self.command[:, joint]))
-        return int(given[-1]) + 1 if given.size else 0
+        commanded = np.flatnonzero(np.isfinite(self.command[:, joint]))
+        return int(commanded[-1]) + 1 if commanded.size else 0
 
     def between(self, start: int, stop: int) -> Recording:
         """Recording of the samples ``start`` to ``stop`` (exclusive)."""

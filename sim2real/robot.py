@@ -114,7 +114,7 @@ def match_joints(recording: Recording, robot: Robot) -> None:
     """
     for joint in recording.joints:
         if robot.joint(joint) is None:
-            names = ", ".join(known.name for known in robot.joints)
+            names = ", ".join(defined.name for defined in robot.joints)
             raise InputError(recording.file, "joints", repr(joint), f"one of {names}")
 
 

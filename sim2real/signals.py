@@ -142,14 +142,14 @@ def excitation(
         low, high = joint.limits_rad
         unit = UNIT[name](np.maximum(t - REST_S, 0.0), shape, rng)
         unit[t < REST_S] = unit[t >= REST_S][0] if name in SMOOTH else 0.0
-        most, why = (high - low) / 2, "its limits"
+        largest, limit = (high - low) / 2, "its limits"
         fastest = float(np.abs(np.diff(unit)).max()) * rate_hz
-        if name in SMOOTH and most * fastest > joint.servo.no_load_speed_rad_s:
-            most, why = joint.servo.no_load_speed_rad_s / fastest, "its servo's speed"
-        wanted = DEFAULT_REACH * (high - low) / 2 if amplitude_rad is None else amplitude_rad
-        amplitude = min(wanted, most)
-        if amplitude_rad is not None and amplitude < wanted:
-            notes.append(f"{joint.name}: {wanted:g} rad cut to {amplitude:.3g} rad by {why}.")
+        if name in SMOOTH and largest * fastest > joint.servo.no_load_speed_rad_s:
+            largest, limit = joint.servo.no_load_speed_rad_s / fastest, "its servo's speed"
+        requested = DEFAULT_REACH * (high - low) / 2 if amplitude_rad is None else amplitude_rad
+        amplitude = min(requested, largest)
+        if amplitude_rad is not None and amplitude < requested:
+            notes.append(f"{joint.name}: {requested:g} rad cut to {amplitude:.3g} rad by {limit}.")
         commands.append(limited((low + high) / 2 + amplitude * unit, joint, rate_hz))
     names = tuple(joint.name for joint in joints)
     return Excitation(names, t, np.stack(commands, axis=1), tuple(notes))
@@ -170,14 +170,14 @@ def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: fl
         column = f"{joint.name}.command_rad"
         if joint.name not in commands.by_joint:
             raise InputError(path, "header", f"no column {column}", f"the column {column}")
-        wanted = commands.by_joint[joint.name][held]
-        if np.isnan(wanted).any():
+        requested = commands.by_joint[joint.name][held]
+        if np.isnan(requested).any():
             raise InputError(path, column, "empty cells", "a set-point in every row")
-        given = limited(wanted, joint, rate_hz)
-        changed = int((np.abs(given - wanted) > 1e-9).sum())
+        command = limited(requested, joint, rate_hz)
+        changed = int((np.abs(command - requested) > 1e-9).sum())
         if changed:
             notes.append(f"{joint.name}: {changed} set-points changed by its limits and speed.")
-        columns.append(given)
+        columns.append(command)
     names = tuple(joint.name for joint in joints)
     return Excitation(names, t, np.stack(columns, axis=1), tuple(notes))
 
@@ -188,12 +188,12 @@ def limited(command: Array, joint: Joint, rate_hz: float) -> Array:
     The rate of the first set-point is not limited.
     """
     inside = np.clip(command, *joint.limits_rad)
-    most = joint.servo.no_load_speed_rad_s / rate_hz
-    if np.abs(np.diff(inside)).max(initial=0.0) <= most * (1 + 1e-9):
+    largest = joint.servo.no_load_speed_rad_s / rate_hz
+    if np.abs(np.diff(inside)).max(initial=0.0) <= largest * (1 + 1e-9):
         return inside
     slewed = inside.copy()
     for k in range(1, slewed.size):
-        slewed[k] = slewed[k - 1] + np.clip(inside[k] - slewed[k - 1], -most, most)
+        slewed[k] = slewed[k - 1] + np.clip(inside[k] - slewed[k - 1], -largest, largest)
     return slewed
 
 

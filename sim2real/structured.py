@@ -23,7 +23,7 @@ def shown(value: object) -> str:
     """``repr(value)``, shortened for a message of one line."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, a bottomless nest
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or too deep nesting
         return f"a huge {type(value).__name__}"
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 1]}…"
 
@@ -74,7 +74,7 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"
         raise InputError(path, place, f"no JSON ({error.msg})", "JSON") from None
-    except (ValueError, RecursionError) as error:  # too many digits, too deep a nest
+    except (ValueError, RecursionError) as error:  # too many digits, or too deep nesting
         raise InputError(path, "", f"no JSON ({_reason(error)})", "JSON") from None
     if not isinstance(content, dict):
         raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
@@ -207,8 +207,8 @@ class Fields:
             expected += f" above {above:g}"
         elif math.isfinite(low):
             expected += f" of at least {low:g}"
-        read = number_or_infinity if infinite else finite_number
-        value = read(self.content.get(name))
+        convert = number_or_infinity if infinite else finite_number
+        value = convert(self.content.get(name))
         if value is None or value < low or value <= above:
             raise self.error(name, expected)
         return value

@@ -1,6 +1,6 @@
-"""Units and readable names of parameters, by the names that files have: one table for all.
+"""Units and readable names of parameters, from their names in files.
 
-A name ends with its unit (``kp_Nm_per_rad``); a name without one is a pure number.
+A name ends with its unit (``kp_Nm_per_rad``); a name without unit is that of a pure number.
 """
 
 from __future__ import annotations
@@ -27,15 +27,14 @@ _UNITS = (
     ("_s", "s", " ms", 1e3),
     ("_m", "m", " mm", 1e3),
 )
-"""Ending of the name, unit in files, unit in sentences, and how many of the latter are one of the
-former."""
+"""Ending of the name, unit in files, unit in sentences, and factor from the first to the second."""
 _PER_INERTIA = {
     "N m/rad": "1/s²",
     "N m s/rad": "1/s",
     "N m": "1/s²",
     "kg m²": "",
 }
-"""Units of models whose load has no inertia: torques are per unit of it."""
+"""Units of models with an unknown load: torques are per unit of inertia."""
 _NAMES = {
     "kp_Nm_per_rad": "kp",
     "kd_Nms_per_rad": "kd",
@@ -47,11 +46,11 @@ _NAMES = {
     "motor.stribeck_speed_rad_s": "Stribeck speed",
     "s_per_s": "drift",
 }
-"""Names that are not read off the parameter's own."""
+"""Readable names that are not derived from the parameter's name."""
 _SMALL_NM = 0.01
 """Torque in N m below which it is stated in mN m."""
 _WRITTEN_OUT = 1e6
-"""Value below which no exponent is written."""
+"""Value below which numbers are written without exponent."""
 
 
 def unit_of(name: str, *, per_inertia: bool = False) -> str:
@@ -66,7 +65,7 @@ def unit_of(name: str, *, per_inertia: bool = False) -> str:
 
 
 def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
-    """A parameter's value with a unit that a person reads: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
+    """A parameter's value with a unit for sentences: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
 
     Args:
         name: The parameter's name.

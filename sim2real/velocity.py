@@ -46,11 +46,11 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
 def _bridge(t: Array, pose: Array) -> None:
     """Interpolate missing poses (T, 3) linearly in place; headings are unwrapped."""
     for k in range(3):
-        known = np.isfinite(pose[:, k])
-        if known.sum() < 5:
-            raise ValueError(f"{known.sum()} poses, five are needed")
-        values = np.unwrap(pose[known, k]) if k == 2 else pose[known, k]
-        pose[:, k] = values if known.all() else np.interp(t, t[known], values)
+        present = np.isfinite(pose[:, k])
+        if present.sum() < 5:
+            raise ValueError(f"{present.sum()} poses, five are needed")
+        values = np.unwrap(pose[present, k]) if k == 2 else pose[present, k]
+        pose[:, k] = values if present.all() else np.interp(t, t[present], values)
 
 
 NEWEST = 5
@@ -76,7 +76,7 @@ def newest_velocity(pose: Array, period_s: float = 0.02) -> Array:
     Returns:
         Surge and sway in m/s, yaw rate in rad/s, shape (3,).
     """
-    even = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
-    u, v, turn = slope_weights(len(pose), period_s) @ even
+    unwrapped = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
+    u, v, turn = slope_weights(len(pose), period_s) @ unwrapped
     c, s = np.cos(pose[-1, 2]), np.sin(pose[-1, 2])
     return np.array([c * u + s * v, c * v - s * u, turn])

@@ -1,12 +1,12 @@
-"""The verbs that a program calls, all in the same way: ``verb(recordings, robot, model)``.
+"""The functions (verbs) of the Python interface, called as ``verb(recordings, robot, model)``.
 
-Recordings, robots and models are values or the files that hold them; a single recording stands for
-a list of one. The result is a frozen dataclass that prints as a table and has ``plot()``, which
+Recordings, robots and models are objects or the names of their files; a single recording is taken
+as a list of one. The result is a frozen dataclass that prints as a table and has ``plot()``, which
 returns a Matplotlib figure. The commands of the same names parse their options and call these
 functions; the options are made from the signatures and docstrings below. The verbs that need the
 fluid (``diagnose``, ``calibrate``, ``simulate``) are in ``sim.verbs``.
 
-This module imports nothing heavy, so that the command line can read it at once.
+This module imports no large libraries, so that the command line reads it without delay.
 """
 
 from __future__ import annotations
@@ -122,10 +122,10 @@ def posterior(
     from sim2real.ranges.gather import Sampling, sample_joints
 
     _check_sampling("posterior", steps, walkers, seed)
-    read, known = recordings_of(recordings), robot_of(robot)
-    for recording in read:
-        validate_recording(recording, known)
-    bench = [recording for recording in read if recording.kind == "servo"]
+    loaded, description = recordings_of(recordings), robot_of(robot)
+    for recording in loaded:
+        validate_recording(recording, description)
+    bench = [recording for recording in loaded if recording.kind == "servo"]
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     return Posteriors(*sample_joints(bench, model_of(model), sampling), seed)
 
@@ -171,12 +171,12 @@ def ranges(
     from sim2real.ranges.gather import Sampling, gather
 
     _check_sampling("ranges", steps, walkers, seed)
-    read, known, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
-    made: dict[str, int] = {}
+    loaded, description, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
+    completed: dict[str, int] = {}
 
     def advance(joint: str, count: int) -> None:
-        made[joint] = count
-        bar.update(sum(made.values()) - bar.n)
+        completed[joint] = count
+        bar.update(sum(completed.values()) - bar.n)
 
     def file(joint: str) -> Path | None:
         return None if chains is None else chain_file(Path(chains), joint)
@@ -184,9 +184,9 @@ def ranges(
     total = steps * len(fitted.joints)
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
         sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
-        found = gather(read, known, fitted, sampling)
-    origin = provenance_of([*read, known, model], seed)
-    return replace(found, ranges=replace(found.ranges, provenance=origin))
+        gathered = gather(loaded, description, fitted, sampling)
+    origin = provenance_of([*loaded, description, model], seed)
+    return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))
 
 
 def predict(recordings: Recorded, robot: Robot | File | None, model: Model | File) -> Prediction:
@@ -205,12 +205,12 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
     from sim2real.plausible import validate_commands
     from sim2real.servo.prediction import predict_recordings
 
-    read = recordings_or_commands(recordings)
+    loaded = recordings_or_commands(recordings)
     if robot is not None:
-        known = robot_of(robot)
-        for recording in read:
-            validate_commands(recording, known)
-    return predict_recordings(read, model_of(model))
+        description = robot_of(robot)
+        for recording in loaded:
+            validate_commands(recording, description)
+    return predict_recordings(loaded, model_of(model))
 
 
 def recordings_of(recordings: Recorded) -> list[Recording]:
@@ -222,7 +222,8 @@ def recordings_of(recordings: Recorded) -> list[Recording]:
     from sim2real.recording import Recording, read_recording
 
     return [
-        one if isinstance(one, Recording) else read_recording(one) for one in _several(recordings)
+        entry if isinstance(entry, Recording) else read_recording(entry)
+        for entry in _listed(recordings)
     ]
 
 
@@ -230,7 +231,7 @@ def recordings_or_commands(recordings: Recorded) -> list[Recording]:
     """The recordings, read where files are given; a CSV without JSON is a table of commands.
 
     Raises:
-        InputError: If there is none, or times or commands are not as the format says.
+        InputError: If there is none, or times or commands do not conform to the format.
     """
     from sim2real.recording import Recording, read_commands_as_recording, read_recording
 
@@ -238,7 +239,7 @@ def recordings_or_commands(recordings: Recorded) -> list[Recording]:
         measured = Path(path).with_suffix(".json").exists()
         return read_recording(path) if measured else read_commands_as_recording(path)
 
-    return [one if isinstance(one, Recording) else read(one) for one in _several(recordings)]
+    return [entry if isinstance(entry, Recording) else read(entry) for entry in _listed(recordings)]
 
 
 def robot_of(robot: Robot | File) -> Robot:
@@ -269,17 +270,17 @@ def model_of(model: Model | File) -> Model:
     return model if isinstance(model, Model) else read_model(model)
 
 
-def _several(recordings: Recorded) -> list[Recording | File]:
+def _listed(recordings: Recorded) -> list[Recording | File]:
     from sim2real.recording import Recording
     from sim2real.structured import shown
 
-    several: object = recordings
-    if isinstance(several, Recording | str | os.PathLike):
-        several = [several]
+    sequence: object = recordings
+    if isinstance(sequence, Recording | str | os.PathLike):
+        sequence = [sequence]
     expected = "a recording, its CSV file, or a list of these"
-    if not isinstance(several, Iterable):
-        raise InputError("recordings", "", shown(several), expected)
-    listed = list(several)
+    if not isinstance(sequence, Iterable):
+        raise InputError("recordings", "", shown(sequence), expected)
+    listed = list(sequence)
     if not listed:
         raise InputError("recordings", "", "none", "at least one")
     for recording in listed:

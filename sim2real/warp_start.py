@@ -1,4 +1,4 @@
-"""Start Warp in silence: it would greet every command, and complain where there is no GPU."""
+"""Initialize Warp without its messages, which it prints at every start and without a GPU."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ warp.config.log_level = max(warp.config.log_level, warp.LOG_ERROR)
 
 
 def start_warp() -> None:
-    """Initialize Warp; what its native code prints meanwhile, past Python's streams, is dropped."""
+    """Initialize Warp, discarding what its native code prints to standard error."""
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    stderr_copy, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)
+        os.dup2(null, 2)
         warp.init()  # type: ignore[no-untyped-call]
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+        os.dup2(stderr_copy, 2)
+        os.close(stderr_copy)
+        os.close(null)

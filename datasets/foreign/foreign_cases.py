@@ -125,7 +125,9 @@ class ForeignCase:
         for j in which:
             servo, load = servos[j], servos[j].loads[recording]
             if self.plant != "own":
-                angle = SIMULATORS[self.plant].simulate(servo, load, body[j], grid, *sent[j], windows[j])
+                angle = SIMULATORS[self.plant].simulate(
+                    servo, load, body[j], grid, *sent[j], windows[j]
+                )
             else:
                 angle = angles[j]
             out[:, j] = seen(take, grid, angle, servo, acting[j], bent=bent)

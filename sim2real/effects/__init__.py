@@ -1,9 +1,9 @@
-"""The catalogue of effects: one file an effect, found by itself.
+"""The catalogue of effects: one file per effect, discovered automatically.
 
 To add an effect of a servo, add a file to ``servo`` with its ``EFFECT`` (see ``effect.Effect``):
 its equation and source in the docstring, its parameters, its term as a Warp function. To add one of
 the body or the camera, add a file to ``body`` or ``camera`` (see ``body_effect``). Models, fits,
-simulators, diagnoses and pages then know it.
+simulators, diagnoses and pages then support it.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from sim2real.warp_start import start_warp
 start_warp()
 
 MOST_EFFECTS = 62
-"""Effects of servos that a simulation can tell apart: bits of the mask of those that are on."""
+"""Largest number of servo effects: bits of the mask of active ones."""
 
 
-def _found(kind: str) -> list[Any]:
+def _discovered(kind: str) -> list[Any]:
     package = importlib.import_module(f"{__name__}.{kind}")
     names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
     return [importlib.import_module(f"{package.__name__}.{name}").EFFECT for name in names]
 
 
-CATALOGUE: tuple[Effect, ...] = tuple(_found("servo"))
+CATALOGUE: tuple[Effect, ...] = tuple(_discovered("servo"))
 """Effects of servos, their supply and their link."""
 if len(CATALOGUE) > MOST_EFFECTS:
     raise InputError(
         "sim2real/effects/servo", "", f"{len(CATALOGUE)} effects", f"at most {MOST_EFFECTS}"
     )
 
-BODY: tuple[BodyEffect, ...] = tuple(sorted(_found("body"), key=lambda effect: effect.order))
+BODY: tuple[BodyEffect, ...] = tuple(sorted(_discovered("body"), key=lambda effect: effect.order))
 """Effects of the body in the water."""
 
-CAMERA: tuple[CameraEffect, ...] = tuple(sorted(_found("camera"), key=lambda one: one.order))
+CAMERA: tuple[CameraEffect, ...] = tuple(sorted(_discovered("camera"), key=lambda e: e.order))
 """Effects of the camera, in the order in which they act."""
 
 SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
     b"".join(path.read_bytes() for path in sorted(Path(__path__[0]).rglob("*.py")))
 )
-"""Changes with any effect's source; a kernel that names it is compiled anew then."""
+"""Hash of the sources of all effects; kernels that refer to it are recompiled when it changes."""
 
 __all__ = [
     "BODY",
@@ -66,13 +66,13 @@ def named(name: str, where: str = "effects") -> Effect:
     """The effect of servos with this identifier.
 
     Raises:
-        InputError: If the catalogue has none; ``where`` says who asked for it.
+        InputError: If there is none; ``where`` is the place in the message.
     """
     for effect in CATALOGUE:
         if effect.name == name:
             return effect
-    known = ", ".join(effect.name for effect in CATALOGUE)
-    raise InputError(where, "effects", repr(name), f"one of {known}")
+    names = ", ".join(effect.name for effect in CATALOGUE)
+    raise InputError(where, "effects", repr(name), f"one of {names}")
 
 
 SET_ANEW = {
@@ -80,10 +80,10 @@ SET_ANEW = {
     "kd_Nms_per_rad": "another damping of the servo",
     "latency_s": "another latency of the servo",
 }
-"""Parameters of the plain servo in plain words, where they have changed."""
+"""Descriptions of changed parameters of the plain servo, for sentences."""
 
 
 def plain(name: str) -> str:
-    """Any effect in plain words, to stand in a sentence; its identifier's own if it is new."""
-    known: dict[str, str] = {e.name: e.plain for e in (*CATALOGUE, *BODY, *CAMERA)}
-    return (known | SET_ANEW).get(name, name.replace("_", " "))
+    """Description of an effect for a sentence, from its identifier if it is not catalogued."""
+    descriptions: dict[str, str] = {e.name: e.plain for e in (*CATALOGUE, *BODY, *CAMERA)}
+    return (descriptions | SET_ANEW).get(name, name.replace("_", " "))

@@ -1,4 +1,4 @@
-"""What an effect of the body in the water, or of the camera above it, is."""
+"""Definitions of effects of the body in the water and of the camera above it."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Forces:
-    """What acts on one robot of L links beside the water, to which each effect adds its own.
+    """Quantities that effects change, for one robot with L links; all 0 without effects.
 
     Attributes:
-        lengths_m: Of the links, shape (L,).
-        materials: Of their surfaces.
+        lengths_m: Lengths of the links, shape (L,).
+        materials: Materials of their surfaces.
         frontal_m2: Area of the largest cross-section.
         water_kg_m3: Density of the water.
-        com: Distance in m by which the centres of mass lie further back.
+        com: Distance in m by which the centres of mass are further back.
         side: Distance in m of the centres of mass to the left of the axis.
-        rough: Added friction coefficient of each link's surface, (L,).
-        resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, share of the displaced
-            water that goes along across it and as it turns, (L, 4).
-        skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (L - 1, 4).
-        coupling: N m/rad between neighbouring joints.
-        tether: N/m on the head, and the anchor's x and y in m, (3,).
-        trim: Angle in rad by which the joints are off.
+        rough: Additional friction coefficient of each link's surface, (L,).
+        resist: For each link, linear drag in N s/m, quadratic drag along its axis in N s2/m2, and
+            added mass normal to it and in rotation as shares of the displaced water, (L, 4).
+        skin: For the skin over each joint, stiffness in N m/rad, damping in N m s/rad, stiffness
+            that relaxes in N m/rad and its relaxation time in s, (L - 1, 4).
+        coupling: Stiffness in N m/rad between neighbouring joints.
+        tether: Stiffness in N/m of a cable on the head, and x and y of its anchor in m, (3,).
+        trim: Offset of all joints in rad.
         current: Velocity of the pool's water in m/s, (2,).
-        wall: Share by which a wall one body length away adds to the thrust.
+        wall: Relative increase of the thrust by a wall at a distance of one body length.
     """
 
     lengths_m: Array
@@ -57,23 +58,22 @@ class Forces:
 
     def made_of(self, material: str) -> Array:
         """1 for the links of a material, or for all where it is empty, else 0, shape (L,)."""
-        return np.array([float(material in ("", one)) for one in self.materials])
+        return np.array([float(material in ("", other)) for other in self.materials])
 
 
 @dataclass(frozen=True)
 class BodyEffect:
-    """Physics of the body that a plain simulator leaves out.
+    """Physics of the body that the simulator omits by default.
 
     Attributes:
         name: Its identifier.
-        plain: What it is, in plain words, to stand in a sentence.
-        title: What it is, before a colon and its size. It has no word of direction where the size
-            may have either sign.
-        parameters: All 0 where it is off.
-        act: Adds what parameters do to what acts on a robot; the last argument is the material, or
-            nothing.
-        by_material: Whether each material has its own.
-        order: Its place in lists.
+        plain: Description for use in a sentence.
+        title: Description before a colon and its size, without direction if the size may have
+            either sign.
+        parameters: Its parameters, all 0 where it is absent.
+        act: Adds the effect to the forces, from parameters and a material (empty for all).
+        by_material: Whether each material has separate parameters.
+        order: Position in lists.
     """
 
     name: str
@@ -90,16 +90,16 @@ class BodyEffect:
 
 @dataclass(frozen=True)
 class CameraEffect:
-    """What the camera makes of true poses.
+    """An error of the poses that the camera measures.
 
     Attributes:
         name: Its identifier.
-        plain: What it is, in plain words, to stand in a sentence.
-        title: What it is, before a colon and its size. It has no word of direction where the size
-            may have either sign.
-        parameters: All 0 where it is off.
-        see: From even times in s (T,), poses (T, 3) and parameters to the poses that are given.
-        order: In which order effects act on the poses.
+        plain: Description for use in a sentence.
+        title: Description before a colon and its size, without direction if the size may have
+            either sign.
+        parameters: Its parameters, all 0 where it is absent.
+        see: Measured poses from even times in s (T,), true poses (T, 3) and parameters.
+        order: Position in the sequence of effects on the poses.
     """
 
     name: str
@@ -114,7 +114,7 @@ class CameraEffect:
 
 
 def late(t: Array, pose: Array, delay_s: float) -> Array:
-    """Poses (T, 3) of ``delay_s`` before, the first held where there are none."""
+    """Poses (T, 3) delayed by ``delay_s``, starting with the first pose."""
     if not delay_s:
         return pose
     return np.stack([np.interp(t - delay_s, t, column) for column in pose.T], axis=1)

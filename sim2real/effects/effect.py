@@ -1,4 +1,4 @@
-"""What an effect is: named parameters, the place in the chain where it acts, and its term."""
+"""Definition of an effect of a servo: its parameters, the site where it acts, and its term."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ __all__ = [
 ]
 
 Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
-"""Where a term acts, from the computer that sends to the sensor that answers.
+"""Sites where terms act, from the sent command to the measured angle.
 
 Every term is a Warp function of the same form, ``x = term(x, q, v, torque, time, h, p, c, z, s)``:
-it takes what reaches its place in the chain and gives what leaves it. All numbers are float64, SI.
+its input x is that of the site and its result replaces x. All numbers are float64, SI.
 
 ========  =====================================================  ==================
 site      x                                                      called
 ========  =====================================================  ==================
 arrival   time at which a set-point takes effect                 for each set-point
 command   set-point in force, rad                                each sub-step
-error     set-point minus angle, as the controller sees it, rad  each sub-step
+error     set-point minus angle in the controller, rad           each sub-step
 motor     torque of the motor, N m                               each sub-step
 load      other torque on the shaft, N m                         each sub-step
 friction  largest torque of dry friction, N m                    each sub-step
@@ -44,29 +44,29 @@ sensor    measured angle, rad                                    each sub-step
 ``q`` and ``v`` are the shaft's angle and speed, ``torque`` the motor's, ``time`` the seconds since
 the start, ``h`` the length of the sub-step. ``p`` is the joint's row of parameters and ``c`` the
 column of the effect's first one; ``z`` is the joint's memory and ``s`` the effect's first cell of
-it, 0 at the start. At ``arrival``, ``time`` is when the set-point was sent and ``q`` its number.
+it, initially 0. At ``arrival``, ``time`` is when the set-point was sent and ``q`` its number.
 """
 
 
 STRENGTHS = (0.3, 1.0, 3.0, 10.0)
-"""Where a fit of an effect's first parameter starts, in typical values."""
+"""Starting values of the first parameter of an effect in fits, in typical values."""
 LIMITS = (*STRENGTHS, 30.0)
-"""The same of a limit, which is weak where it is large."""
+"""Starting values of a limit, which has little effect if it is large."""
 SIGNED = (-2.0, -0.3, 0.3, 2.0)
-"""The same of what may have either sign."""
+"""Starting values of parameters with either sign."""
 SHAPES = (0.4, 1.0, 2.5)
-"""The same of further parameters."""
+"""Starting values of further parameters."""
 
 
 def is_limit(parameter: Parameter) -> bool:
-    """Whether an effect is weak where this parameter is large."""
+    """Whether an effect is weak if this parameter is large."""
     return parameter.starts == LIMITS
 
 
 def scaled(parameter: Parameter, kp_Nm_per_rad: float, inertia_kgm2: float) -> Parameter:
-    """A servo effect's parameter for a servo of another strength and load.
+    """A parameter scaled to a servo with another gain and load.
 
-    The catalogue states them for a hobby servo of 2 N m/rad that turns 0.002 kg m2.
+    The catalogue states parameters for a hobby servo of 2 N m/rad with a load of 0.002 kg m2.
     """
     size = 1.0
     if "per_Nm" in parameter.name:
@@ -81,34 +81,34 @@ def scaled(parameter: Parameter, kp_Nm_per_rad: float, inertia_kgm2: float) -> P
 
 @dataclass(frozen=True)
 class Effect:
-    """A piece of physics that the plain PD servo leaves out.
+    """Physics that the plain PD servo omits.
 
     An effect is absent while all its parameters are 0.
 
     Attributes:
         name: Its fixed identifier.
-        plain: What it is, in plain words, to stand in a sentence.
-        says: The finding as a clause, with the parameters' names in braces; each stands for the
-            magnitude with its unit. Where the words depend on the values (the sign of a parameter,
-            which of two is larger), a function from the values to that clause.
+        plain: Description for use in a sentence.
+        says: The finding as a clause, with names of parameters in braces, which are replaced by
+            magnitudes with units. If the words depend on the values (the sign of a parameter, the
+            larger of two), a function from the values to this clause.
         site: Where its term acts.
         term: The term, a Warp function (see ``Site``).
         parameters: Its parameters, in the order of their columns.
-        component: What it belongs to.
-        memory: Number of cells of memory that it needs.
+        component: The component that it belongs to.
+        memory: Number of memory cells that it needs.
         order: Effects at one site act in ascending order, those of equal order by name.
-        family: Effects of one family describe the same mechanism: a joint has one of them at most.
+        family: Effects of one family describe the same mechanism: a joint has at most one of them.
         also: Further terms of the effect, each with its site.
-        steady: Whether what it does to the sensor is said by the moment alone: asked at samples.
-        fitted: Whether a fit can follow it; not so where it is drawn anew for each set-point, or
-            read off the recorded numbers themselves.
-        everywhere: Whether every servo has a little of it, which is then no finding.
-        never_named: Whether it is part of the plain servo alone, and never a finding.
-        either_sign: Whether a recording may have less of it than another.
-        load: What of a stated load it makes up for: a column of the plain servo.
+        steady: Whether its term at the sensor has no state and is evaluated at samples only.
+        fitted: Whether its parameters can be fitted; not if it is random for each set-point, or
+            determined directly from the recorded numbers.
+        everywhere: Whether all servos have a small amount of it, which is then no finding.
+        never_named: Whether it is always part of the plain servo and never a finding.
+        either_sign: Whether it may decrease as well as increase between recordings.
+        load: Column of the plain servo, from the stated load, that it corrects.
         ascending: Names of two of its parameters of which the second is never below the first.
-        mimics: Effects of one joint that one of the supply or the link looks like there: beside it
-            they are no finding.
+        mimics: Effects of a single joint that this effect of the supply or the link resembles; with
+            it, they are no finding.
     """
 
     name: str
@@ -136,7 +136,7 @@ class Effect:
 
         Args:
             values: Values of its parameters by name, SI.
-            per_inertia: Whether torques are per unit of inertia, as where the load is not known.
+            per_inertia: Whether torques are per unit of inertia, because the load is not known.
         """
         template = self.says if isinstance(self.says, str) else self.says(values)
         sizes = {

@@ -1,7 +1,7 @@
 """Sine and exponential for the inner loop of a rollout, without a call to the mathematical library.
 
-A library call in each sub-step costs as much as the rest of a linear servo's sub-step: the compiler
-must save all registers around it, and cannot overlap it with the row beside. These are inlined.
+A library call in each sub-step takes as long as the rest of a linear servo's sub-step: the compiler
+must save all registers around it and cannot interleave two rows. These functions are inlined.
 Both reduce the argument in two parts (Cody and Waite, Software Manual for the Elementary Functions
 (Prentice Hall, 1980)) and then sum the Taylor series to double precision by Estrin's scheme; errors
 are a few units in the last place of 1.
@@ -46,7 +46,7 @@ _E9 = wp.constant(wp.float64(1.0 / math.factorial(9)))
 _E10 = wp.constant(wp.float64(1.0 / math.factorial(10)))
 _E11 = wp.constant(wp.float64(1.0 / math.factorial(11)))
 _E12 = wp.constant(wp.float64(1.0 / math.factorial(12)))
-"""Coefficients of the exponential's."""
+"""Coefficients of the Taylor series of the exponential."""
 
 
 @wp.func
@@ -54,7 +54,7 @@ def sine(x: wp.float64) -> wp.float64:
     """Sine of an angle in rad."""
     r = wp.float64(x)
     sign = wp.float64(1.0)
-    if not (wp.abs(x) < _HALF_PI):  # the usual angle of a shaft waits for no reduction
+    if not (wp.abs(x) < _HALF_PI):  # usual angles need no reduction
         turns = (x * _PER_PI + _ROUNDER) - _ROUNDER
         if not (wp.abs(turns) < _MOST_TURNS):  # NaN too
             return wp.sin(x)
@@ -76,7 +76,7 @@ def sine(x: wp.float64) -> wp.float64:
 
 @wp.func
 def decay(x: wp.float64) -> wp.float64:
-    """``exp(-x)`` of an exponent that is not negative."""
+    """``exp(-x)`` for x of at least 0."""
     if not (x < _MOST_DECAY):
         return wp.exp(-x)
     shifted = _ROUNDER - x * _PER_LN2

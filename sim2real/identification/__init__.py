@@ -1,1 +1,1 @@
-"""A servo's gains, latency and motor from recordings of one joint, and how well they are known."""
+"""Identification of a servo's gains, latency and motor from recordings, with uncertainties."""

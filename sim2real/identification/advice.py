@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim2real.effects import Effect
-from sim2real.identification.control_loop import hidden
+from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
@@ -39,14 +39,14 @@ def on_fit(
     best: Fit,
     spread: Uncertainty,
     ends: Mapping[str, tuple[float, float]],
-    unseen: Sequence[str],
+    without_influence: Sequence[str],
     figures: Mapping[str, float | None],
 ) -> list[str]:
-    """Notes on parameters without influence, open directions, bounds, convergence and misfit."""
+    """Notes on parameters without influence, undetermined ones, bounds, convergence and misfit."""
     notes = [
         f"{readable_name(name)} has no influence on these recordings; "
         "its value is the starting value"
-        for name in unseen
+        for name in without_influence
     ]
     for direction in dict.fromkeys(spread.open_directions):
         notes.append(_open([readable_name(best.names[k]) for k in direction]))
@@ -76,34 +76,34 @@ def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
     """A note where the data sheet does not state what the law of a motor needs."""
-    known = robot.joint(joint)
-    if known is None:
+    described = robot.joint(joint)
+    if described is None:
         return []
-    missing = " and ".join(name for name in needed if not known.servo.states(name))
+    missing = " and ".join(name for name in needed if not described.servo.states(name))
     return [
-        f"the linear law pd was fitted, as servo {known.servo.name} states no {missing}; with "
+        f"the linear law pd was fitted, as servo {described.servo.name} states no {missing}; with "
         "these values of the data sheet, the model also limits torque and speed in faster motions"
     ]
 
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
-    """Motor parameters that the recordings do not determine or that contradict the data sheet."""
+    """Notes on motor parameters that are undetermined or contradict the data sheet."""
     values, log = motor.fit.values, motor.log
     sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [readable_name(name) for name in motor.fit.names]
-    told = motor.moved | (sd < _KEPT * motor.prior_sd)
-    kept = [name for name, known in zip(names, told, strict=True) if not known]
+    determined = motor.moved | (sd < _KEPT * motor.prior_sd)
+    undetermined = [n for n, sure in zip(names, determined, strict=True) if not sure]
     notes = []
-    if kept:
-        notes.append(f"these recordings do not determine {', '.join(kept)}: the prior does")
-    unseen = hidden(motor)
-    if unseen is not None:
+    if undetermined:
+        notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
+    loop = undetected_loop(motor)
+    if loop is not None:
         kp, kd = (float(x) for x in motor.fit.row[:2])
         notes.append(
             "these recordings do not distinguish a control loop that is synchronous with their "
             "samples from a continuous one, which is assumed: at "
-            f"{1 / unseen.period_s:.0f} Hz kp would be {unseen.kp:.3g} instead of {kp:.3g} and "
-            f"kd {unseen.kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
+            f"{1 / loop.period_s:.0f} Hz kp would be {loop.kp:.3g} instead of {kp:.3g} and "
+            f"kd {loop.kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
             "distinguish them"
         )
     if motor.problem.traces[0].load is PER_INERTIA:
@@ -113,8 +113,8 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
         ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),
     ):
         k = motor.fit.names.index(name)
-        away = abs(np.log(values[k] / stated))
-        if away > 2 * motor.prior_sd[k] and sd[k] < 0.5 * away:
+        deviation = abs(np.log(values[k] / stated))
+        if deviation > 2 * motor.prior_sd[k] and sd[k] < 0.5 * deviation:
             notes.append(
                 f"{names[k]} is {values[k]:.3g}, but the data sheet states {stated:.3g}: check the "
                 "type of the servo and the supply voltage"
@@ -122,24 +122,24 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     return notes
 
 
-def on_inertia(held: Fit, freed: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
+def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:
     """A note where the data contradict the stated inertia, for instance because of a geared rotor.
 
     It requires an inertia that differs significantly, and a better fit of held-out data as well.
     """
-    unit = np.array([*freed.row[:2], 0.05, freed.inertia])
-    spread = uncertainty(freed, np.maximum(unit, 1e-9))
-    extra, sd = float(freed.row[INERTIA_LEFT_OUT]), float(spread.sd[3])
-    before, after = (rms(f.residuals) for f in (held, freed))
-    unseen = [rms(residuals(f.row, scored)) for f in (held, freed)]
-    clear = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
-    if not clear or after > 0.95 * before or (scored and unseen[1] > unseen[0]):
+    unit = np.array([*free.row[:2], 0.05, free.inertia])
+    spread = uncertainty(free, np.maximum(unit, 1e-9))
+    extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3])
+    before, after = (rms(f.residuals) for f in (fixed, free))
+    heldout = [rms(residuals(f.row, scored)) for f in (fixed, free)]
+    significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
+    if not significant or after > 0.95 * before or (scored and heldout[1] > heldout[0]):
         return []
-    moved = 1e3 * (freed.row[2] - held.row[2])
+    shift = 1e3 * (free.row[2] - fixed.row[2])
     return [
         f"the data contradict the stated inertia of {stated.inertia_kgm2:.4g} kg m2: "
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
-        f"{1e3 * after:.1f} mrad) and changes the latency by {moved:+.1f} ms; a rotor or arm may "
+        f"{1e3 * after:.1f} mrad) and changes the latency by {shift:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
     ]
 

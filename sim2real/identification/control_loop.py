@@ -1,10 +1,10 @@
-"""When a sampled controller looks, where recordings show it.
+"""Period and phase of a sampled controller, where recordings determine them.
 
-A set-point waits for the controller's next look, so that steps come early and late by up to a
-period. No search by slopes finds that: the error is flat in the period but at the true one. So the
-delay of each large step is measured on its own; the times at which steps arrive then lie on a
-lattice, whose period a periodogram shows (as of pulsars: Buccheri and others, Astron. Astrophys.
-128 (1983) 245, one harmonic).
+A set-point takes effect at the controller's next sample, so that the delay varies by up to a
+period. A gradient search does not find the period: the error is flat except near the true value.
+The delay of each large step is therefore estimated separately. The arrival times then lie on a
+lattice, whose period is found by a periodogram (as for pulsars: Buccheri and others, Astron.
+Astrophys. 128 (1983) 245, one harmonic).
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad",
 
 @dataclass(frozen=True)
 class LoopSearch:
-    """How the period of a sampled controller is searched.
+    """Settings of the search for the period of a sampled controller.
 
     Attributes:
-        rates_Hz: Rates of controllers that are looked for; a faster one cannot be told from none.
-        most_steps: Steps of a recording whose delay is measured.
-        least_step: Least of these steps, as a share of the largest.
-        delay_s: Delay by which it is measured what one does.
+        rates_Hz: Range of rates; faster loops are not distinguishable from continuous ones.
+        most_steps: Largest number of steps of a recording whose delay is estimated.
+        least_step: Smallest of these steps, as a share of the largest.
+        delay_s: Delay of the finite differences.
         delay_sd_s: Prior standard deviation of the delays about their mean.
-        in_step: Length of the mean phase of set-points from which on they keep step with a loop.
-        fewest_steps: Steps from which a period can be told.
-        candidates: Rates that are tried, besides those they may be harmonics of.
-        latencies: Latencies that are tried with each rate.
-        first_steps: Most steps of the first fits.
-        phases: Phases that are tried about a fit.
-        best: The best of these, which are refitted.
-        rounds: Rounds of phases and refits.
+        in_step: Length of the mean phase vector above which set-points are synchronous with a loop.
+        fewest_steps: Smallest number of steps for an estimate of the period.
+        candidates: Number of rates that are tried, without their subharmonics.
+        latencies: Number of latencies that are tried with each rate.
+        first_steps: Largest number of steps of the first fits.
+        phases: Number of phases that are tried about a fit.
+        best: Number of the best phases, from which fits start.
+        rounds: Rounds of phases and fits.
     """
 
     rates_Hz: tuple[float, float] = (90.0, 1100.0)
@@ -63,39 +63,39 @@ LOOP_SEARCH = LoopSearch()
 """The defaults."""
 
 
-def sampled(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> MotorFit | None:
-    """The fit with the sampled loop that explains the recordings best; its gain is not judged.
+def fit_sampled_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> MotorFit | None:
+    """Fit a sampled loop, without a test of its significance.
 
-    From a fit without a loop, to whose latency the wait for the next look has added. All recordings
-    start at one phase.
+    The latency of a fit without a loop includes the mean wait for the next sample. All recordings
+    are assumed to start at the same phase.
 
     Args:
         motor: A fit without a loop.
         search: Settings of the search.
 
     Returns:
-        None where too few steps tell.
+        The best fit; None if there are too few steps.
     """
     sent, delay, spread = arrivals(motor, search=search)
     if sent.size < search.fewest_steps:
         return None
     rates = _rates(sent + delay, spread, search=search)
-    coarse = np.stack([_looped(motor, 1 / hz, sent, delay, spread, search=search) for hz in rates])
+    coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread, search=search) for hz in rates])
     loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
-    near = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    found = refitted(motor, near, search.first_steps)[0]
+    starts = coarse[np.arange(rates.size), loss.argmin(axis=1)]
+    fit = refitted(motor, starts, search.first_steps)[0]
     for _ in range(search.rounds):
-        fine = np.concatenate([found.x[None], _nearby(found, search=search)])
-        found = refitted(found, fine[np.argsort(found.rough_losses(fine))[: search.best]])[0]
-    return found
+        candidates = np.concatenate([fit.x[None], _with_other_phases(fit, search=search)])
+        fit = refitted(fit, candidates[np.argsort(fit.rough_losses(candidates))[: search.best]])[0]
+    return fit
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """A loop that would show nowhere, and the gains that it would have to have.
+class UndetectedLoop:
+    """A sampled loop that the recordings do not exclude, and the gains that it implies.
 
     Attributes:
-        period_s: Time between two looks.
+        period_s: Sampling period.
         kp: Proportional gain in N m/rad, or per unit of inertia.
         kd: Derivative gain in N m s/rad, likewise.
     """
@@ -105,23 +105,23 @@ class Hidden:
     kd: float
 
 
-def hidden(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Hidden | None:
-    """The slowest sampled loop that the recordings cannot tell from none.
+def undetected_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> UndetectedLoop | None:
+    """The slowest sampled loop that is not distinguishable from a continuous one.
 
-    One whose looks keep step with the set-points: each then waits as long as any other, which is as
-    good as latency, and what it sees late as good as other gains.
+    Its samples are synchronous with the set-points: the wait is then equal for all set-points and
+    equivalent to latency, and the delay of the measurement is equivalent to other gains.
 
     Args:
         motor: A fit without a loop.
         search: Settings of the search.
 
     Returns:
-        None where set-points come at odd times, or where the fit has a loop.
+        None if set-points are sent at irregular times, or if the fit has a loop.
     """
     if motor.fit.row[COLUMNS.index(LOOP[0])] > 0:
         return None
-    moved = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
-    times = np.concatenate(moved)
+    changes = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
+    times = np.concatenate(changes)
     if times.size < 2:
         return None
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
@@ -130,12 +130,12 @@ def hidden(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Hidden | Non
         if 1 / period < search.rates_Hz[0]:
             continue
         if abs(np.exp(2j * np.pi * times / period).mean()) > search.in_step:
-            return Hidden(period, *_held_gains(motor, period))
+            return UndetectedLoop(period, *_equivalent_gains(motor, period))
     return None
 
 
 def arrivals(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> tuple[Array, Array, Array]:
-    """When large steps of the command were sent, how late they acted, its spreads, in s, (K,).
+    """Times of large steps of the command, their delays and standard deviations, in s, (K,).
 
     Args:
         motor: A fit without a loop.
@@ -152,15 +152,15 @@ def arrivals(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> tuple[Arra
         step = step[(step > 0) & (step < trace.t.size - 1)]
         if not step.size:
             continue
-        late = _effect_of_delay(motor, trace, step, search=search)[trace.used]
+        delayed = _effect_of_delay(motor, trace, step, search=search)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
-        every = np.hstack([late, slopes / units])
+        slope_matrix = np.hstack([delayed, slopes / units])
         prior_precision = np.concatenate(
             [np.full(step.size, (scale / search.delay_sd_s) ** 2), 1e-9 + 0 * units]
         )
-        precision = every.T @ every + np.diag(prior_precision)
+        precision = slope_matrix.T @ slope_matrix + np.diag(prior_precision)
         inverse = np.linalg.inv(precision)
-        delay = -(inverse @ (every.T @ error))[: step.size]
+        delay = -(inverse @ (slope_matrix.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])
         delays.append(motor.fit.row[_LATENCY] + delay)
         spreads.append(scale * np.sqrt(np.diag(inverse)[: step.size]))
@@ -173,29 +173,29 @@ def _effect_of_delay(
     motor: MotorFit, trace: Trace, step: NDArray[np.intp], *, search: LoopSearch
 ) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
-    moved = [trace]
+    shifted = [trace]
     for k in step:
-        later = min(search.delay_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
+        delay = min(search.delay_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
         command = np.insert(trace.command, k, trace.command[k - 1])
-        moved.append(
+        shifted.append(
             replace(
                 trace,
-                t=np.insert(trace.t, k + 1, trace.t[k] + later),
+                t=np.insert(trace.t, k + 1, trace.t[k] + delay),
                 command=command,
                 position=np.insert(trace.position, k, np.nan),
                 used=np.insert(trace.used, k, False),
             )
         )
-    angle = Simulator(moved).angles(motor.fit.row[None], motor.problem.substep_s)
-    late = [
-        (np.delete(one[0], k + 1) - angle[0][0]) / (more.t[k + 1] - more.t[k])
-        for k, one, more in zip(step, angle[1:], moved[1:], strict=True)
+    angle = Simulator(shifted).angles(motor.fit.row[None], motor.problem.substep_s)
+    derivatives = [
+        (np.delete(rollout[0], k + 1) - angle[0][0]) / (variant.t[k + 1] - variant.t[k])
+        for k, rollout, variant in zip(step, angle[1:], shifted[1:], strict=True)
     ]
-    return np.stack(late, axis=1)
+    return np.stack(derivatives, axis=1)
 
 
 def _rates(times: Array, spread: Array, *, search: LoopSearch) -> Array:
-    """Rates in Hz at which the times lie best on a lattice, best first."""
+    """Rates in Hz of the lattices that fit the times best, best first."""
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
     rates = np.arange(*search.rates_Hz, fine)
     power = np.empty(rates.size)
@@ -205,21 +205,21 @@ def _rates(times: Array, spread: Array, *, search: LoopSearch) -> Array:
         hz = rates[first : first + block, None]
         weight = np.exp(-2 * (np.pi * hz * spread) ** 2)
         begin = np.exp(2j * np.pi * rates[first] * times)
-        together = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
-        power[first : first + block] = together / np.maximum((weight**2).sum(axis=1), 1e-9)
+        coherence = np.abs(np.einsum("rk,rk,k->r", weight, turned[: hz.size], begin)) ** 2
+        power[first : first + block] = coherence / np.maximum((weight**2).sum(axis=1), 1e-9)
     chosen: list[float] = []
     for k in np.argsort(-power):
         if all(abs(rates[k] - other) > 5 * fine for other in chosen):
             chosen.append(float(rates[k]))
         if len(chosen) == search.candidates:
             break
-    for slower in [one / n for one in chosen for n in (2, 3)]:  # whose harmonics they may be
-        if slower > search.rates_Hz[0] and all(abs(slower - other) > 5 * fine for other in chosen):
-            chosen.append(slower)
+    for lower in [rate / n for rate in chosen for n in (2, 3)]:  # of harmonics
+        if lower > search.rates_Hz[0] and all(abs(lower - other) > 5 * fine for other in chosen):
+            chosen.append(lower)
     return np.array(chosen)
 
 
-def _looped(
+def _starts(
     motor: MotorFit,
     period_s: float,
     sent: Array,
@@ -228,9 +228,9 @@ def _looped(
     *,
     search: LoopSearch,
 ) -> Array:
-    """Servos as searched with a loop of that period, one a latency, shape (latencies, F).
+    """Parameters as searched with a loop of this period, one row per latency, (latencies, F).
 
-    The phase is that of the arrivals; the latency is shorter than any delay by up to a period.
+    The phase is that of the arrivals; latencies are up to a period below the median delay.
     """
     prior = motor.problem.prior
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
@@ -240,32 +240,32 @@ def _looped(
     x[:, _LATENCY] = np.maximum(shortest, 0.0)
     x[:, prior.index(LOOP[0])] = period_s
     x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
-    kp, kd = _held_gains(motor, period_s)
+    kp, kd = _equivalent_gains(motor, period_s)
     x[:, _KP], x[:, _KD] = np.log(kp), np.log(kd)
     return x
 
 
-def _held_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
-    """Gains kp, kd with a loop that act as those of the fit do without.
+def _equivalent_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
+    """Gains kp, kd with a loop that are equivalent to those of the fit without.
 
-    What is seen half a period late: kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v; the first
-    takes from the damping, the second, by the back-EMF's b, adds to the inertia.
+    A delay of half a period P makes the torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b
+    from the back-EMF: less damping by the first term, more inertia by the second.
     """
     row, half = motor.fit.row, 0.5 * period_s
     kp, kd = (float(x) for x in row[[_KP, _KD]])
     line = row[[COLUMNS.index(name) for name in LINE]]
-    back = line[0] / line[1] if line.all() else kd
+    back_emf = line[0] / line[1] if line.all() else kd
     inertia = motor.fit.inertia + float(row[COLUMNS.index(ROTOR)])
-    more = (1 + back * half / inertia) / (1 + (kd + kp * half) * half / inertia)
-    return more * kp, more * (kd + kp * half)
+    ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
+    return ratio * kp, ratio * (kd + kp * half)
 
 
-def _nearby(found: MotorFit, *, search: LoopSearch) -> Array:
-    """Servos as searched, set-points of which wait for an earlier or a later look."""
-    prior = found.problem.prior
-    length, phase = found.x[prior.index(LOOP[0])], prior.index(LOOP[1])
-    near = np.linspace(-0.5, 0.5, search.phases + 1) * length
-    x = np.tile(found.x, (near.size, 1))
-    x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - near, 0.0)  # the looks stay where they are
-    x[:, phase] = (found.x[phase] + found.x[_LATENCY] - x[:, _LATENCY]) % length
+def _with_other_phases(fit: MotorFit, *, search: LoopSearch) -> Array:
+    """Parameters as searched in which set-points wait for earlier or later samples."""
+    prior = fit.problem.prior
+    length, phase = fit.x[prior.index(LOOP[0])], prior.index(LOOP[1])
+    shift = np.linspace(-0.5, 0.5, search.phases + 1) * length
+    x = np.tile(fit.x, (shift.size, 1))
+    x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - shift, 0.0)  # the sampling times do not change
+    x[:, phase] = (fit.x[phase] + fit.x[_LATENCY] - x[:, _LATENCY]) % length
     return x

@@ -1,4 +1,4 @@
-"""Fit effects of the catalogue together with the gains that would otherwise hide them."""
+"""Fit effects of the catalogue together with the gains, which would otherwise absorb them."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ STRENGTHS = (0.3, 1.0, 3.0, 10.0)
 def fit_effects(traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect]) -> Fit:
     """Fit gains, latency and the parameters of effects to all traces at once.
 
-    Every parameter of an effect starts from several strengths, so that none is lost at zero.
+    Every parameter of an effect starts from several values, as the gradient may vanish at 0.
 
     Args:
         traces: The joint's recordings.
         plain: The fit of the plain servo.
-        effects: What to add to it.
+        effects: The effects to add.
     """
     added = of_effects(effects, plain.row, plain.inertia)
     free = (*gains(plain.row, plain.inertia), *added)
-    tried = [
+    fits = [
         fit(traces, row, free, rounds=0, evaluations=12)
         for row in _starts(traces, plain, effects, added)
     ]
-    nearest = min(tried, key=lambda one: one.loss(plain.scale_rad))
-    return fit(traces, nearest.row, free, rounds=3, evaluations=40)
+    best = min(fits, key=lambda candidate: candidate.loss(plain.scale_rad))
+    return fit(traces, best.row, free, rounds=3, evaluations=40)
 
 
 def _starts(
@@ -50,16 +50,16 @@ def _starts(
     *,
     most_starts: int = 256,
 ) -> Array:
-    """For each strength of each parameter the combination that fits best, gains as fitted."""
+    """For each starting value of each parameter, the best combination with the others."""
     choices = [[min(max(s * p.nominal, p.low), p.high) for s in STRENGTHS] for p in added]
-    every = len(STRENGTHS) ** len(choices) <= most_starts
+    full_grid = len(STRENGTHS) ** len(choices) <= most_starts
     grid = np.array(
-        list(itertools.product(*choices)) if every else list(zip(*choices, strict=True))
+        list(itertools.product(*choices)) if full_grid else list(zip(*choices, strict=True))
     )
     rows = np.tile(plain.row, (len(grid), 1))
     rows[:, [COLUMNS.index(p.name) for p in added]] = grid
-    left = np.concatenate(errors(Simulator(traces), rows), axis=1)
-    order = np.argsort([robust_loss(error, OUTLIER_SD * plain.scale_rad) for error in left])
+    residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
+    order = np.argsort([robust_loss(error, OUTLIER_SD * plain.scale_rad) for error in residuals])
     best = {
         int(next(k for k in order if grid[k, column] == value))
         for column in range(grid.shape[1])

@@ -1,4 +1,4 @@
-"""How well a recording could pin a servo down, said before it is fitted."""
+"""Expected precision of a servo's parameters, before a fit."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ _NAMES = ("kp", "kd", "latency", "inertia left out")
 
 
 def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tuple[str, ...]:
-    """What the recording can and cannot identify of one joint, a sentence each.
+    """Parameters of one joint that the recording can and cannot identify, one sentence each.
 
-    From the Fisher information of a PD servo that roughly fits: with independent noise and nothing
-    but a PD servo in the recording, these are the half-widths of 90 % intervals.
+    From the Fisher information of an approximate PD servo: half-widths of 90 % intervals if the
+    joint is a PD servo and the noise is independent.
 
     Args:
         recording: The recording.
         joint: The joint.
-        seed: Seed of the scan for a servo that fits.
+        seed: Seed of the search for an approximate servo.
     """
-    given = traces([recording], joint)
-    if not given:
+    moving = traces([recording], joint)
+    if not moving:
         return ("nothing can be identified: the joint does not move under command",)
-    trace = given[0]
-    start, _ = first_guess(given, np.random.default_rng(seed))
+    trace = moving[0]
+    start, _ = first_guess(moving, np.random.default_rng(seed))
     pendulum = trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0
     inertia = trace.load.inertia_kgm2
-    every = (*gains(start, inertia), inertia_left_out(start, inertia))
+    parameters = (*gains(start, inertia), inertia_left_out(start, inertia))
     free = range(4 if pendulum else 3)
-    slopes = fit(given, start, [every[k] for k in free], rounds=0, evaluations=1).jacobians[0]
-    unit = column([every[k] for k in free], "typical")
+    slopes = fit(moving, start, [parameters[k] for k in free], rounds=0, evaluations=1).jacobians[0]
+    unit = column([parameters[k] for k in free], "typical")
     noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
     scaled = slopes * unit / noise
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
     half = Z90 * np.sqrt(variance) * unit
-    seen = np.sqrt(variance) < 1
-    can = [_precision(k, half[i], start) for i, k in enumerate(free) if seen[i]]
-    cannot = [_NAMES[k] for i, k in enumerate(free) if not seen[i]]
+    determined = np.sqrt(variance) < 1
+    identifiable = [_precision(k, half[i], start) for i, k in enumerate(free) if determined[i]]
+    unidentifiable = [_NAMES[k] for i, k in enumerate(free) if not determined[i]]
     per = " per unit of inertia" if trace.load is PER_INERTIA else ""
     sentences = []
-    if can:
-        sentences.append(f"can identify{per}: {', '.join(can)}")
-    if cannot:
-        sentences.append(f"cannot identify: {', '.join(cannot)}")
+    if identifiable:
+        sentences.append(f"can identify{per}: {', '.join(identifiable)}")
+    if unidentifiable:
+        sentences.append(f"cannot identify: {', '.join(unidentifiable)}")
     return tuple(sentences)
 
 

@@ -31,18 +31,18 @@ STEPS_PER_RADIAN = 64.0
 
 @dataclass(frozen=True)
 class Fit:
-    """A fit that has converged, or says that it has not.
+    """Result of a fit.
 
     Attributes:
-        parameters: What was fitted, F of them, named as columns are.
+        parameters: The F fitted parameters, with the names of their columns.
         row: All parameters of the servo, shape (P,); loads are the recordings'.
         scale_rad: Robust standard deviation of the residual.
-        residuals: Simulated minus measured angle at the used samples, one array a trace.
-        jacobians: Its derivatives by the fitted parameters, one array (n, F) a trace.
+        residuals: Simulated minus measured angle at the used samples, one array per trace.
+        jacobians: Its derivatives by the fitted parameters, one array (n, F) per trace.
         converged: Whether the search ended at a minimum.
         inertia: The stated inertia, kg m2.
         prior: Precision of the prior of the free parameters, shape (F, F); None without one.
-        tempering: Variance in rad2 that one sample of the residual had beside that prior.
+        tempering: Variance in rad2 of one sample of the residual, which weights the prior.
     """
 
     parameters: tuple[Parameter, ...]
@@ -57,27 +57,27 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what was fitted."""
+        """Names of the fitted parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def values(self) -> Array:
-        """Values of what was fitted, shape (F,)."""
+        """Values of the fitted parameters, shape (F,)."""
         return self.row[[COLUMNS.index(name) for name in self.names]]
 
     def loss(self, scale_rad: float) -> float:
-        """Robust loss for a given scale of the residual, in rad2; about the sum of squares."""
+        """Robust loss in rad2 for a given scale of the residual, near the sum of squares."""
         return robust_loss(np.concatenate(self.residuals), OUTLIER_SD * scale_rad)
 
     @property
     def at_bound(self) -> tuple[Parameter, ...]:
-        """What ended on a bound."""
+        """Parameters at a bound."""
         ends = zip(self.parameters, self.values, strict=True)
         return tuple(p for p, x in ends if min(x - p.low, p.high - x) < 1e-6 * (p.high - p.low))
 
 
 def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
-    """Gains and latency, in sizes at which a change would matter to a servo like ``row`` (P,)."""
+    """Gains and latency, with natural units for a servo like ``row`` (P,)."""
     kp = max(float(row[0]), 1e-9)
     kd = max(float(row[1]), 0.4 * float(np.sqrt(kp * (inertia + row[INERTIA_LEFT_OUT]))))
     return (
@@ -88,20 +88,20 @@ def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
 
 
 def inertia_left_out(row: Array, inertia: float) -> Parameter:
-    """Inertia that the stated load lacks, or has too much."""
+    """Inertia missing from the stated load; negative if the stated inertia is too large."""
     size = inertia + float(row[INERTIA_LEFT_OUT])
     return Parameter(COLUMNS[INERTIA_LEFT_OUT], -0.9 * inertia, 20.0 * inertia, size)
 
 
 def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
     """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
-    found = []
+    parameters = []
     for effect in effects:
-        for one in effect.parameters:
-            p = scaled(one, float(row[0]), inertia)
+        for parameter in effect.parameters:
+            p = scaled(parameter, float(row[0]), inertia)
             name = f"{effect.name}.{p.name}"
-            found.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
-    return tuple(found)
+            parameters.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
+    return tuple(parameters)
 
 
 def fit(
@@ -114,19 +114,19 @@ def fit(
     difference: float = 1e-4,
     settled: float = 1e-3,
 ) -> Fit:
-    """Fit some parameters to all traces at once; the rest of the row stays.
+    """Fit some parameters to all traces at once, with the others of the row fixed.
 
     Derivatives are central differences, with longer sub-steps until the last point
     (``rollout.coarse_substep``).
 
     Args:
         traces: The joint's recordings.
-        row: Where to start, shape (P,).
-        free: What to fit.
-        rounds: Most robust rounds after the plain one.
-        evaluations: Most evaluations in one round.
+        row: Starting point, shape (P,).
+        free: Parameters to fit.
+        rounds: Largest number of robust rounds after the first one.
+        evaluations: Largest number of evaluations in one round.
         difference: Step of the central differences, in natural units.
-        settled: Expected gain in log-likelihood below which a step is not worth making.
+        settled: Expected gain in log-likelihood below which the search ends.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
@@ -135,15 +135,15 @@ def fit(
     step = np.full(len(free), difference)
 
     def rows(x: Array) -> Array:
-        every = np.tile(row, (len(x), 1))
-        every[:, columns] = x * unit
-        return every
+        filled = np.tile(row, (len(x), 1))
+        filled[:, columns] = x * unit
+        return filled
 
     def simulate(points: Array, substep_s: float) -> Array:
         return np.concatenate(errors(simulator, rows(points), substep_s), axis=1)
 
     def fine(x: Array) -> float:
-        # beside the point, where effects are on that are absent at it
+        # at a neighbouring point, where effects are active that are 0 at this one
         return simulator.substep(rows(x[None] + step), STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
 
     # Damping that an effect adds may be unstable with long sub-steps.
@@ -177,13 +177,13 @@ def fit(
 
 
 def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()) -> Fit:
-    """The fit of ``identify`` from a servo (P,) that is near: gains, latency and its effects."""
+    """Fit gains, latency and effects, starting from a similar servo (P,)."""
     inertia = traces[0].load.inertia_kgm2
     return fit(traces, row, (*gains(row, inertia), *of_effects(effects, row, inertia)))
 
 
 def errors(simulator: Simulator, rows: Array, substep_s: float | None = None) -> list[Array]:
-    """Simulated minus measured angle of servos (B, P) at used samples, (B, n) a trace."""
+    """Simulated minus measured angle of servos (B, P) at used samples, (B, n) per trace."""
     if substep_s is None:
         substep_s = simulator.substep(rows, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
     angles = simulator.angles(rows, substep_s)
@@ -207,20 +207,20 @@ def plain_row(kp: float, kd: float, latency: float) -> Array:
 def best_of(
     fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
 ) -> tuple[Fit, list[Fit]]:
-    """The best fit of all starts (P,), and those of the others that settled elsewhere.
+    """The best fit of all starts (P,), and the other fits, sorted by loss.
 
     Args:
         fitted: The joint's recordings.
-        starts: Where to begin; the first is followed further than the others.
-        names: What is fitted.
+        starts: Starting points; the first has more evaluations than the others.
+        names: Parameters to fit.
     """
     inertia = fitted[0].load.inertia_kgm2
     free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]
     fits = [fit(fitted, starts[0], free[0])]
     fits += [
-        fit(fitted, other, by, rounds=1, evaluations=20)
-        for other, by in zip(starts[1:], free[1:], strict=True)
+        fit(fitted, other, other_free, rounds=1, evaluations=20)
+        for other, other_free in zip(starts[1:], free[1:], strict=True)
     ]
-    scale = min(one.scale_rad for one in fits)
-    fits.sort(key=lambda one: one.loss(scale))
+    scale = min(candidate.scale_rad for candidate in fits)
+    fits.sort(key=lambda candidate: candidate.loss(scale))
     return fits[0], fits[1:]

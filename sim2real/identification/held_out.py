@@ -1,4 +1,4 @@
-"""Errors on data that a fit has not seen: every recording held out in turn, or the last quarter."""
+"""Errors on held-out data: every recording in turn, or the last quarter of a single one."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 @dataclass(frozen=True)
 class Unseen:
-    """Simulated minus measured angles where the fit did not look.
+    """Residuals on held-out samples.
 
     Attributes:
-        residuals: One array a fold, of its held-out samples, rad.
-        theta: Parameters fitted to the rest of each fold, shape (folds, P).
+        residuals: Simulated minus measured angles in rad, one array per fold.
+        theta: Parameters fitted to the other samples of each fold, shape (folds, P).
     """
 
     residuals: tuple[Array, ...]
@@ -40,9 +40,9 @@ class Unseen:
 
 
 def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
-    """Pairs of traces to fit and to score: each recording in turn, or the end of a lone one."""
+    """Pairs of traces to fit and to score: each recording in turn, or the end of a single one."""
     if len(traces) > 1:
-        return [([other for other in traces if other is not one], [one]) for one in traces]
+        return [([other for other in traces if other is not trace], [trace]) for trace in traces]
     fitted, scored, _ = split(traces, None)
     return [(fitted, scored)] if scored else []
 
@@ -54,17 +54,17 @@ def held_out(
     white: bool = True,
     device: str = "cpu",
 ) -> list[Unseen | None]:
-    """Refit each servo without each fold and score it there.
+    """Refit each servo without each fold, and compute its residuals there.
 
     Args:
         joints: Traces of each servo's joint.
-        servos: Servos with the parameters fitted to everything, each of one row.
-        white: Whether the refits take the noise for white, which is best for predictions where
-            something stays missing.
+        servos: Servos with the parameters fitted to all samples, each of one row.
+        white: Whether the refits assume white noise, which gives better predictions if physics is
+            missing from the model.
         device: Warp device.
 
     Returns:
-        One entry a servo; None where nothing can be held out.
+        One entry per servo; None where nothing can be held out.
     """
     pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
     if not pairs:
@@ -73,16 +73,16 @@ def held_out(
     scoring = Batch([scored for _, (_, scored) in pairs], device)
     results: dict[int, tuple[list[Array], list[Array]]] = {}
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
-        some = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
-        start = stacked([servos[pairs[k][0]] for k in some])
-        start = replace(start, joint=np.array(some, dtype=np.int32))
+        members = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
+        start = stacked([servos[pairs[k][0]] for k in members])
+        start = replace(start, joint=np.array(members, dtype=np.int32))
         fits = minimise(training, start, iterations=10, white=white)
         scored = scoring.evaluate(
-            Problems(start.joint, fits.servos.theta[:, None], np.zeros((len(some), 1))),
+            Problems(start.joint, fits.servos.theta[:, None], np.zeros((len(members), 1))),
             keep=True,
         )
         assert scored.residual is not None
-        for k, residual, theta in zip(some, scored.residual, fits.servos.theta, strict=True):
+        for k, residual, theta in zip(members, scored.residual, fits.servos.theta, strict=True):
             used = pairs[k][1][1][0].used
             errors, thetas = results.setdefault(pairs[k][0], ([], []))
             errors.append(residual[0, : used.size][used])
@@ -100,7 +100,7 @@ def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> 
     kp, kd = rows[0, :2]
     inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
-    # One length for all, or differences between them would be of the integration.
+    # A common sub-step, so that integration errors cancel in differences of servos.
     step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
     angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
     return np.ascontiguousarray(angle[:, :, 0])

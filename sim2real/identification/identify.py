@@ -1,4 +1,4 @@
-"""From recordings to a fitted servo model: the first main job."""
+"""Identification of a model of all servos from recordings."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ Array = NDArray[np.float64]
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
 """What a data sheet must state for the law ``motor``."""
 _SIDE_BY_SIDE = 2
-"""Joints fitted at once: one fills the processor while the other prepares its next rollouts."""
+"""Number of joints fitted concurrently, to keep the processor busy between rollouts."""
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """What is known of one joint after its fit."""
+    """Result of the fit of one joint."""
 
     model: JointModel
     figures: dict[str, float | None]
@@ -66,29 +66,29 @@ def identify(
     Args:
         recordings: Recordings of the servos; all of one joint are fitted together.
         robot: The robot that was recorded.
-        held_out: Name of the recording to score on and not fit; the last one by default. Of a lone
-            recording the last quarter is held out.
+        held_out: Name of the recording to score on and not to fit; the last one by default. The
+            last quarter of a single recording is held out.
         effects: Names of effects, or one name, to fit together with the gains of every joint.
-        law: ``"motor"``: a motor on the torque-speed line of its data sheet, whose gears rub where
-            the recordings show it; ``"pd"``: the linear servo. By default the motor, and the linear
-            servo where ``effects`` say what to add to it or the data sheet states no torque and no
-            speed, which a note then says.
-        together: Whether joints with one servo in the robot's file have motors of one make: each
-            is then fitted again with what the others have told of theirs (``servo_type``).
-        seed: Seed of the scan for a start.
-        progress: Wraps the joints while they are worked through, to show progress.
+        law: ``"motor"``: a motor on the torque-speed line of its data sheet, with gear friction if
+            the recordings show it; ``"pd"``: the linear servo. By default the motor, or the linear
+            servo if ``effects`` are given or the data sheet states no torque or no speed, with a
+            note in the latter case.
+        together: Whether joints with the same servo in the robot's file have motors of one type:
+            each is then fitted again with a prior from the others (``servo_type``).
+        seed: Seed of the search for a starting point.
+        progress: Function that wraps the sequence of joints, to show progress.
 
     Returns:
         The model, with 90 % intervals, errors on fitted and held-out data, and notes.
 
     Raises:
-        InputError: If no joint moves, a recording and the robot do not agree, there is no such law,
-            or the catalogue lacks an effect.
+        InputError: If no joint moves, a recording and the robot do not agree, or a law or an effect
+            does not exist.
     """
     if law is not None:
         check_choice("identify", "law", law, LAWS)
     check_whole("identify", "seed", seed)
-    wanted = [named(effect) for effect in names_of("identify", "effects", effects)]
+    extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
@@ -96,26 +96,26 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    # Each joint has random numbers of its own, so that joints can be fitted side by side.
+    # Each joint has a separate random generator, so that joints can be fitted concurrently.
     streams = dict(zip(moving, np.random.default_rng(seed).spawn(len(moving)), strict=True))
-    servos = {joint: _servo(robot, joint, law or ("pd" if wanted else None)) for joint in moving}
+    servos = {joint: _servo(robot, joint, law or ("pd" if extra else None)) for joint in moving}
     types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
-    def one(joint: str, known: ServoType | None) -> JointFit:
-        given = traces(recordings, joint)
-        check_samples(split(given, held_out)[0], joint)
+    def identify_joint(joint: str, prior: ServoType | None) -> JointFit:
+        data = traces(recordings, joint)
+        check_samples(split(data, held_out)[0], joint)
         notes = []
-        if law is None and not wanted and servos[joint] is None:
+        if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        return _identify_joint(given, held_out, wanted, streams[joint], servos[joint], known, notes)
+        return _identify_joint(data, held_out, extra, streams[joint], servos[joint], prior, notes)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
-        running = {joint: pool.submit(one, joint, types.get(joint)) for joint in moving}
+        running = {joint: pool.submit(identify_joint, joint, types.get(joint)) for joint in moving}
         results = {joint: running[joint].result() for joint in progress(moving)}
     if together:
-        told = {joint: _told_by_others(joint, servos, results) for joint in moving}
-        for joint, known in told.items():
-            results[joint] = results[joint] if known is None else one(joint, known)
+        learned = {joint: _type_from_others(joint, servos, results) for joint in moving}
+        for joint, prior in learned.items():
+            results[joint] = results[joint] if prior is None else identify_joint(joint, prior)
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
@@ -131,53 +131,53 @@ def fitted_motors(
 ) -> dict[str, MotorFit]:
     """The motor of every joint that moves, fitted to all of its recordings with nothing held out.
 
-    For ``servo_type.learn``. Joints that a linear servo explains tell nothing of their motors and
-    are left out.
+    For ``servo_type.learn``. Joints that a linear servo explains do not constrain their motors and
+    are omitted.
     """
     _check_inputs(recordings, robot, None)
     rng = np.random.default_rng(seed)
-    found = {}
+    motors = {}
     for joint in robot.joints:
-        given = traces(recordings, joint.name)
-        if not given:
+        data = traces(recordings, joint.name)
+        if not data:
             continue
-        noise = sensor_noise(given)
-        start, others = first_guess(given, rng)
-        best, _ = best_of(given, [start, *others], _influential(given, start, noise)[0])
-        motor = choose_motor(given, best, joint.servo, noise, rng)
+        noise = sensor_noise(data)
+        start, others = first_guess(data, rng)
+        best, _ = best_of(data, [start, *others], _influential(data, start, noise)[0])
+        motor = choose_motor(data, best, joint.servo, noise, rng)
         if motor.with_gains:
-            found[joint.name] = motor
-    return found
+            motors[joint.name] = motor
+    return motors
 
 
 def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
-    """The joint's data sheet; None where the law asks for none.
+    """The joint's data sheet; None for the linear law.
 
-    Without a law it is the motor's where the data sheet states what that needs.
+    The default law is that of the motor if the data sheet states the values that it needs.
     """
-    known = robot.joint(joint)
-    if law == "pd" or known is None:
+    described = robot.joint(joint)
+    if law == "pd" or described is None:
         return None
-    return known.servo if law == "motor" or known.servo.states(*MOTOR_SHEET) else None
+    return described.servo if law == "motor" or described.servo.states(*MOTOR_SHEET) else None
 
 
-def _told_by_others(
+def _type_from_others(
     joint: str, servos: Mapping[str, Servo | None], results: Mapping[str, JointFit]
 ) -> ServoType | None:
-    """What the other joints with the same servo have told of its motor, if there are any."""
-    servo, mine = servos[joint], results[joint].motor
-    if servo is None or mine is None:
+    """Servo type learned from the other joints with the same servo, if there are any."""
+    servo, motor = servos[joint], results[joint].motor
+    if servo is None or motor is None:
         return None
     others = {j: r.motor for j, r in results.items() if j != joint and servos[j] == servo}
     motors = [m for m in others.values() if m is not None and m.with_gains]
     if not motors:
         return None
-    per_inertia = mine.problem.traces[0].load is PER_INERTIA
+    per_inertia = motor.problem.traces[0].load is PER_INERTIA
     return learn(servo.name, motors, ", ".join(others), per_inertia=per_inertia)
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
-    """Make sure that recordings, robot and the wish for what to hold out agree."""
+    """Check that recordings, robot and the held-out name agree."""
     match_recordings(recordings, robot)
     for recording in recordings:
         validate_recording(recording, robot)
@@ -195,34 +195,34 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 
 
 def _identify_joint(
-    given: list[Trace],
+    data: list[Trace],
     held_out: str | None,
-    wanted: list[Effect],
+    extra: list[Effect],
     rng: np.random.Generator,
     servo: Servo | None,
-    known: ServoType | None,
+    prior: ServoType | None,
     notes: list[str],
 ) -> JointFit:
-    fitted, scored, held = split(given, held_out)
+    fitted, scored, held_out_name = split(data, held_out)
     noise = sensor_noise(fitted)
     start, others = first_guess(fitted, rng)
-    free, unseen = _influential(fitted, start, noise)
+    free, without_influence = _influential(fitted, start, noise)
     best, rivals = best_of(fitted, [start, *others], free)
-    stated = given[0].load
+    stated = data[0].load
     motor = None
-    if servo is not None and not unseen:
-        motor = choose_motor(fitted, best, servo, noise, rng, known, average=True)
+    if servo is not None and not without_influence:
+        motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
-    if wanted:
+    if extra:
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
-        best = fit_effects(fitted, best, wanted)
+        best = fit_effects(fitted, best, extra)
         units = column(best.parameters, "typical")
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
-        notes += advice.on_effects(wanted, shows_inertia=shows_inertia(fitted))
+        notes += advice.on_effects(extra, shows_inertia=shows_inertia(fitted))
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
@@ -233,63 +233,63 @@ def _identify_joint(
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
     if motor is not None and servo is not None:
-        own = uncertainty(motor.fit, motor.units)
-        notes += advice.on_motor(motor, own, servo)
-        ends = motor_intervals(motor, own) | ends
+        motor_spread = uncertainty(motor.fit, motor.units)
+        notes += advice.on_motor(motor, motor_spread, servo)
+        ends = motor_intervals(motor, motor_spread) | ends
         wait = 0.5 * motor.values.get("loop_period_s", 0.0)
         latency = float(best.row[2])
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
-    notes += advice.on_fit(best, spread, ends, unseen, figures)
+    notes += advice.on_fit(best, spread, ends, without_influence, figures)
     model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
-    return JointFit(model, figures, held, motor)
+    return JointFit(model, figures, held_out_name, motor)
 
 
 def _units(best: Fit) -> Array:
-    """Sizes at which a change of each fitted parameter would matter now, shape (F,)."""
-    now = {p.name: p.typical for p in gains(best.row, best.inertia)}
-    return np.array([now[name] for name in best.names])
+    """Natural unit of each fitted parameter at its fitted value, shape (F,)."""
+    typical = {p.name: p.typical for p in gains(best.row, best.inertia)}
+    return np.array([typical[name] for name in best.names])
 
 
 def _influential(
     fitted: list[Trace], start: Array, noise: float
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split parameters into those that move the simulated angles above the noise and the others."""
+    """Split parameters by whether their effect on simulated angles exceeds the noise."""
     free = gains(start, fitted[0].load.inertia_kgm2)
     slope = np.concatenate(fit(fitted, start, free, rounds=0, evaluations=1).jacobians)
     effect = np.linalg.norm(slope * column(free, "typical"), axis=0)
-    seen = tuple(p.name for p, size in zip(free, effect, strict=True) if size > noise)
-    if not seen:
+    influential = tuple(p.name for p, size in zip(free, effect, strict=True) if size > noise)
+    if not influential:
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
-    return seen, tuple(p.name for p in free if p.name not in seen)
+    return influential, tuple(p.name for p in free if p.name not in influential)
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
-    """Fit again with inertia free, from the fit that held it and from one with more of it."""
-    more = best.row.copy()
-    more[:3] *= 1.3, 1.3, 0.3
-    more[INERTIA_LEFT_OUT] = 0.3 * best.inertia
+    """Fit again with free inertia, from the given fit and from one with more inertia."""
+    heavier = best.row.copy()
+    heavier[:3] *= 1.3, 1.3, 0.3
+    heavier[INERTIA_LEFT_OUT] = 0.3 * best.inertia
     fits = [
         fit(fitted, row, (*gains(row, best.inertia), inertia_left_out(row, best.inertia)))
-        for row in (best.row, more)
+        for row in (best.row, heavier)
     ]
-    return min(fits, key=lambda one: one.loss(best.scale_rad))
+    return min(fits, key=lambda candidate: candidate.loss(best.scale_rad))
 
 
 def _figures(
-    best: Fit, unseen: tuple[Array, ...], fitted: list[Trace], noise: float
+    best: Fit, heldout: tuple[Array, ...], fitted: list[Trace], noise: float
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
     period = float(np.median(np.diff(fitted[0].t)))
-    everything = np.concatenate(errors)
+    all_errors = np.concatenate(errors)
     return {
         "train": rms(errors),
-        "heldout": rms(unseen) if unseen else None,
+        "heldout": rms(heldout) if heldout else None,
         "noise": noise,
         "whiteness": whiteness(errors),
         "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
-        "robust_outliers": float(np.mean(np.abs(everything) > 4 * best.scale_rad)),
+        "robust_outliers": float(np.mean(np.abs(all_errors) > 4 * best.scale_rad)),
     }
 
 
@@ -303,7 +303,7 @@ def _joint_model(
 ) -> JointModel:
     names = best.names
     kp, kd, latency = (float(x) for x in best.row[:3])
-    known = load is not PER_INERTIA
+    load_known = load is not PER_INERTIA
     fitted: dict[str, dict[str, float]] = {}
     for name, value in zip(names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
@@ -315,10 +315,10 @@ def _joint_model(
         kd_Nms_per_rad=kd,
         latency_s=latency,
         inertia_kgm2=load.inertia_kgm2,
-        per_inertia=not known,
+        per_inertia=not load_known,
         law="pd" if motor is None else "motor",
         motor={} if motor is None else motor.values,
-        load=load if known else None,
+        load=load if load_known else None,
         interval=ends,
         correlation={
             f"{names[i]}, {names[j]}": float(spread.correlation[i, j])

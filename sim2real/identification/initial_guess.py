@@ -1,4 +1,4 @@
-"""Where a fit starts: a search over frequency, damping and latency, with no guess by hand."""
+"""Starting point of a fit: a search over frequency, damping and latency."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ LATENCY_S = (0.0, 0.3)
 
 @dataclass(frozen=True)
 class GuessSearch:
-    """How the first guess of a servo is searched.
+    """Settings of the search for a starting point.
 
     Attributes:
-        candidates: Servos that are simulated first.
-        elite: The best of them, about which further ones are drawn.
-        spreads: Standard deviation of the candidates about the best ones, round by round, as a
-            share of the ranges.
-        rival_error: Largest error of a rival, relative to the least.
-        rival_distance: Least difference of its gain, as a share of the range.
-        most_rivals: Rivals at most.
-        steps_per_radian: Sub-steps while the fastest mode of a candidate turns by one radian.
-        substep_s: Shortest and longest sub-step. What a strongly damped candidate does in less time
-            is over at once.
+        candidates: Number of servos in the first round.
+        elite: Number of the best ones, about which further ones are drawn.
+        spreads: Standard deviation of the candidates about the best ones in each round, as a share
+            of the ranges.
+        rival_error: Largest error of a rival, relative to the smallest error.
+        rival_distance: Smallest difference of its gain, as a share of the range.
+        most_rivals: Largest number of rivals.
+        steps_per_radian: Sub-steps per radian of the fastest mode of a candidate.
+        substep_s: Shortest and longest sub-step; faster modes of strongly damped candidates decay
+            within the shortest one.
     """
 
     candidates: int = 1024
@@ -56,43 +56,43 @@ GUESS_SEARCH = GuessSearch()
 def first_guess(
     traces: Sequence[Trace], rng: np.random.Generator, *, search: GuessSearch = GUESS_SEARCH
 ) -> tuple[Array, Array]:
-    """All parameters of a servo that roughly does what was recorded, and of very different rivals.
+    """Parameters of a servo that approximately fits the recordings, and of very different rivals.
 
-    Simulates a low-discrepancy set of servos over the liveliest segment in one batch, then, in a
-    few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
+    Simulates a low-discrepancy set of servos over the segment with most motion in one batch, then,
+    in a few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
     Methodology and Computing in Applied Probability 1 (1999) 127-190).
 
     Args:
-        traces: The recorded joint, one trace a recording.
-        rng: For the candidates.
+        traces: The recorded joint, one trace per recording.
+        rng: Generator for the candidates.
         search: Settings of the search.
 
     Returns:
-        The best candidate, shape (P,), and rivals that did nearly as well though their gain is far
-        from its and from each other's, shape (R, P): none where the recordings are telling.
+        The best candidate, shape (P,), and rivals with nearly the same error but very different
+        gains, shape (R, P): none if the recordings determine the gain.
     """
     windows = [trace.window(WINDOW_S) for trace in traces]
-    seen = [window for window in windows if window.moves() and window.used.any()]
-    trace = max(seen or [trace for trace in traces if trace.used.any()], key=Trace.activity)
+    moving = [window for window in windows if window.moves() and window.used.any()]
+    trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
     points = kronecker(search.candidates, 3, rng)
     error = _errors(points, trace, search=search)
     for spread in search.spreads:
         best = np.argsort(error)[: search.elite]
         points, error = points[best], error[best]
         around = np.repeat(points, search.candidates // (4 * search.elite), axis=0)
-        near = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
+        drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
         points, error = (
-            np.vstack([points, near]),
-            np.append(error, _errors(near, trace, search=search)),
+            np.vstack([points, drawn]),
+            np.append(error, _errors(drawn, trace, search=search)),
         )
     order = np.argsort(error)
     equal = order[error[order] < search.rival_error * error[order[0]]]
     chosen = [equal[0]]
     for candidate in equal[1:]:
-        apart = np.abs(points[chosen, 0] - points[candidate, 0]).min()
-        if apart > search.rival_distance and len(chosen) <= search.most_rivals:
+        distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
+        if distance > search.rival_distance and len(chosen) <= search.most_rivals:
             chosen.append(candidate)
-    rows = np.array([plain_row(*one) for one in servos_at(points[chosen], trace.load.inertia_kgm2)])
+    rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
     return rows[0], rows[1:]
 
 
@@ -117,8 +117,8 @@ def servos_at(points: Array, inertia: float | Array) -> Array:
     """Gains and latencies of servos at points of the unit cube.
 
     Args:
-        points: Shape (N, 3): frequency and damping ratio, logarithmic, and latency, over the ranges
-            of a first guess.
+        points: Points of shape (N, 3): frequency and damping ratio (logarithmic) and latency, as
+            shares of the ranges of a first guess.
         inertia: Inertia of the load in kg m2, a number or shape (..., 1).
 
     Returns:

@@ -1,4 +1,4 @@
-"""90 % intervals, infinite where the recordings set no bound."""
+"""90 % intervals, with infinite ends where the recordings set no bound."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 _CHI2_90 = 6.251
-"""90 % quantile of chi-square with three degrees of freedom: the region may be of many islands."""
+"""90 % quantile of chi-square with three degrees of freedom, as regions may be disconnected."""
 
 
 def intervals(
@@ -26,11 +26,11 @@ def intervals(
     *,
     largest_symmetric: float = 0.15,
 ) -> dict[str, tuple[float, float]]:
-    """90 % interval of every plain parameter and of inertia, if that is free, by name.
+    """90 % intervals of gains, latency and, if it is free, inertia, by name.
 
-    Symmetric ends from the covariance where that is small and no rival is elsewhere; else by
-    profile likelihood. An upper end is infinite where the recordings set none; no end is below what
-    is possible. An interval spans every rival that accounts for the recordings as well.
+    Symmetric ends from the covariance if that is small and there is no rival outside; else by
+    profile likelihood. An upper end is infinite if the recordings do not determine it; ends are
+    within the bounds. An interval includes all rivals that fit the recordings equally well.
 
     Args:
         best: The fit.
@@ -38,17 +38,17 @@ def intervals(
         spread: Covariance of the fit.
         units: Natural unit of each fitted parameter, shape (F,).
         fitted: The recordings.
-        largest_symmetric: Half-width, in natural units, from which symmetric ends are not trusted.
+        largest_symmetric: Half-width in natural units above which symmetric ends are not used.
     """
-    equal = [one for one in rivals if _excess(one, best, spread.inflation) < _CHI2_90]
-    wide = {k for direction in spread.open_directions for k in direction}
+    equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
+    undetermined = {k for direction in spread.open_directions for k in direction}
     result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
     for k, p in enumerate(best.parameters):
         value, half = float(best.values[k]), float(spread.half_width[k])
         ends = (max(value - half, p.low), min(value + half, p.high))
-        values = [float(one.row[COLUMNS.index(p.name)]) for one in (best, *equal)]
+        values = [float(rival.row[COLUMNS.index(p.name)]) for rival in (best, *equal)]
         elsewhere = any(abs(other - value) > half for other in values)
-        if k in wide or elsewhere or half > largest_symmetric * units[k]:
+        if k in undetermined or elsewhere or half > largest_symmetric * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
                 _profiled(best, k, -first, p.low, fitted, spread.inflation),
@@ -62,13 +62,13 @@ def intervals(
 def symmetric_intervals(
     best: Fit, spread: Uncertainty, units: Array
 ) -> dict[str, tuple[float, float]]:
-    """90 % intervals from the covariance alone, infinite upwards along directions not seen."""
-    wide = {k for direction in spread.open_directions for k in direction}
+    """90 % intervals from the covariance, with infinite upper ends in open directions."""
+    undetermined = {k for direction in spread.open_directions for k in direction}
     result = {}
     for k, (p, value) in enumerate(zip(best.parameters, best.values, strict=True)):
         half = float(spread.half_width[k])
-        open_ = k in wide or half > units[k]
-        ends = (p.low, np.inf) if open_ else (float(value) - half, float(value) + half)
+        unbounded = k in undetermined or half > units[k]
+        ends = (p.low, np.inf) if unbounded else (float(value) - half, float(value) + half)
         result[p.name] = (max(ends[0], p.low), ends[1])
     return result
 
@@ -76,11 +76,11 @@ def symmetric_intervals(
 def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
     """90 % intervals of a motor's parameters, with their prior.
 
-    Symmetric in what was searched: in the logarithm of gains, torque and speed.
+    Symmetric in the searched variables: the logarithms of gains, torque and speed.
     """
     result = {}
-    for k, (p, found) in enumerate(zip(motor.fit.parameters, motor.fit.values, strict=True)):
-        value, half = float(found), float(spread.half_width[k])
+    for k, (p, fitted_value) in enumerate(zip(motor.fit.parameters, motor.fit.values, strict=True)):
+        value, half = float(fitted_value), float(spread.half_width[k])
         ends = value - half, value + half
         if p.log:
             ends = value * float(np.exp(-half / value)), value * float(np.exp(half / value))
@@ -100,27 +100,27 @@ def _profiled(
     steps: int = 24,
     bisections: int = 3,
 ) -> float:
-    """End of the interval of one parameter: ``limit`` where the recordings set none before it.
+    """End of the interval of one parameter, or ``limit`` if the recordings do not determine it.
 
-    Profile likelihood: the parameter is moved by growing steps, from ``first`` on, the others
-    refitted from where they were, until twice the fall of the log-likelihood exceeds ``_CHI2_90``.
-    The proportional gain moves by factors, the others by differences.
+    Profile likelihood: the parameter is moved by increasing steps, starting with ``first``, and the
+    others are refitted, until twice the decrease of the log-likelihood exceeds ``_CHI2_90``. The
+    proportional gain is moved by factors, the others by differences.
     """
     value, name = float(best.values[k]), best.names[k]
-    held = best.row.copy()
+    row = best.row.copy()
 
     def moved(step: float) -> float:
         trial = value * float(np.exp(step / value)) if name == COLUMNS[0] else value + step
         return min(trial, limit) if first > 0 else max(trial, limit)
 
     def accounts(trial: float) -> bool:
-        held[COLUMNS.index(name)] = trial
-        own = {p.name: p for p in gains(held, best.inertia)}
-        others = [own.get(p.name, p) for p in best.parameters if p.name != name]
-        other = fit(fitted, held, others, rounds=1, evaluations=8)
-        if _excess(other, best, inflation) > _CHI2_90:
+        row[COLUMNS.index(name)] = trial
+        scaled = {p.name: p for p in gains(row, best.inertia)}
+        others = [scaled.get(p.name, p) for p in best.parameters if p.name != name]
+        profile = fit(fitted, row, others, rounds=1, evaluations=8)
+        if _excess(profile, best, inflation) > _CHI2_90:
             return False
-        held[:] = other.row
+        row[:] = profile.row
         return True
 
     inside, outside = 0.0, first

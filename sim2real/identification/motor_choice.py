@@ -1,4 +1,4 @@
-"""Which parts of a motor's law recordings ask for: the line, losses, soft friction, a loop."""
+"""Selection of the parts of a motor's law: line, losses, gradual friction, sampled loop."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim2real.identification.control_loop import sampled
+from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, softer
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, soft_starts
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
@@ -19,20 +19,19 @@ from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
 
 FACTORS = (0.5, 2.0)
-"""How much narrower and wider the prior of losses may be as well."""
+"""Factors on the width of the prior of losses, for the average of fits."""
 
 
 @dataclass(frozen=True)
 class MotorCriteria:
-    """From when on a part of the motor's law is taken.
+    """Criteria for the parts of the motor's law.
 
     Attributes:
-        min_gain: What a choice must gain beyond chance.
-        loop_parameters: Parameters that a sampled loop counts for: the best of a thousand periods
-            and phases.
-        white: Lag-1 autocorrelation of a residual in which nothing is left.
-        loop_error_before: Largest residual without a loop, in noises, for one to be told.
-        loop_error_after: Largest residual with it, in noises.
+        min_gain: Smallest decrease of the loss beyond chance.
+        loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
+        white: Lag-1 autocorrelation below which a residual counts as white.
+        loop_error_before: Largest residual over noise without a loop for which one is searched.
+        loop_error_after: Largest residual with a loop, likewise.
     """
 
     min_gain: float = 6.0
@@ -52,64 +51,67 @@ def choose_motor(
     servo: Servo,
     noise: float,
     rng: np.random.Generator,
-    known: ServoType | None = None,
+    servo_type: ServoType | None = None,
     *,
     average: bool = False,
     criteria: MotorCriteria = MOTOR_CRITERIA,
 ) -> MotorFit:
-    """The motor's line alone where that explains the recordings, else its losses as well.
+    """Fit the motor's line and, if that does not explain the recordings, its losses.
 
-    Where the linear servo explains them the gains stay, and the line comes as near as they allow.
-    Losses are taken where they lower the loss by more than chance and their number account for:
-    twice the number of parameters, as Akaike's criterion has it, and ``criteria.min_gain`` more. So
-    are, while something is left, friction that stops softly and a sampled loop. A servo of a known
-    type has the losses of its type.
+    Where the linear servo explains them, its gains are kept and only the line is fitted. Losses are
+    included if they decrease the loss by more than twice their number (Akaike's criterion) plus
+    ``criteria.min_gain``. The same applies to gradual friction and a sampled loop if a residual
+    remains. A servo of a known type has the losses of its type.
 
     Args:
         fitted: The joint's recordings.
         plain: The fit of the linear servo.
         servo: Its data sheet.
-        noise: Of its sensor, rad.
-        rng: For starts.
-        known: What is known of servos of its type.
-        average: Whether losses that leave something are averaged over how wide their prior may be,
-            which nothing on the recordings says: half and twice as wide as well, if the load is
-            known.
-        criteria: What must be gained.
+        noise: Standard deviation of its sensor noise in rad.
+        rng: Generator for starts.
+        servo_type: Prior from other servos of its type.
+        average: Whether fits with losses that do not explain the recordings are averaged over
+            priors of the usual, half and twice the width, if the load is known.
+        criteria: Criteria of the selection.
     """
     prior = motor_prior(servo, fitted)
-    if known is not None:
-        prior = known.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
+    if servo_type is not None:
+        prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
     if rms(plain.residuals) < EXPLAINED * noise:
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
-    chosen = _continuous(fitted, plain, prior, noise, rng, known, criteria=criteria)
-    left = rms(chosen.fit.residuals) / noise
-    explained = left < EXPLAINED and whiteness(chosen.fit.residuals) < criteria.white
-    looped = None if explained or left > criteria.loop_error_before else sampled(chosen)
+    chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type, criteria=criteria)
+    ratio = rms(chosen.fit.residuals) / noise
+    explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < criteria.white
+    looped = None if explained or ratio > criteria.loop_error_before else fit_sampled_loop(chosen)
     if looped is not None and rms(looped.fit.residuals) <= criteria.loop_error_after * noise:
         return _better(chosen, looped, criteria.loop_parameters, criteria=criteria)
     names = [prior.names[k] for k in chosen.problem.free[3:]]
-    stated = fitted[0].load is not PER_INERTIA  # else minima lie too far apart to be averaged
-    if not (average and stated) or known is not None or left < EXPLAINED or LOSSES[0] not in names:
+    stated = fitted[0].load is not PER_INERTIA  # else minima are too far apart to be averaged
+    if (
+        not (average and stated)
+        or servo_type is not None
+        or ratio < EXPLAINED
+        or LOSSES[0] not in names
+    ):
         return chosen
     others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
     return averaged([chosen, *others])
 
 
-def _continuous(
+def _fit_continuous(
     fitted: list[Trace],
     plain: Fit,
     prior: MotorPrior,
     noise: float,
     rng: np.random.Generator,
-    known: ServoType | None,
+    servo_type: ServoType | None,
     *,
     criteria: MotorCriteria,
 ) -> MotorFit:
-    """The motor whose controller looks all the time."""
+    """Fit a motor with a continuous controller."""
     line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
-    if known is not None and set(known.parameters) & set(LOSSES):  # nothing to choose
-        softness = SOFT if set(known.parameters) & set(SOFT) else ()
+    if servo_type is not None and set(servo_type.parameters) & set(LOSSES):  # no selection
+        softness = SOFT if set(servo_type.parameters) & set(SOFT) else ()
         return fit_motor(fitted, plain, prior, (*line, *LOSSES, *softness), rng)
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
@@ -118,14 +120,14 @@ def _continuous(
     chosen = _better(first, full, len(LOSSES), criteria=criteria)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
-    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=softer(full))
+    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=soft_starts(full))
     return _better(
         chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0), criteria=criteria
     )
 
 
 def _better(fewer: MotorFit, more: MotorFit, added: int, *, criteria: MotorCriteria) -> MotorFit:
-    """The fit with so many more parameters, where they gain more than chance."""
+    """The fit with more parameters if they decrease the loss significantly, else the other."""
     scale, inflation = more.fit.scale_rad, more.inflation
     gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
     return more if gain > 2 * added + criteria.min_gain else fewer

@@ -1,4 +1,4 @@
-"""The law of a motor fitted to recordings, from several starts, its data sheet as a prior."""
+"""Fit of the law of a motor from several starts, with its data sheet as a prior."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
-"""Residuals below so many times the noise need no more parameters."""
+"""Ratio of residual to noise below which no more parameters are added."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class MotorFit:
     """A fitted motor.
 
     Attributes:
-        fit: Parameters, residuals and derivatives; the names after the first four are columns.
-        loss: Twice the negative logarithm of the posterior, residuals of ``scale`` and
-            ``inflation`` of ``fit``; to compare fits, recompute it with ``loss_at``.
+        fit: Parameters, residuals and derivatives.
+        loss: Twice the negative log-posterior for the scale and ``inflation`` of this fit; use
+            ``loss_at`` to compare fits.
         x: Parameters as searched.
-        problem: What was fitted.
-        inflation: How many samples make one that is independent.
-        rivals: Losses of the other starts above the least.
+        problem: The problem.
+        inflation: Number of samples per independent sample.
+        rivals: Losses of the other starts relative to the smallest.
     """
 
     fit: Fit
@@ -50,7 +50,7 @@ class MotorFit:
 
     @property
     def with_gains(self) -> bool:
-        """Whether the gains were fitted along."""
+        """Whether the gains were fitted as well."""
         return 0 in self.problem.free
 
     @property
@@ -85,15 +85,15 @@ class MotorFit:
         """Which of the free parameters lie more than two prior standard deviations off, (F,)."""
         parameters = [self.problem.prior.parameters[k] for k in self.problem.free]
         middle = np.array([b.middle for b in parameters])
-        away = np.abs(self.x[list(self.problem.free)] - middle)
-        return np.asarray(away > 2 * self.prior_sd)
+        deviation = np.abs(self.x[list(self.problem.free)] - middle)
+        return np.asarray(deviation > 2 * self.prior_sd)
 
     def losses(self, x: Array) -> Array:
-        """The loss of servos as searched (B, F), by the scale of this fit, shape (B,)."""
+        """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,)."""
         return self._losses(self.problem, x)
 
     def rough_losses(self, x: Array) -> Array:
-        """Losses with longer sub-steps, to choose where a search begins, shape (B,)."""
+        """Losses with longer sub-steps, for the choice of starting points, shape (B,)."""
         return self._losses(self.problem.coarse, x)
 
     def _losses(self, problem: MotorProblem, x: Array) -> Array:
@@ -117,22 +117,22 @@ def fit_motor(
     gains: bool = True,
     search: MotorSearch = MOTOR_SEARCH,
 ) -> MotorFit:
-    """Fit gains, latency and ``free_names``; what is not free has no effect.
+    """Fit gains, latency and ``free_names``; other parameters have no effect.
 
-    Candidates drawn from the prior about the plain servo are ranked by their error; from the best,
-    and from the plain servo without a limit, Levenberg-Marquardt searches go on in step. The
-    likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh the
-    prior; its scale is estimated again between rounds.
+    Candidates drawn from the prior about the plain servo are ranked by their error. Simultaneous
+    Levenberg-Marquardt searches start from the best ones and from the plain servo without a limit.
+    The likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh
+    the prior; its scale is estimated again between rounds.
 
     Args:
         traces: The joint's recordings.
         plain: The fit of the plain servo.
         prior: Prior of the parameters.
-        free_names: Columns to fit beside the gains and the latency.
-        rng: For the candidates.
+        free_names: Columns to fit in addition to gains and latency.
+        rng: Generator for the candidates.
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
-        gains: Whether gains and latency are fitted; else they stay those of the plain servo.
+        gains: Whether gains and latency are fitted; else those of the plain servo are kept.
         search: Settings of the search.
     """
     free = tuple(
@@ -144,11 +144,11 @@ def fit_motor(
     problem = MotorProblem(traces, prior, free, substep, Simulator(traces), search)
     x = _starts(problem, plain, rng, start) if starts is None else starts
     if not gains:
-        x = x[:1]  # the linear servo does it: from there the limits come as near as they may
+        x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
         window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
-        near = replace(problem, traces=[window], simulator=Simulator([window]))
-        size = np.mean(np.abs(near.residuals(x)), axis=1)
+        windowed = replace(problem, traces=[window], simulator=Simulator([window]))
+        size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
         x = x[np.argsort(size)[: search.starts]]
     error = problem.residuals(x)
@@ -158,9 +158,9 @@ def fit_motor(
         before = scale
         scale, inflation = robust_scale(error), _inflation(error, traces)
         if number:
-            x, loss = _descend(problem, x, scale, inflation, search.later_steps)
+            x, loss = _search(problem, x, scale, inflation, search.later_steps)
         else:
-            x, loss = _descend(problem.coarse, x, scale, inflation, search.first_steps)
+            x, loss = _search(problem.coarse, x, scale, inflation, search.first_steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -172,12 +172,12 @@ def fit_motor(
 
 
 def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorFit]:
-    """The fit gone on with from servos ``x`` (B, F), which have a loop; the best first."""
+    """Refit with a sampled loop from starts ``x`` (B, F) as searched, best fit first."""
     steps = motor.problem.search.later_steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     free = tuple(sorted({*motor.problem.free, period}))
     problem = replace(motor.problem, free=free)
-    x, loss = _descend(problem, x, motor.fit.scale_rad, motor.inflation, steps)
+    x, loss = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
     order = np.argsort(loss)
     inflation = [_inflation(error, problem.traces) for error in problem.residuals(x)]
     scale = motor.fit.scale_rad
@@ -185,18 +185,18 @@ def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorF
 
 
 def averaged(fits: Sequence[MotorFit]) -> MotorFit:
-    """The servo in the middle of some fits with the same free parameters, with the first's prior.
+    """Mean of fits with the same free parameters, evaluated with the prior of the first.
 
-    Means of what was searched: of the logarithms of gains, torque and speed.
+    The mean is that of the searched variables: the logarithms of gains, torque and speed.
     """
     first = fits[0]
-    x = np.mean([one.x for one in fits], axis=0)
+    x = np.mean([fit.x for fit in fits], axis=0)
     loss = first.losses(x[None])
     return _result(first.problem, x, first.fit.scale_rad, first.inflation, loss)
 
 
-def softer(motor: MotorFit) -> Array:
-    """Starts as searched (S, F) from a fit, in which friction stops the shaft softly."""
+def soft_starts(motor: MotorFit) -> Array:
+    """Starts as searched (S, F) from a fit, with gradual friction."""
     x = np.tile(motor.x, (len(motor.problem.search.soft_s), 1))
     x[:, [motor.problem.prior.index(name) for name in SOFT]] = motor.problem.search.soft_s
     return x
@@ -227,8 +227,8 @@ def _starts(
         x[:, k] = 0.0 if not parameter.log else -np.inf
         if k not in problem.free:
             continue
-        wide = parameter.sd if np.isfinite(parameter.sd) else 0.0
-        drawn = parameter.middle + wide * rng.standard_normal(N)
+        width = parameter.sd if np.isfinite(parameter.sd) else 0.0
+        drawn = parameter.middle + width * rng.standard_normal(N)
         x[:, k] = drawn if parameter.log or parameter.middle else 0.5 * np.abs(drawn)
     damping = prior.parameters[3].middle - prior.parameters[4].middle
     x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
@@ -247,7 +247,7 @@ def _starts(
     return x
 
 
-def _descend(
+def _search(
     problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Searches from all of ``x`` (S, F), and their losses (S,)."""
@@ -255,13 +255,13 @@ def _descend(
     free, search = list(problem.free), problem.search
     latest: dict[int, Array] = {}
 
-    def at(points: Array, index: NDArray[np.intp]) -> Array:
-        every = x[index].copy()
-        every[:, free] = points * unit
-        return every
+    def servos_at(points: Array, index: NDArray[np.intp]) -> Array:
+        servos = x[index].copy()
+        servos[:, free] = points * unit
+        return servos
 
     def losses(points: Array, index: NDArray[np.intp]) -> Array:
-        servos = at(points, index)
+        servos = servos_at(points, index)
         error = problem.residuals(servos)
         latest.update(zip(index.tolist(), error, strict=True))
         return 0.5 * _loss(problem, servos, error, scale, inflation)
@@ -271,21 +271,22 @@ def _descend(
             losses(points, index)
         return stacked(
             [
-                about(servo, latest[k])
-                for servo, k in zip(at(points, index), index.tolist(), strict=True)
+                expansion_at(servo, latest[k])
+                for servo, k in zip(servos_at(points, index), index.tolist(), strict=True)
             ]
         )
 
-    def about(servo: Array, error: Array) -> Expansion:
-        _, by = problem.coarse.slopes(servo)
-        prior, prior_by = problem.prior_slopes(servo)
+    def expansion_at(servo: Array, error: Array) -> Expansion:
+        _, slopes = problem.coarse.slopes(servo)
+        prior, prior_slopes = problem.prior_slopes(servo)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
-        weighted = by * weight[:, None]
+        weighted = slopes * weight[:, None]
         loss = 0.5 * _loss(problem, servo[None], error[None], scale, inflation)
-        slope = weighted.T @ error + prior_by.T @ prior
-        return Expansion(loss, slope[None], (by.T @ weighted + prior_by.T @ prior_by)[None], {})
+        slope = weighted.T @ error + prior_slopes.T @ prior
+        curvature = slopes.T @ weighted + prior_slopes.T @ prior_slopes
+        return Expansion(loss, slope[None], curvature[None], {})
 
-    found = minimise(
+    minimum = minimise(
         expand,
         x[:, free] / unit,
         np.tile(low / unit, (len(x), 1)),
@@ -298,34 +299,34 @@ def _descend(
         losses=losses,
         look_every=1,
     )
-    return at(found.x, np.arange(len(x))), 2 * found.expansion.loss
+    return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
 
 
 def _result(
     problem: MotorProblem, x: Array, scale: float, inflation: float, losses: Array
 ) -> MotorFit:
-    """The fit in the parameters' own units."""
+    """The fit, in SI units of the parameters."""
     prior, free = problem.prior, list(problem.free)
-    error, by = problem.slopes(x)
+    error, slopes = problem.slopes(x)
     values = prior.values(x)
-    own = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
+    factor = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
     unit = problem.box[2]
-    _, prior_by = problem.prior_slopes(x)
-    tie = prior_by / unit / own
+    _, prior_jacobian = problem.prior_slopes(x)
+    prior_slope = prior_jacobian / unit / factor
     counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
     parameters = [prior.parameters[k] for k in free]
     fit = Fit(
         parameters=tuple(
             Parameter(b.name, b.low, b.high, u, log=b.log)
-            for b, u in zip(parameters, unit * own, strict=True)
+            for b, u in zip(parameters, unit * factor, strict=True)
         ),
         row=problem.rows(x[None])[0],
         scale_rad=robust_scale(error),
         residuals=tuple(np.split(error, counts)),
-        jacobians=tuple(np.split(by / unit / own, counts)),
+        jacobians=tuple(np.split(slopes / unit / factor, counts)),
         converged=True,
         inertia=problem.traces[0].load.inertia_kgm2,
-        prior=tie.T @ tie,
+        prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )
     return MotorFit(fit, float(losses[0]), x, problem, inflation, losses[1:] - losses[0])

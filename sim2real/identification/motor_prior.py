@@ -1,4 +1,4 @@
-"""Prior of a motor's parameters: its data sheet, with a wide margin."""
+"""Prior of a motor's parameters, from its data sheet with a wide margin."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spreads:
-    """Standard deviations of the prior that are judgement (see ``benchmarks/prior_choice.py``).
+    """Standard deviations of the prior that were chosen (see ``benchmarks/prior_choice.py``).
 
     Attributes:
-        losses: Factor on the standard deviations of losses and friction that are stated below.
-        reported: Standard deviation of the drive that the servo reports, as a logarithm; infinite
-            where it is not used.
+        losses: Factor on the standard deviations of losses and friction below.
+        reported: Standard deviation of the logarithm of the drive that the servo reports; infinite
+            to ignore it.
     """
 
     losses: float = 1.0
@@ -39,15 +39,15 @@ class PriorSettings:
     """Prior knowledge of any motor in addition to its data sheet.
 
     Attributes:
-        sheet_sd: Standard deviation of stall torque and no-load speed about the data sheet's, as
-            logarithms.
-        unknown_sd: Standard deviation of the stall torque per unit of an inertia that is not known.
+        sheet_sd: Standard deviations of the logarithms of stall torque and no-load speed about the
+            data sheet's.
+        unknown_sd: Standard deviation of the logarithm of stall torque per unknown inertia.
         motor_time_s: Time constant of small geared motors, rotor inertia times no-load speed over
             stall torque.
         motor_time_sd: Standard deviation of its logarithm.
-        back_emf_sd: Scale of the damping about the back-EMF's; long tails, as a controller may damp
-            as well.
-        tick_s: A change of a loop's period that thousands of its looks add up to one that matters.
+        back_emf_sd: Scale of the logarithm of damping about that by the back-EMF, with long tails,
+            as the controller may add damping.
+        tick_s: Natural unit of a loop's period, which accumulates over thousands of samples.
     """
 
     sheet_sd: tuple[float, float] = (0.35, 0.25)
@@ -68,12 +68,12 @@ class ParameterPrior:
 
     Attributes:
         name: Column of the law, see ``servo.parameters``.
-        log: Whether it is searched as a logarithm; ``middle`` and ``sd`` are then the logarithm's.
+        log: Whether it is searched as a logarithm, to which ``middle`` and ``sd`` then refer.
         middle: Most likely value.
         sd: Standard deviation, infinite for a flat prior.
-        low: Smallest value, in the parameter's own unit.
+        low: Smallest value, in SI units.
         high: Largest value.
-        unit: A step that matters, as searched.
+        unit: Natural unit, as searched.
     """
 
     name: str
@@ -87,12 +87,12 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class MotorPrior:
-    """Prior of all parameters of a motor, with the relations among them.
+    """Prior of all parameters of a motor, with relations between them.
 
     Attributes:
         parameters: Prior of each, gains and latency first.
-        per_rad: Drive that the servo reports per radian of error, where it does.
-        back_emf_sd: Scale of the damping about the back-EMF's.
+        per_rad: Drive per radian of error that the servo reports, if it does.
+        back_emf_sd: Scale of the logarithm of damping about that by the back-EMF.
     """
 
     parameters: tuple[ParameterPrior, ...]
@@ -105,11 +105,11 @@ class MotorPrior:
         return tuple(parameter.name for parameter in self.parameters)
 
     def index(self, name: str) -> int:
-        """Place of a parameter."""
+        """Index of a parameter."""
         return self.names.index(name)
 
     def loosened(self, factor: float) -> MotorPrior:
-        """The prior with the standard deviations of losses and friction times a factor."""
+        """The prior with the standard deviations of losses and friction multiplied by a factor."""
         parameters = tuple(
             b if b.log or not np.isfinite(b.sd) else replace(b, sd=factor * b.sd)
             for b in self.parameters
@@ -117,7 +117,7 @@ class MotorPrior:
         return replace(self, parameters=parameters)
 
     def values(self, x: Array) -> Array:
-        """Parameters in their own units from those searched, shape (..., F)."""
+        """Parameters in SI units from those searched, shape (..., F)."""
         log = np.array([parameter.log for parameter in self.parameters])
         return np.where(log, np.exp(np.where(log, x, 0.0)), x)
 
@@ -129,31 +129,31 @@ class MotorPrior:
         """
         middle = np.array([b.middle if np.isfinite(b.sd) else 0.0 for b in self.parameters])
         sd = np.array([parameter.sd for parameter in self.parameters])
-        own = (x - middle) / sd
-        kp, kd, stall, fast = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        tie = (kd - stall + fast) / self.back_emf_sd
-        tie = np.sign(tie) * np.sqrt(np.log1p(tie**2))  # Cauchy's tails
-        reported = np.zeros_like(kp)
+        normal_terms = (x - middle) / sd
+        kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
+        damping = (kd - stall + no_load_speed) / self.back_emf_sd
+        damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
+        drive = np.zeros_like(kp)
         if self.per_rad is not None:
-            reported = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
-        return np.hstack([own, tie[:, None], reported[:, None]])
+            drive = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
+        return np.hstack([normal_terms, damping[:, None], drive[:, None]])
 
 
 def motor_prior(
     servo: Servo, traces: Sequence[Trace], *, settings: PriorSettings = PRIOR_SETTINGS
 ) -> MotorPrior:
-    """The prior of a servo's law from its data sheet and, where it reports it, its drive.
+    """The prior of a servo's law from its data sheet and, if it is reported, its drive.
 
-    What the data sheet calls torque and speed is the motor's line without friction, up to the
-    spread. A rotor's inertia follows from a motor's time constant; the ratios of friction are those
-    of spur gears of ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
+    Torque and speed of the data sheet are those of the motor's line without friction, within the
+    prior's width. The rotor inertia follows from a motor's time constant; the ratios of friction
+    are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
     """
-    stall, fast = servo.max_torque_Nm, servo.no_load_speed_rad_s
-    known = traces[0].load is not PER_INERTIA
+    stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
+    load_known = traces[0].load is not PER_INERTIA
     torque_sd = settings.sheet_sd[0]
-    if not known:
-        stall, torque_sd = fast / settings.motor_time_s, settings.unknown_sd
-    damping = stall / fast
+    if not load_known:
+        stall, torque_sd = speed / settings.motor_time_s, settings.unknown_sd
+    damping = stall / speed
     slopes = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
     inertia = traces[0].load.inertia_kgm2
 
@@ -174,7 +174,7 @@ def motor_prior(
             ),
             ParameterPrior("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
             log(LINE[0], stall, torque_sd),
-            log(LINE[1], fast, settings.sheet_sd[1]),
+            log(LINE[1], speed, settings.sheet_sd[1]),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
             log(
                 "motor.rotor_inertia_kgm2",
@@ -187,7 +187,7 @@ def motor_prior(
             share("motor.load_friction", 0.4, 2.0, 0.2),
             share("motor.stribeck_motor_friction", 0.3, 0.9, 0.2),
             share("motor.stribeck_load_friction", 0.3, 2.0, 0.2),
-            log("motor.stribeck_speed_rad_s", 0.05 * fast, 0.8),
+            log("motor.stribeck_speed_rad_s", 0.05 * speed, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
             *(ParameterPrior(name, False, 0.0, _FREE, 0.0, 0.05, settings.tick_s) for name in LOOP),

@@ -21,22 +21,22 @@ _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 
 @dataclass(frozen=True)
 class MotorSearch:
-    """How a motor is searched.
+    """Settings of the search for a motor.
 
     Attributes:
-        candidates: Servos that are drawn from the prior.
-        starts: The best of them, from which searches start.
-        rounds: Rounds, with the scale of the residual taken anew.
-        first_steps: Most steps of a search in the first round.
-        later_steps: Most steps in later ones.
-        soft_s: Times of sticking and creeping to start from: about none, MuJoCo's, and more.
+        candidates: Number of servos drawn from the prior.
+        starts: Number of the best ones, from which searches start.
+        rounds: Number of rounds, between which the scale of the residual is estimated again.
+        first_steps: Largest number of steps of a search in the first round.
+        later_steps: Largest number of steps in later rounds.
+        soft_s: Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones.
         difference: Step of the derivatives, in units.
-        settled: Expected gain in log-likelihood below which a search has ended.
+        settled: Expected gain in log-likelihood below which a search ends.
         longest_substep_s: Longest sub-step.
-        steps_per_radian: Sub-steps while the fastest mode turns by one radian.
-        same: Distance in units within which two searches are on their way to one minimum.
-        behind: Log-likelihood by which a search may stay behind the best one.
-        promise: Times the gain that its quadratic model promises, which it may still make.
+        steps_per_radian: Sub-steps per radian of the fastest mode.
+        same: Distance in units below which two searches approach the same minimum.
+        behind: Largest difference of log-likelihood to the best search at which one continues.
+        promise: Assumed remaining gain as a multiple of the gain expected from the next step.
     """
 
     candidates: int = 64
@@ -67,7 +67,7 @@ class MotorProblem:
         prior: Prior of the N parameters.
         free: Indices of the F fitted ones.
         substep_s: Longest sub-step of a rollout, s.
-        simulator: Of these traces.
+        simulator: Simulator of these traces.
         search: Settings of the search.
     """
 
@@ -81,8 +81,8 @@ class MotorProblem:
     def rows(self, x: Array) -> Array:
         """Rows of the servo's parameters for those searched, (B, F) to (B, P).
 
-        The phase of a sampled loop is searched less the latency, so that a change of latency moves
-        both, and no set-point to another look.
+        The searched phase of a sampled loop is relative to the latency, so that a change of latency
+        shifts both and does not move a set-point to another sample.
         """
         rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
         rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
@@ -93,7 +93,7 @@ class MotorProblem:
 
     @property
     def coarse(self) -> MotorProblem:
-        """The same with longer sub-steps, see ``rollout.coarse_substep``."""
+        """This problem with longer sub-steps, see ``rollout.coarse_substep``."""
         return replace(self, substep_s=float(coarse_substep(np.array(self.substep_s))))
 
     def residuals(self, x: Array) -> Array:
@@ -101,12 +101,12 @@ class MotorProblem:
         return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
 
     def terms(self, x: Array) -> Array:
-        """The prior's residuals; parameters that are held have none."""
-        held = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
-        safe = x.copy()
-        safe[:, held] = [self.prior.parameters[k].middle for k in held]
-        terms = self.prior.terms(safe)
-        terms[:, held] = 0.0
+        """The prior's residuals, which are 0 for fixed parameters."""
+        fixed = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
+        replaced = x.copy()
+        replaced[:, fixed] = [self.prior.parameters[k].middle for k in fixed]
+        terms = self.prior.terms(replaced)
+        terms[:, fixed] = 0.0
         if not {3, 4} <= set(self.free):
             terms[:, -2:] = 0.0
         return terms
@@ -127,16 +127,16 @@ class MotorProblem:
             -self.search.difference,
             self.search.difference,
         )
-        here, *beside = self.residuals(np.stack([x, *self._beside(x, step)]))
-        return here, np.asarray((np.array(beside) - here).T / step)
+        base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
+        return base, np.asarray((np.array(moved) - base).T / step)
 
     def prior_slopes(self, x: Array) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        here, *beside = self.terms(np.stack([x, *self._beside(x, np.full(len(self.free), 1e-5))]))
-        return here, np.asarray((np.array(beside) - here).T / 1e-5)
+        base, *moved = self.terms(np.stack([x, *self._perturbed(x, np.full(len(self.free), 1e-5))]))
+        return base, np.asarray((np.array(moved) - base).T / 1e-5)
 
-    def _beside(self, x: Array, step: Array) -> Array:
-        """A point as often as it has free parameters, one of them moved in each, in units."""
+    def _perturbed(self, x: Array, step: Array) -> Array:
+        """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
         points = np.tile(x, (len(self.free), 1))
         points[np.arange(len(self.free)), self.free] += step * self.box[2]
         return points

@@ -1,4 +1,4 @@
-"""Servos as problems of the shared inference: many at once, the noise model fitted along."""
+"""Least-squares problems of many servos at once, including their noise models."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ASCENDING = [
 ]
 """Pairs of columns of which the second is never below the first."""
 LINE_ROOM = 1.5
-"""How far it may go from where it starts, either way."""
+"""Largest factor by which a fitted line may differ from its starting values."""
 DIFFERENCE = 2e-4
 """Step of the forward differences, in units."""
 
@@ -39,7 +39,7 @@ class Servos:
     """Servos with free parameters, each to be fitted to all recordings of one joint.
 
     Attributes:
-        joint: Joint of the batch, shape (N,).
+        joint: Index of the joint in the batch, shape (N,).
         theta: Parameters, shape (N, P).
         columns: Columns of the free ones, -1 where a servo has fewer, shape (N, F).
         unit: Their natural sizes, shape (N, F).
@@ -55,26 +55,26 @@ class Servos:
     high: Array
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Servos:
-        """Some of them."""
+        """A selection of the servos."""
         return Servos(*(value[index] for value in vars(self).values()))
 
     def wide(self, width: int) -> Servos:
-        """With so many places for free parameters: empty ones are added, or cut off, at the end."""
-        columns, unit = _wide(self.columns, width), _wide(self.unit, width)
+        """Add or remove places for free parameters at the end, to ``width`` places."""
+        columns, unit = _resized(self.columns, width), _resized(self.unit, width)
         columns[:, self.columns.shape[1] :] = -1
         unit[:, self.columns.shape[1] :] = 1.0
-        low, high = _wide(self.low, width), _wide(self.high, width)
+        low, high = _resized(self.low, width), _resized(self.high, width)
         return Servos(self.joint, self.theta, columns, unit, low, high)
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Which places of ``columns`` hold a parameter, shape (N, F)."""
+        """Mask of the places of ``columns`` that hold a parameter, shape (N, F)."""
         return self.columns >= 0
 
     def values(self) -> Array:
         """Values of the free parameters in units, 0 where there is none, shape (N, F)."""
-        taken = np.take_along_axis(self.theta, np.maximum(self.columns, 0), axis=1)
-        return np.where(self.free, taken / self.unit, 0.0)
+        selected = np.take_along_axis(self.theta, np.maximum(self.columns, 0), axis=1)
+        return np.where(self.free, selected / self.unit, 0.0)
 
     def at(self, x: Array) -> Servos:
         """The servos with free parameters ``x`` (N, F), in units, kept within their bounds."""
@@ -87,18 +87,18 @@ class Servos:
         return replace(self, theta=theta)
 
 
-def _wide(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
-    """Values with so many places along some axes: zeros are added, or the end cut off."""
+def _resized(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
+    """Pad with zeros, or truncate, to ``width`` places along some axes."""
     for axis in axes:
-        more = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
-        values = np.pad(values, more).take(np.arange(width), axis)
+        widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
+        values = np.pad(values, widths).take(np.arange(width), axis)
     return values
 
 
 def stacked(servos: Sequence[Servos]) -> Servos:
-    """Servos of any numbers of free parameters, one after the other; those of fewer are padded."""
-    width = max(one.columns.shape[1] for one in servos)
-    parts = [vars(one.wide(width)).values() for one in servos]
+    """Concatenate servos with different numbers of free parameters, padding to the largest."""
+    width = max(part.columns.shape[1] for part in servos)
+    parts = [vars(part.wide(width)).values() for part in servos]
     return Servos(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
@@ -113,12 +113,11 @@ def plain_servos(
     """Servos whose gains and latency are free.
 
     Args:
-        joint: Joint of each in the batch, shape (N,).
-        theta: Where they start, shape (N, P).
+        joint: Index of the joint of each in the batch, shape (N,).
+        theta: Starting values, shape (N, P).
         inertia: Inertia of each load in kg m2, shape (N,).
-        period_s: Time between samples, which cannot tell what rings faster than half their rate
-            from what is slower.
-        free_line: Whether the motor's line is free too, where there is one.
+        period_s: Time between samples; natural frequencies are limited to half the sampling rate.
+        free_line: Whether the motor's line, if there is one, is free as well.
     """
     kp = np.maximum(theta[:, 0], 1e-9)
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
@@ -139,13 +138,13 @@ def plain_servos(
 
 @dataclass(frozen=True)
 class Fits:
-    """Where the search ended.
+    """Result of a search.
 
     Attributes:
         servos: The servos with fitted parameters.
         gram: Inner products of residual (0) and derivatives by the free parameters, by block,
             shape (N, B, 1 + F, 1 + F), in rad2 and units.
-        count: Samples that count, shape (N,).
+        count: Number of samples whose innovations count, shape (N,).
         autoregression: The noise model, shape (N, lags).
     """
 
@@ -161,29 +160,29 @@ class Fits:
 
     @property
     def loglikelihood(self) -> Array:
-        """Logarithm of the likelihood, its variance and noise model at their best, shape (N,)."""
+        """Log-likelihood with fitted variance and noise model, shape (N,)."""
         return profile_loglikelihood(self.error2, self.count)
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Fits:
-        """Some of them."""
+        """A selection of the fits."""
         rest = (self.gram, self.count, self.autoregression)
         return Fits(self.servos[index], *(value[index] for value in rest))
 
     def one(self, n: int) -> Fits:
-        """One of them, without columns that hold no parameter."""
-        alone = self[np.array([n])]
-        return alone.wide(int(alone.servos.free.sum()))
+        """A single fit, without places that hold no parameter."""
+        single = self[np.array([n])]
+        return single.wide(int(single.servos.free.sum()))
 
     def resampled(self, weights: Array) -> Array:
-        """Log-likelihood of a lone fit for each set of weights of its blocks (D, B), shape (D,).
+        """Log-likelihood of a single fit for each set of weights of its blocks (D, B), shape (D,).
 
         Its parameters are refitted to first order.
         """
         weights = np.vstack([np.ones(weights.shape[1]), weights])
         x, unit = self.servos.values()[0], self.servos.unit[0]
         low, high = self.servos.low[0] / unit, self.servos.high[0] / unit
-        inside = (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low))
-        kept = np.concatenate([[0], 1 + np.flatnonzero(inside)])
+        interior = (x > low + 1e-6 * (high - low)) & (x < high - 1e-6 * (high - low))
+        kept = np.concatenate([[0], 1 + np.flatnonzero(interior)])
         total = np.einsum("db,bij->dij", weights, self.gram[0][:, kept[:, None], kept])
         normal, slope = total[:, 1:, 1:], total[:, 1:, 0]
         size = np.einsum("dff->df", normal)
@@ -192,22 +191,22 @@ class Fits:
         step = np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
         error2 = total[:, 0, 0] - np.einsum("df,df->d", slope, step)
         score = profile_loglikelihood(error2, np.full(error2.size, float(self.count[0])))
-        # Where the search stopped short, a step promises what it would not keep.
+        # If the search did not converge, the gain of a step is overestimated.
         return np.asarray(score[1:] - (score[0] - self.loglikelihood[0]))
 
     def wide(self, width: int) -> Fits:
-        """With so many places for free parameters: see ``Servos.wide``."""
-        gram = _wide(self.gram, 1 + width, (2, 3))
+        """Change the number of places for free parameters, see ``Servos.wide``."""
+        gram = _resized(self.gram, 1 + width, (2, 3))
         return Fits(self.servos.wide(width), gram, self.count, self.autoregression)
 
 
 Hypothesis = selection.Hypothesis[Fits]
 Tried = selection.Ledger[Fits]
-"""Every set of effects that was tried on one joint."""
+"""All sets of effects that were tried on one joint."""
 
 
 def joined(fits: Sequence[Fits]) -> Fits:
-    """Fits of any numbers of parameters as one; those of fewer are padded."""
+    """Concatenate fits with different numbers of parameters, padding to the largest."""
     width = max(fit.servos.columns.shape[1] for fit in fits)
     rest = zip(
         *((x.gram, x.count, x.autoregression) for x in (f.wide(width) for f in fits)), strict=True
@@ -224,7 +223,7 @@ def minimise(
     white: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Fits:
-    """As ``descended``, without telling where more could be gained."""
+    """The fits of ``descended``, without the mask of converged ones."""
     return descended(
         batch, servos, iterations=iterations, blocks=blocks, white=white, progress=progress
     )[0]
@@ -240,37 +239,37 @@ def descended(
     hopeless: least_squares.Hopeless | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Fits, NDArray[np.bool_]]:
-    """Fit all servos in step (``inference.least_squares``), one launch a round.
+    """Fit all servos simultaneously (``inference.least_squares``), with one launch per round.
 
     The noise model of each servo is refitted at every point, which makes the sum of squared
     innovations the profile likelihood.
 
     Args:
         batch: The recordings.
-        servos: Where to start.
-        iterations: Most evaluations.
-        blocks: Blocks of each recording for ``Fits.gram``.
-        white: Whether to take the noise for white.
-        hopeless: Which servos are given up, as ``inference.least_squares.minimise`` has it.
-        progress: Called with the share that is done.
+        servos: Starting points.
+        iterations: Largest number of evaluations.
+        blocks: Number of blocks of each recording for ``Fits.gram``.
+        white: Whether to assume white noise.
+        hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
+        progress: Called with the completed share.
 
     Returns:
-        The fits, and which of them have nothing more to gain, shape (N,).
+        The fits, and a mask of the converged ones, shape (N,).
     """
 
     def expand(x: Array, index: NDArray[np.intp]) -> Expansion:
-        now = servos[index].at(x)
+        trial = servos[index].at(x)
         noise = np.zeros((index.size, batch.lags)) if white else None
-        seen = batch.evaluate(variants(now), blocks=blocks, autoregression=noise)
-        total = seen.gram.sum(axis=1)
-        share = (seen.count / np.maximum(total[:, 0, 0], 1e-300))[:, None]
-        aside = {"gram": seen.gram, "noise": seen.autoregression, "count": seen.count}
-        loss = -profile_loglikelihood(total[:, 0, 0], seen.count)
+        normal = batch.evaluate(variants(trial), blocks=blocks, autoregression=noise)
+        total = normal.gram.sum(axis=1)
+        share = (normal.count / np.maximum(total[:, 0, 0], 1e-300))[:, None]
+        aside = {"gram": normal.gram, "noise": normal.autoregression, "count": normal.count}
+        loss = -profile_loglikelihood(total[:, 0, 0], normal.count)
         return Expansion(loss, share * total[:, 1:, 0], share[:, None] * total[:, 1:, 1:], aside)
 
     with np.errstate(invalid="ignore"):
         low, high = servos.low / servos.unit, servos.high / servos.unit
-    found = least_squares.minimise(
+    minimum = least_squares.minimise(
         expand,
         servos.values(),
         low,
@@ -280,19 +279,19 @@ def descended(
         hopeless=hopeless,
         progress=progress,
     )
-    aside = found.expansion.aside
-    fits = Fits(servos.at(found.x), aside["gram"], aside["count"], aside["noise"])
-    return fits, found.converged
+    aside = minimum.expansion.aside
+    fits = Fits(servos.at(minimum.x), aside["gram"], aside["count"], aside["noise"])
+    return fits, minimum.converged
 
 
 def variants(servos: Servos) -> Problems:
-    """Each servo and, for every free parameter, the servo with a little more of it."""
+    """Each servo and its forward differences in every free parameter."""
     N, F = servos.columns.shape
     theta = np.repeat(servos.theta[:, None], 1 + F, axis=1)
     row, place = np.nonzero(servos.free)
     column = servos.columns[row, place]
     value = servos.theta[row, column]
-    # Towards the inside of the bounds.
+    # The step is towards the inside of the bounds.
     size = DIFFERENCE * servos.unit[row, place]
     size = np.where(value + size > servos.high[row, place], -size, size)
     theta[row, 1 + place, column] = value + size
@@ -302,8 +301,8 @@ def variants(servos: Servos) -> Problems:
 
 
 def residual_angles(batch: Batch, fits: Fits) -> Array:
-    """Simulated minus measured angles of one fit a joint, 0 where missing, shape (N, R, T)."""
+    """Simulated minus measured angles of one fit per joint, 0 where missing, shape (N, R, T)."""
     theta = fits.servos.theta[:, None]
-    seen = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
-    assert seen.residual is not None
-    return seen.residual
+    out = batch.evaluate(Problems(fits.servos.joint, theta, np.zeros((len(theta), 1))), keep=True)
+    assert out.residual is not None
+    return out.residual

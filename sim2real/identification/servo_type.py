@@ -1,14 +1,14 @@
-"""What recordings of other servos of a type have told: the prior of the next one.
+"""Priors of servo types, learned from recordings of other servos of the type.
 
-A type is a file of ``types``, or one of one's own, which ``robot.toml`` names::
+A type is a file in ``types``, or a user's file, that ``robot.toml`` names::
 
     [servos.hip]
     type = "xl330"      # or a path that ends in .json
 
-For each parameter of the motor's law it has the middle and the spread that a servo of the type is
-expected to have: of the logarithm where the law searches that. Learned by ``learn`` from fits of
-several recordings or servos, as in a meta-analysis with random effects (DerSimonian and Laird,
-Controlled Clinical Trials 7 (1986) 177-188). Gains are settings, not of the type.
+For each parameter of the motor's law it has the mean and the standard deviation of servos of the
+type, of the logarithm if that is searched. They are estimated by ``learn`` from fits of several
+recordings or servos, by a meta-analysis with random effects (DerSimonian and Laird, Controlled
+Clinical Trials 7 (1986) 177-188). Gains are settings and not part of the type.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ SCHEMA = "sim2real.servo_type/1"
 FOLDER = Path(__file__).parent / "types"
 
 _BETWEEN_LOG = 0.1
-"""Least spread between servos of one type, of a logarithm: what makers promise of motors."""
+"""Smallest standard deviation of a logarithm between servos of one type: a usual tolerance."""
 _BETWEEN_SHARE, _BETWEEN_LEAST = 0.3, 0.1
-"""The same of what is searched as it is, as a share of its value and of its step that matters."""
+"""The same for other parameters, as a share of the value plus a share of the natural unit."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,10 @@ class ServoType:
 
     Attributes:
         name: Its name.
-        per_inertia: Whether the loads that it was learned from were unknown: torques and inertias
-            are then per kg m2 of them, and say nothing of a load that is known, nor these of one
-            that is not.
+        per_inertia: Whether the loads of the fits were unknown: torques and inertias are then per
+            kg m2 of the load, and apply only to servos whose load is unknown as well.
         parameters: Mean and standard deviation by column of the law, as searched.
-        source: What it was learned from.
+        source: Description of the fitted recordings.
     """
 
     name: str
@@ -59,20 +58,20 @@ class ServoType:
     source: str = ""
 
     def prior(self, generic: MotorPrior, *, per_inertia: bool) -> MotorPrior:
-        """The generic prior with what is known of the type in its place."""
-        told = {
+        """The generic prior, with the parameters of the type where they apply."""
+        applicable = {
             name: parameter
             for name, parameter in self.parameters.items()
             if per_inertia == self.per_inertia or not name.endswith(("_Nm", "_kgm2"))
         }
-        parameters = tuple(_typed(p, told.get(p.name)) for p in generic.parameters)
+        parameters = tuple(_informed(p, applicable.get(p.name)) for p in generic.parameters)
         return replace(generic, parameters=parameters)
 
 
-def _typed(parameter: ParameterPrior, known: tuple[float, float] | None) -> ParameterPrior:
-    if known is None:
+def _informed(parameter: ParameterPrior, estimate: tuple[float, float] | None) -> ParameterPrior:
+    if estimate is None:
         return parameter
-    middle, sd = known
+    middle, sd = estimate
     low, high = parameter.low, parameter.high
     if parameter.log:
         low = min(low, float(np.exp(middle - 4 * sd)))
@@ -81,15 +80,15 @@ def _typed(parameter: ParameterPrior, known: tuple[float, float] | None) -> Para
 
 
 def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bool) -> ServoType:
-    """The type of servos whose motors were fitted, one or more of each.
+    """Learn a type from fits of motors, one or more of each servo.
 
     Args:
         name: The type's name.
-        motors: Fits; a parameter that one of them held is learned from the others.
-        source: What they were fitted to.
+        motors: Fits; a parameter that is fixed in one of them is learned from the others.
+        source: Description of the fitted recordings.
         per_inertia: Whether the loads were unknown.
     """
-    seen: dict[str, list[tuple[float, float, float, bool]]] = {}
+    by_name: dict[str, list[tuple[float, float, float, bool]]] = {}
     for motor in motors:
         spread = uncertainty(motor.fit, motor.units).sd
         values = motor.fit.values
@@ -100,13 +99,13 @@ def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bo
             sd = float(spread[k] / values[k] if parameter.log else spread[k])
             sd = min(max(sd, 1e-6), parameter.sd)
             row = float(motor.x[place]), sd, parameter.unit, parameter.log
-            seen.setdefault(parameter.name, []).append(row)
-    parameters = {name: _together(np.array(rows, dtype=np.float64)) for name, rows in seen.items()}
+            by_name.setdefault(parameter.name, []).append(row)
+    parameters = {name: _pooled(np.array(rows, dtype=np.float64)) for name, rows in by_name.items()}
     return ServoType(name, per_inertia, parameters, source)
 
 
-def _together(rows: Array) -> tuple[float, float]:
-    """Middle and spread of the next servo from rows of value, spread, unit, and whether log."""
+def _pooled(rows: Array) -> tuple[float, float]:
+    """Predictive mean and standard deviation from rows of value, sd, unit, and whether log."""
     value, sd, unit, log = rows.T
     weight = sd**-2
     mean = float(weight @ value / weight.sum())
@@ -121,15 +120,15 @@ def _together(rows: Array) -> tuple[float, float]:
 
 
 def read_type(name: str, where: str = "robot", field: str = "type") -> ServoType:
-    """The type of this name among those that ship, or of the file at this path.
+    """Read the type with this name in ``types``, or in the file with this path.
 
     Raises:
-        InputError: If there is none, or its file is not as written.
+        InputError: If there is none, or its file does not conform to the format.
     """
     path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in FOLDER.glob("*.json")))
-        raise InputError(where, field, repr(name), f"one of {known}, or a file *.json")
+        available = ", ".join(sorted(p.stem for p in FOLDER.glob("*.json")))
+        raise InputError(where, field, repr(name), f"one of {available}, or a file *.json")
     content = read_json(path, SCHEMA)
     table = Fields(path, "", content).table("parameters")
     parameters = {}

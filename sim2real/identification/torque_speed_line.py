@@ -1,4 +1,4 @@
-"""A linear servo on the torque-speed line of its motor, where recordings reach that."""
+"""The torque-speed line of a linear servo's motor."""
 
 from __future__ import annotations
 
@@ -27,52 +27,52 @@ _LARGER = np.linspace(1.0, 2.0, 26)
 
 
 def on_its_line(
-    given: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, room: float
+    traces: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, room: float
 ) -> tuple[JointModel, float] | None:
-    """The servo with its motor's line, and the share of the linear servo's error that it leaves.
+    """The servo with its motor's line, and its residual relative to that of the linear servo.
 
-    None where the linear servo leaves nothing but noise.
+    None if the linear servo explains the recordings.
 
     Args:
-        given: Recordings of one joint.
+        traces: Recordings of one joint.
         servo: Its data sheet.
-        rng: For the scan for a start.
-        room: How many times the data sheet's the line may be, either way.
+        rng: Generator for the search for a starting point.
+        room: Largest factor between the fitted line and the data sheet's.
     """
-    noise = sensor_noise(given)
-    start, others = first_guess(given, rng)
-    names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
-    plain, _ = best_of(given, [start, *others], names)
+    noise = sensor_noise(traces)
+    start, others = first_guess(traces, rng)
+    names = [p.name for p in gains(start, traces[0].load.inertia_kgm2)]
+    plain, _ = best_of(traces, [start, *others], names)
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
-    motor = fit_motor(given, plain, _near_the_sheet(servo, given, room), LINE, rng)
-    model = stated(motor.fit.row, given[0].load)
+    motor = fit_motor(traces, plain, _narrowed_prior(servo, traces, room), LINE, rng)
+    model = stated(motor.fit.row, traces[0].load)
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
 def with_stated_line(
-    given: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
+    traces: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
 ) -> Array:
-    """A servo's parameters (P,) with its data sheet's line, which its recordings do not reach.
+    """A servo's parameters (P,) with its data sheet's line, if the recordings do not determine it.
 
-    What drives harder would else be predicted with a torque that no motor has. Where the recordings
-    speak against the stated torque, the next larger one that they allow; no line where none of up
-    to twice it, or where the load is unknown. Recordings speak against a line that costs more than
-    ``largest_cost`` of log-likelihood: about what a parameter is free to by chance.
+    Without a line, faster motions would be predicted with unlimited torque. If the recordings
+    exclude the stated torque, the smallest larger one that they allow is used, up to twice the
+    stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
+    more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
     """
-    if row[_LINE].any() or given[0].load is PER_INERTIA:
+    if row[_LINE].any() or traces[0].load is PER_INERTIA:
         return row
     rows = np.tile(row, (1 + _LARGER.size, 1))
     rows[1:, _LINE[0]] = servo.max_torque_Nm * _LARGER
     rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
-    left = np.concatenate(errors(Simulator(given), rows), axis=1)
-    size = np.sum(left**2, axis=1)
-    allowed = 0.5 * left.shape[1] * np.log(size[1:] / size[0]) < largest_cost
+    residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
+    squares = np.sum(residuals**2, axis=1)
+    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
 
 
-def _near_the_sheet(servo: Servo, given: Sequence[Trace], room: float) -> MotorPrior:
-    prior = motor_prior(servo, given)
+def _narrowed_prior(servo: Servo, traces: Sequence[Trace], room: float) -> MotorPrior:
+    prior = motor_prior(servo, traces)
     parameters = list(prior.parameters)
     for name in LINE:
         k = prior.index(name)

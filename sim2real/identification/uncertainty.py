@@ -1,4 +1,4 @@
-"""How sure a fit is, where residuals are correlated in time and some directions are not seen."""
+"""Uncertainty of a fit with correlated residuals and directions without information."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Array = NDArray[np.float64]
 LEVEL = 0.90
 """Probability of the intervals."""
 _OPEN_SD = 1.0
-"""A direction whose standard deviation exceeds its unit is not seen by the data."""
+"""Standard deviation in natural units above which a direction is open: not determined."""
 _PART = 0.25
 """Share of an open direction from which a parameter counts as part of it."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Spread of the free parameters, in their order (F of them).
+    """Uncertainty of the F free parameters, in their order.
 
     Attributes:
         sd: Standard deviations, shape (F,).
         correlation: Correlations, shape (F, F).
-        half_width: Half-width of the interval before any end is opened, shape (F,).
-        open_directions: For each direction that is not seen, the positions of its parameters.
-        inflation: How many times the variance exceeds that of independent residuals, at most.
+        half_width: Half-widths of 90 % intervals, without regard to open directions, shape (F,).
+        open_directions: Indices of the parameters of each direction that is not determined.
+        inflation: Largest ratio of the variance to that for independent residuals.
     """
 
     sd: Array
@@ -47,11 +47,11 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
     gradient (Bartlett weights: Newey and West, Econometrica 55 (1987) 703-708). It is never taken
     smaller than the covariance for independent residuals. Intervals use Student's t with the
-    effective number of samples. The prior counts as one more measurement.
+    effective number of samples. The prior counts as an additional measurement.
 
     Args:
         fit: The fit.
-        units: A natural size of each free parameter, shape (F,).
+        units: Natural units of the free parameters, shape (F,).
     """
     size = OUTLIER_SD * fit.scale_rad
     curvature = np.zeros((units.size, units.size))
@@ -84,12 +84,12 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         np.einsum("ik,ij,jk->k", directions, spread, directions),
         np.einsum("ik,ij,jk->k", directions, independent, directions),
     )
-    # what the data do not see at all is round-off, of either sign
+    # curvature without information is round-off of either sign
     along_sd = np.where(level > least, np.sqrt(np.maximum(along, 0.0)) / level, np.inf)
-    seen = along_sd < _OPEN_SD
-    inverse = directions[:, seen] / level[seen] @ directions[:, seen].T
+    determined = along_sd < _OPEN_SD
+    inverse = directions[:, determined] / level[determined] @ directions[:, determined].T
     at_least = inverse @ independent @ inverse
-    covariance = _raised(inverse @ spread @ inverse, at_least)
+    covariance = _raised_to(inverse @ spread @ inverse, at_least)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     freedom = max(effective - units.size, 1.0)
     quantile = float(stdtrit(freedom, 0.5 + LEVEL / 2)) * fixed_b(float(np.mean(spans)), samples)
@@ -100,7 +100,7 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         half_width=quantile * sd * units,
         open_directions=tuple(
             tuple(int(i) for i in np.flatnonzero(np.abs(directions[:, k]) > _PART))
-            for k in np.flatnonzero(~seen)
+            for k in np.flatnonzero(~determined)
         ),
         inflation=float(np.max(_ratio(sd**2, np.diag(at_least)))),
     )
@@ -110,7 +110,7 @@ def _ratio(variance: Array, least: Array) -> Array:
     return np.divide(variance, least, out=np.ones_like(variance), where=least > 0)
 
 
-def _raised(covariance: Array, least: Array) -> Array:
+def _raised_to(covariance: Array, least: Array) -> Array:
     """Scale a covariance up where its variances fall below those of independent residuals."""
     factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
     return np.asarray(covariance * np.outer(factor, factor))

@@ -10,14 +10,14 @@ Modules::
     evidence          profile likelihood, Laplace approximation, probabilities of models
     selection         select(problem, ledgers): the candidates that a problem needs, refitting
                       every set
-    multi_start       which of several searches for one minimum are given up
+    multi_start       stops searches that cannot reach the best minimum
     low_discrepancy   points that fill a cube evenly
 
 Example, a straight line through points::
 
     def expand(x, index):                    # x (M, 2), scaled, of the problems index (M,)
         return expansion(y - A @ x[0], -A)   # residuals and their derivatives
-    found = minimise(expand, start, low, high)
+    fit = minimise(expand, start, low, high)
 
 ``sim2real.servo`` defines the problem for a servo's recordings, ``sim.inference`` that for swims.
 """

@@ -1,4 +1,4 @@
-"""Noise that is correlated in time: samples that count, whitening, autocorrelation times; once.
+"""Noise that is correlated in time: usable samples, whitening, autocorrelation times.
 
 A residual is whitened by an autoregression, e_k = x_k - a_1 x_(k-1) - ... - a_p x_(k-p), whose
 coefficients are fitted to it. A sample counts where it and the p before it were measured.
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MEMORY_S = 0.5
-"""Time over which the autoregression of the noise reaches back."""
+"""Time span of the autoregression of the noise."""
 FEWEST_LAGS, MOST_LAGS = 4, 25
 _WINDOW_TIMES = 5.0
 """Autocorrelation times over which autocorrelations are summed (Sokal)."""
@@ -24,7 +24,7 @@ _WINDOW_TIMES = 5.0
 
 @dataclass(frozen=True)
 class Wander:
-    """The slow part of a sensor's noise: an Ornstein-Uhlenbeck process beside the white part.
+    """Slow drift of a sensor: an Ornstein-Uhlenbeck process in addition to white noise.
 
     Attributes:
         time_s: Its time constant.
@@ -35,9 +35,9 @@ class Wander:
     share: float
 
     def least_gain(self, period_s: float) -> float:
-        """Least gain at frequency 0 of a filter that whitens it.
+        """Smallest gain at frequency 0 of a filter that whitens it.
 
-        Without such a bound an autoregression takes any constant error for noise.
+        Without this bound, an autoregression attributes any constant error to noise.
         """
         return float(np.sqrt(period_s / (2 * self.time_s)) / self.share)
 
@@ -48,8 +48,8 @@ class Wander:
             period_s: Time between samples.
 
         Returns:
-            Numerator and denominator, as ``scipy.signal.lfilter`` takes them, and the variance of
-            what is foretold, in variances of the white part: the root of its Riccati equation.
+            Numerator and denominator for ``scipy.signal.lfilter``, and the variance of the
+            predicted drift in units of that of the white part: the root of a Riccati equation.
         """
         keep = float(np.exp(-period_s / self.time_s))
         drive = self.share**2 * (1 - keep**2)
@@ -60,18 +60,18 @@ class Wander:
 
 
 WANDER = Wander(4.0, 2.5)
-"""Slowest and largest wander that a servo's sensor may have."""
+"""Slowest and largest drift that the noise model of a servo's sensor includes."""
 RESIDUAL_WANDER = Wander(3.0, 1.5)
-"""Slow wander that sensors usually have; beyond it a residual is structured."""
+"""Usual slow drift of sensors; a residual beyond it is structured."""
 
 
 def lags(period_s: float) -> int:
-    """Coefficients of the autoregression at this time between samples."""
+    """Number of coefficients of the autoregression for this time between samples."""
     return int(np.clip(round(MEMORY_S / period_s), FEWEST_LAGS, MOST_LAGS))
 
 
 def counting(used: Mask, order: int) -> Mask:
-    """Samples that are used, as are the ``order`` before them, shape (T,)."""
+    """Mask of the samples that are used with all ``order`` before them, shape (T,)."""
     missing = np.cumsum(np.concatenate([np.zeros(order + 1), ~used]))
     whole = missing[order + 1 :] == missing[: -order - 1]
     whole[:order] = False
@@ -86,28 +86,28 @@ def lag_products(residual: Array, counts: Mask, order: int) -> Array:
 
 
 def autoregression(products: Array, least_gain: float = 0.0) -> Array:
-    """Coefficients by least squares, in which the residuals of N fits are whitest.
+    """Least-squares autoregression coefficients of N residuals.
 
     Args:
         products: Lag products of each, shape (N, p + 1, p + 1).
-        least_gain: They add up to at most 1 less this, the whitening filter's gain at frequency 0;
-            any sum where 0 or less.
+        least_gain: Smallest gain of the whitening filter at frequency 0, which is 1 minus the sum
+            of the coefficients; no limit if it is 0 or less.
 
     Returns:
         Shape (N, p).
     """
-    past, now = products[:, 1:, 1:].copy(), products[:, 1:, 0]
+    past, present = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     size = np.einsum("nii->n", past) / past.shape[1]
     past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
     free, ones = np.moveaxis(
-        np.linalg.solve(past, np.stack([now, np.ones_like(now)], axis=2)), 2, 0
+        np.linalg.solve(past, np.stack([present, np.ones_like(present)], axis=2)), 2, 0
     )
     excess = np.maximum(free.sum(axis=1) - (1 - least_gain), 0.0)
     return np.ascontiguousarray(free - (excess / ones.sum(axis=1))[:, None] * ones)
 
 
 def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
-    """Innovations of ``values`` along an axis; the first p are those of a series that was 0."""
+    """Innovations of ``values`` along an axis; values before the first are taken as 0."""
     series = np.moveaxis(values, axis, -1)
     innovations = series.copy()
     for lag, coefficient in enumerate(coefficients, start=1):
@@ -116,9 +116,9 @@ def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
 
 
 def autocorrelation_times(series: Array) -> Array:
-    """Integrated autocorrelation times in samples, at least 1; the length of a series without one.
+    """Integrated autocorrelation times in samples, at least 1; undefined ones are the length.
 
-    That of emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
+    As in emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
 
     Args:
         series: Shape (T,), or (T, walkers, F).
@@ -131,9 +131,9 @@ def autocorrelation_times(series: Array) -> Array:
     times = np.empty(walkers.shape[2])
     with np.errstate(invalid="ignore", divide="ignore"):
         for f in range(times.size):
-            together = 2.0 * np.cumsum(_autocorrelation(walkers[:, :, f])) - 1.0
-            inside = np.arange(together.size) < _WINDOW_TIMES * together
-            times[f] = together[np.argmin(inside) if inside.any() else -1]
+            cumulative = 2.0 * np.cumsum(_autocorrelation(walkers[:, :, f])) - 1.0
+            inside = np.arange(cumulative.size) < _WINDOW_TIMES * cumulative
+            times[f] = cumulative[np.argmin(inside) if inside.any() else -1]
     return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
 
 
@@ -149,7 +149,7 @@ def _autocorrelation(walkers: Array) -> Array:
 
 
 def correlation_samples(error: Array) -> float:
-    """Autocorrelation time of one residual in samples: 1 for a white one, a quarter at most."""
+    """Autocorrelation time of a residual of n samples, between 1 (white) and n / 4."""
     n = error.size
     if n < 8 or not np.ptp(error):
         return 1.0
@@ -164,18 +164,18 @@ def whiteness(errors: Sequence[Array]) -> float:
 
 
 def bandwidth(samples: int, time: float) -> int:
-    """Lags that a long-run covariance spans: three correlation times, at most a quarter.
+    """Lags of a long-run covariance: three correlation times, at most a quarter of the samples.
 
     At least 1.3 times the root of the samples (Lazarus, Lewis, Stock, Watson, Journal of Business
-    and Economic Statistics 36 (2018) 541-559): fewer miss what is little and slow, as the errors of
-    rounding while the joint rests are; see ``fixed_b``.
+    and Economic Statistics 36 (2018) 541-559): fewer lags miss small slow errors, such as those of
+    rounding while the joint is at rest; see ``fixed_b``.
     """
     least = 1.3 * samples**0.5
     return int(np.clip(np.ceil(max(3 * time, least)), 1, max(samples // 4, 1)))
 
 
 def fixed_b(span: float, samples: float) -> float:
-    """How much wider a 90 % interval must be as ``long_run`` itself is uncertain, and too small.
+    """Factor by which a 90 % interval widens for the bias and uncertainty of ``long_run``.
 
     The critical value of a t-test whose lags are a share b of the samples, over that for b = 0:
     Kiefer and Vogelsang, Econometric Theory 21 (2005) 1130-1164, table 1, Bartlett weights.
@@ -187,7 +187,7 @@ def fixed_b(span: float, samples: float) -> float:
 def long_run(score: Array, span: int) -> Array:
     """Sum of lagged products of ``score`` (n, F) with Bartlett weights 1 - k / span, shape (F, F).
 
-    Computed as the mean square of sums over all windows of ``span`` samples, which is the same.
+    Computed as the mean square of sums over all windows of ``span`` samples, which is identical.
     Source: Newey and West, Econometrica 55 (1987) 703-708.
     """
     padded = np.zeros((score.shape[0] + 2 * span, score.shape[1]))

@@ -1,8 +1,8 @@
-"""The fitter: Levenberg-Marquardt on many problems in step, within bounds.
+"""Levenberg-Marquardt minimisation of many bounded problems at once.
 
-What is fitted says, at points of any number of problems, how well each fits, the slope and the
-curvature (``Expansion``); how it knows, by one launch of simulations or one row at a time, is its
-own affair. ``expansion`` makes one of residuals and their derivatives, robust to wild samples.
+A problem provides loss, gradient and curvature at given points (``Expansion``), for any number of
+problems in one call. ``expansion`` computes these from residuals and their derivatives, optionally
+with a loss that is robust to outliers.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 SETTLED = 0.02
-"""Gain in log-likelihood below which a step is not worth making."""
+"""Expected gain in log-likelihood below which a search ends."""
 OUTLIER_SD = 3.0
-"""Residuals beyond so many standard deviations lose weight."""
+"""Residuals beyond this number of standard deviations are down-weighted."""
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """Minus the logarithm of the likelihood (and prior) of N problems about a point of each.
+    """Second-order expansion of minus the log-posterior of N problems, each about one point.
 
     Attributes:
-        loss: It, up to a constant, shape (N,); infinite where the simulation is lost.
-        slope: Its derivatives, shape (N, F).
-        curvature: Its second derivatives, by Gauss and Newton, shape (N, F, F).
-        aside: What else is known at the points, arrays that begin with N, by name.
+        loss: Value up to a constant, shape (N,); infinite where the simulation diverges.
+        slope: First derivatives, shape (N, F).
+        curvature: Second derivatives in the Gauss-Newton approximation, shape (N, F, F).
+        aside: Other results at the points by name, arrays of shape (N, ...).
     """
 
     loss: Array
@@ -40,9 +40,9 @@ class Expansion:
     aside: dict[str, Array]
 
     def replaced(self, rows: Index, by: Expansion, taken: Mask) -> Expansion:
-        """This one with ``rows`` set to those of another that are ``taken``; in place."""
-        for mine, other in zip(self._arrays(), by._arrays(), strict=True):
-            mine[rows[taken]] = other[taken]
+        """Replace the ``rows`` for which ``taken`` by those of another expansion, in place."""
+        for target, source in zip(self._arrays(), by._arrays(), strict=True):
+            target[rows[taken]] = source[taken]
         return self
 
     def _arrays(self) -> list[Array]:
@@ -50,22 +50,22 @@ class Expansion:
 
 
 Expand = Callable[[Array, Index], Expansion]
-"""From points (M, F), in units, of the problems ``index`` (M,) to their expansions."""
+"""Function from points (M, F), in units, of the problems ``index`` (M,) to their expansions."""
 
 
 Hopeless = Callable[[Index, Array, Array, Array], Mask]
-"""From the problems still searched (M,), the points (N, F) and losses (N,) of all, and what an
-undamped step promises each searched one to gain (M,), to those that are given up (M,)."""
+"""Function from the active problems (M,), the points (N, F) and losses (N,) of all, and the gain
+that each active one expects of an undamped step (M,), to a mask of those to stop (M,)."""
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
         x: The best points in units, shape (N, F).
-        expansion: About them.
-        converged: Whether no step was left that was worth making, shape (N,).
+        expansion: Expansion about them.
+        converged: Whether no further step was expected to be significant, shape (N,).
     """
 
     x: Array
@@ -89,65 +89,65 @@ def minimise(
     least_damping: float = 1e-6,
     most_damping: float = 1e6,
 ) -> Minimum:
-    """Fit N problems, each by its own damped steps, all in one evaluation a round.
+    """Minimise N problems by damped steps, with one joint evaluation per round.
 
-    Source: Marquardt, SIAM Journal on Applied Mathematics 11 (1963) 431-441; a parameter at a bound
-    that it is pushed against is held.
+    Source: Marquardt, SIAM Journal on Applied Mathematics 11 (1963) 431-441; a parameter whose step
+    would leave its bounds is held at the bound.
 
     Args:
-        expand: What is fitted.
-        start: Where to begin, in units, shape (N, F).
+        expand: The problems.
+        start: Starting points, in units, shape (N, F).
         low: Smallest values, likewise.
         high: Largest values, likewise.
-        free: Places that hold a parameter, shape (N, F); all where None.
-        evaluations: Most of each problem.
-        settled: Expected gain below which a step is not worth making.
-        hopeless: Which problems are given up; asked every ``look_every`` evaluations.
-        losses: Losses of points (M, F) of the problems ``index`` (M,), where they are cheaper than
-            expansions; only points that are better than the last are then expanded.
-        progress: Called with the share that is done.
-        look_every: Evaluations between two calls of ``hopeless``.
-        least_damping: Damping is never less.
-        most_damping: Problems whose damping exceeds it are given up.
+        free: Mask of the places that hold a parameter, shape (N, F); all by default.
+        evaluations: Largest number of evaluations of each problem.
+        settled: Expected gain below which a search ends.
+        hopeless: Selects problems to stop, called every ``look_every`` evaluations.
+        losses: Losses of points (M, F) of the problems ``index`` (M,), if they are cheaper than
+            expansions; only points with a smaller loss are then expanded.
+        progress: Called with the completed share.
+        look_every: Evaluations between calls of ``hopeless``.
+        least_damping: Smallest damping.
+        most_damping: Damping above which a search ends.
     """
     N = start.shape[0]
     free = np.ones(start.shape, dtype=bool) if free is None else free
     best = np.where(free, np.clip(start, low, high), start)
     damping = np.full(N, 1e-3)
     active, trial = np.arange(N), best.copy()
-    at = expand(best, active)
+    current = expand(best, active)
     converged = np.zeros(N, dtype=bool)
     better = np.ones(N, dtype=bool)
-    for made in range(1, evaluations + 1):
-        if made > 1 and losses is None:
-            then = expand(trial[active], active)
-            better = then.loss < at.loss[active]
-            at.replaced(active, then, better)
-        elif made > 1 and losses is not None:
-            better = losses(trial[active], active) < at.loss[active]
+    for count in range(1, evaluations + 1):
+        if count > 1 and losses is None:
+            proposal = expand(trial[active], active)
+            better = proposal.loss < current.loss[active]
+            current.replaced(active, proposal, better)
+        elif count > 1 and losses is not None:
+            better = losses(trial[active], active) < current.loss[active]
             rows = active[better]
             if rows.size:
-                at.replaced(rows, expand(trial[rows], rows), np.ones(rows.size, dtype=bool))
-        won, lost = active[better], active[~better]
-        best[won] = trial[won]
-        damping[won] = np.maximum(damping[won] / 5, least_damping)
-        damping[lost] *= 8
-        step, gain = _step(at, best, (low, high), free, damping, active)
+                current.replaced(rows, expand(trial[rows], rows), np.ones(rows.size, dtype=bool))
+        accepted, rejected = active[better], active[~better]
+        best[accepted] = trial[accepted]
+        damping[accepted] = np.maximum(damping[accepted] / 5, least_damping)
+        damping[rejected] *= 8
+        step, gain = _step(current, best, (low, high), free, damping, active)
         worth = (gain > settled) & (damping[active] < most_damping)
         converged[active] = ~worth
         trial[active] = best[active] + step
         active = active[worth]
-        if hopeless is not None and active.size and made % look_every == 0:
-            promised = _step(at, best, (low, high), free, np.zeros(N), active)[1]
-            active = active[~hopeless(active, best, at.loss, promised)]
-        progress(made / evaluations)
+        if hopeless is not None and active.size and count % look_every == 0:
+            promised = _step(current, best, (low, high), free, np.zeros(N), active)[1]
+            active = active[~hopeless(active, best, current.loss, promised)]
+        progress(count / evaluations)
         if not active.size:
             break
-    return Minimum(best, at, converged)
+    return Minimum(best, current, converged)
 
 
 def _step(
-    at: Expansion,
+    current: Expansion,
     best: Array,
     box: tuple[Array, Array],
     free: Mask,
@@ -156,9 +156,9 @@ def _step(
     *,
     largest_step: float = 3.0,
 ) -> tuple[Array, Array]:
-    """Next step of each problem, shape (M, F), and the gain that is expected of it, shape (M,)."""
+    """Next step of each problem, shape (M, F), and its expected gain, shape (M,)."""
     x, low, high = best[rows], box[0][rows], box[1][rows]
-    slope, normal = at.slope[rows], at.curvature[rows]
+    slope, normal = current.slope[rows], current.curvature[rows]
     held = ~free[rows]
     with np.errstate(invalid="ignore"):
         margin = 1e-9 * (high - low)
@@ -182,12 +182,12 @@ def _step(
 def central(
     simulate: Callable[[Array], Array], x: Array, size: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """What is simulated at a point, and its derivatives by central differences, in one batch.
+    """Simulated values at a point and their derivatives by central differences, in one batch.
 
     Args:
-        simulate: From points (M, F) to rows (M, n).
+        simulate: Function from points (M, F) to rows (M, n).
         x: The point, shape (F,).
-        size: Steps, shape (F,); those that would leave the bounds are cut.
+        size: Steps, shape (F,), shortened at the bounds.
         low: Smallest values, shape (F,).
         high: Largest values, shape (F,).
 
@@ -196,20 +196,20 @@ def central(
     """
     F = x.size
     ahead, back = np.minimum(x + size, high), np.maximum(x - size, low)
-    own = np.eye(F, dtype=bool)
-    points = np.concatenate([x[None], np.where(own, ahead, x), np.where(own, back, x)])
+    diagonal = np.eye(F, dtype=bool)
+    points = np.concatenate([x[None], np.where(diagonal, ahead, x), np.where(diagonal, back, x)])
     rows = simulate(points)
     change = rows[1 : F + 1] - rows[F + 1 :]
     return rows[0], np.asarray((change / (ahead - back)[:, None]).T)
 
 
 def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
-    """That of one sum of squares, or of one soft L1 loss, halved.
+    """Expansion of half a sum of squares, or of half a soft L1 loss.
 
     Args:
-        error: Residuals, shape (n,), in standard deviations, or whatever the loss shall be in.
+        error: Residuals, shape (n,), in standard deviations or another unit of the loss.
         slope: Their derivatives, shape (n, F).
-        scale: Size of a residual from which it loses weight; infinite for the sum of squares.
+        scale: Size above which residuals are down-weighted; infinite for the sum of squares.
     """
     ratio = 1 + (error / scale) ** 2
     loss = 0.5 * robust_loss(error, scale)
@@ -219,7 +219,7 @@ def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
 
 
 def stacked(expansions: Sequence[Expansion]) -> Expansion:
-    """Expansions of N problems, one after the other."""
+    """Concatenate expansions to one of N problems."""
     loss, slope, curvature = (
         np.concatenate([getattr(e, name) for e in expansions])
         for name in ("loss", "slope", "curvature")
@@ -238,42 +238,42 @@ def minimise_robustly(
     same_scale: float = 0.05,
     settled: float = 1e-9,
 ) -> tuple[Array, bool]:
-    """Least squares, first plain, then robust (soft L1), its scale taken anew until it stays.
+    """Least squares, then robust rounds (soft L1) in which the scale is estimated again.
 
     Args:
         residuals: Residuals (n,) and their derivatives (n, F) at a point (F,).
-        start: Where to begin, in units, shape (F,).
+        start: Starting point, in units, shape (F,).
         low: Smallest values, likewise.
         high: Largest values, likewise.
-        rounds: Most robust rounds after the plain one.
-        evaluations: Most evaluations in one round.
-        same_scale: Relative change of the scale below which it counts as the same.
-        settled: Expected gain, relative to the scale, below which a step is not worth making.
+        rounds: Largest number of robust rounds after the first one.
+        evaluations: Largest number of evaluations in one round.
+        same_scale: Relative change of the scale below which the rounds end.
+        settled: Expected gain, relative to the scale, below which a search ends.
 
     Returns:
         The minimum, shape (F,), and whether the search converged to it.
     """
     point, converged, scale = start, True, 0.0
-    known: dict[bytes, tuple[Array, Array]] = {}
+    cache: dict[bytes, tuple[Array, Array]] = {}
 
-    def at(x: Array) -> tuple[Array, Array]:
+    def evaluate(x: Array) -> tuple[Array, Array]:
         key = x.tobytes()
-        if key not in known:
-            known.clear()
-            known[key] = residuals(x)
-        return known[key]
+        if key not in cache:
+            cache.clear()
+            cache[key] = residuals(x)
+        return cache[key]
 
     for number in range(rounds + 1):
-        before, scale = scale, robust_scale(at(point)[0])
+        before, scale = scale, robust_scale(evaluate(point)[0])
         if number > 1 and abs(scale / before - 1) < same_scale:
             break
         limit = OUTLIER_SD if number else np.inf
 
         def expand(x: Array, _: Index, limit: float = limit, scale: float = scale) -> Expansion:
-            error, slope = at(x[0])
+            error, slope = evaluate(x[0])
             return expansion(error / scale, slope / scale, limit)
 
-        found = minimise(
+        minimum = minimise(
             expand,
             point[None],
             low[None],
@@ -281,26 +281,26 @@ def minimise_robustly(
             evaluations=evaluations,
             settled=settled,
         )
-        point, converged = found.x[0], bool(found.converged[0])
+        point, converged = minimum.x[0], bool(minimum.converged[0])
     return point, converged
 
 
 def rms(errors: Sequence[Array]) -> float:
     """Root mean square over all arrays; 0 where there is no sample, infinite where it overflows."""
     count = sum(error.size for error in errors)
-    with np.errstate(over="ignore"):  # of a simulation that has run away
+    with np.errstate(over="ignore"):  # of a diverged simulation
         return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))
 
 
 def robust_loss(error: Array, scale: float) -> float:
-    """Soft L1 loss of residuals, about their sum of squares where none is beyond ``scale``."""
+    """Soft L1 loss of residuals, nearly their sum of squares if none exceeds ``scale``."""
     if np.isinf(scale):
         return float(np.sum(error**2))
     return float(np.sum(np.sqrt(1 + (error / scale) ** 2) - 1)) * 2 * scale**2
 
 
 def robust_scale(error: Array) -> float:
-    """Standard deviation that a tenth of wild samples cannot spoil, never 0.
+    """Standard deviation, robust to 10 % of outliers and always above 0.
 
     Solves mean(min((error / scale)^2, 9)) = 0.995, its value for normal errors: Huber's proposal
     2 (Annals of Mathematical Statistics 35 (1964) 73-101) with the limit at 3 standard deviations.
@@ -313,7 +313,7 @@ def robust_scale(error: Array) -> float:
 
 
 def added(expansions: list[Expansion]) -> Expansion:
-    """The expansion of several independent parts that share their points."""
+    """Sum of the expansions of independent terms about the same points."""
     first, *rest = expansions
     for other in rest:
         first = replace(

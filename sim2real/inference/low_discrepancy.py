@@ -18,7 +18,7 @@ def kronecker(count: int, dimensions: int, rng: np.random.Generator) -> Array:
     Args:
         count: Number N of points.
         dimensions: Number D of dimensions.
-        rng: For the shift.
+        rng: Generator for the shift.
     """
     root = 1.5
     for _ in range(64):

@@ -1,4 +1,4 @@
-"""Which searches of a multi-start fit can still win."""
+"""Stopping rule for searches of a multi-start fit."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ def cannot_win(
     behind: float = 30.0,
     optimism: float = 5.0,
 ) -> NDArray[np.bool_]:
-    """Searches that approach the minimum of a better one, or stay behind the best one.
+    """Searches that approach the minimum of a better one, or cannot reach the best loss.
 
-    To be given to ``least_squares.minimise`` as ``hopeless``.
+    For the argument ``hopeless`` of ``least_squares.minimise``.
 
     Args:
-        active: Indices of the M searches that continue, of S.
-        points: Where all searches are, in natural units, shape (S, F).
+        active: Indices of the M active ones of S searches.
+        points: Current points of all searches, in natural units, shape (S, F).
         losses: Their losses, shape (S,).
-        promised: Decrease of the loss that each of ``active`` expects of its next step, shape (M,).
-        same: Distance in natural units within which two searches approach one minimum.
-        behind: Loss by which a search may stay above the best one.
-        optimism: Multiple of the promised decrease that a search is granted.
+        promised: Decrease of the loss expected from the next step of each active search, (M,).
+        same: Distance in natural units below which two searches approach the same minimum.
+        behind: Largest difference to the best loss at which a search continues.
+        optimism: Assumed remaining decrease as a multiple of ``promised``.
 
     Returns:
-        Which of ``active`` to give up, shape (M,).
+        Mask of the active searches to stop, shape (M,).
     """
     rank = np.empty(losses.size, dtype=np.intp)
     rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)

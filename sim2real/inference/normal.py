@@ -5,6 +5,6 @@ from __future__ import annotations
 Z90 = 1.645
 """Half-width of a 90 % interval, in standard deviations; its ends are the quantiles 5 and 95 %."""
 NINE_IN_TEN = 1.28
-"""Quantile that nine values in ten are below, in standard deviations."""
+"""90 % quantile, in standard deviations."""
 SD_PER_MEDIAN = 1.4826
-"""Standard deviation over the median of absolute values."""
+"""Ratio of the standard deviation to the median absolute deviation."""

@@ -1,4 +1,4 @@
-"""What a parameter is, for servos, effects, bodies, water and cameras alike; priors of several."""
+"""Parameters of servos, effects, bodies, fluids and cameras, and their priors."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _INSIDE = 1e-4
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that recordings may tell.
+    """A scalar parameter with bounds and prior.
 
     Attributes:
-        name: Its fixed name, the unit at its end.
-        low: Smallest value that means anything.
-        high: Largest value that means anything.
-        typical: A size that matters: the natural unit of a fit, whose steps are shares of it.
-        nominal: What a model without better knowledge has; 0 where an effect is absent.
-        prior_sd: Standard deviation of its normal prior about ``nominal``; infinite where any value
-            within the bounds is as likely as another.
-        log: Whether it is its logarithm that is as likely anywhere; ``low`` is above 0 then.
-        shared: Whether one value holds in all recordings, or each has its own.
-        unit: Its unit, SI; by the ending of the name where empty.
-        starts: Where searches for it start, in typical values, if it is known.
+        name: Its fixed name, which ends with its unit.
+        low: Smallest admissible value.
+        high: Largest admissible value.
+        typical: A size that matters: the natural unit of a fit.
+        nominal: Value without further knowledge; 0 where an effect is absent.
+        prior_sd: Standard deviation of its normal prior about ``nominal``; infinite for a uniform
+            prior between the bounds.
+        log: Whether the uniform prior is that of the logarithm; ``low`` is then above 0.
+        shared: Whether all recordings share one value; otherwise each has its own.
+        unit: Its SI unit; by default from the ending of the name.
+        starts: Starting values of fits, in typical values; empty for the default ones.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Parameter:
     starts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Read the unit off the name."""
+        """Derive the unit from the name."""
         if not self.unit:
             object.__setattr__(self, "unit", unit_of(self.name))
 
     def __str__(self) -> str:
-        """Its prior in words."""
+        """Description of its prior."""
         if np.isfinite(self.prior_sd):
             return f"normal {self.nominal:.4g} ± {self.prior_sd:.4g} {self.unit}".rstrip()
         kind = "log-uniform" if self.log else "uniform"
@@ -64,10 +64,10 @@ def column(parameters: Sequence[Parameter], field: str) -> Array:
 
 @dataclass(frozen=True)
 class Priors:
-    """Independent priors of F parameters that are bounded, in unbounded coordinates.
+    """Independent priors of F bounded parameters, in unbounded coordinates.
 
-    A value becomes a coordinate by the logit of its place between the limits, which is any real
-    number: z = log(s / (1 - s)), where s is the share of the way (of the logarithm) from ``low``.
+    The coordinate is z = log(s / (1 - s)), where s, between 0 and 1, is the position of the value,
+    or of its logarithm, between ``low`` and ``high``.
     """
 
     each: Sequence[Parameter]
@@ -91,7 +91,7 @@ class Priors:
         return np.where(log, np.exp(np.where(log, scaled, 0.0)), scaled)
 
     def coordinates(self, values: Array) -> Array:
-        """Coordinates of ``values`` (..., F); those at or beyond a limit are taken just inside."""
+        """Coordinates of ``values`` (..., F); values at or beyond a bound are moved inside."""
         low, high, log = self._ends
         scaled = np.where(log, np.log(np.maximum(np.where(log, values, 1.0), 1e-300)), values)
         share = np.clip((scaled - low) / (high - low), _INSIDE, 1 - _INSIDE)
@@ -110,7 +110,7 @@ class Priors:
         return np.asarray(2 * share * (1 - share))
 
     def log_density(self, z: Array) -> Array:
-        """Log-density of the coordinates ``z`` (..., F), shape (...): a logistic one each."""
+        """Log-density of the coordinates ``z`` (..., F), shape (...): logistic for each."""
         return np.asarray(-(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z)).sum(axis=-1))
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
@@ -125,7 +125,7 @@ def _share(z: Array) -> Array:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A normal distribution of F parameters, as a prior or as what a fit found.
+    """A normal distribution of F parameters, as a prior or as the result of a fit.
 
     Attributes:
         mean: Shape (F,).

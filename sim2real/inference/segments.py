@@ -1,4 +1,4 @@
-"""When a residual is larger than noise: segments of a hidden Markov chain."""
+"""Time windows in which a residual exceeds the noise, by a hidden Markov model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Window = tuple[float, float]
 LARGER = 5.0
 """Standard deviation inside a window, relative to that outside."""
 EDGE_COST = 12.0
-"""Log-likelihood that each edge of a window must earn."""
+"""Penalty of the log-likelihood for each edge of a window."""
 SHORTEST_S = 0.1
 
 
@@ -24,36 +24,36 @@ def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
 
 
 def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
-    """Segments in which the residual is larger than noise.
+    """Windows in which the residual exceeds the noise.
 
-    The likeliest path of a hidden Markov chain that is either quiet or not (Viterbi, IEEE
+    The most likely path of a hidden Markov model with a quiet and a loud state (Viterbi, IEEE
     Transactions on Information Theory 13 (1967) 260-269).
 
     Args:
         t: Times in s, shape (T,).
         residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
-        sd: Its standard deviation where nothing is missing, rad.
+        sd: Standard deviation of the noise in rad.
 
     Returns:
-        Beginning and end of each segment, s.
+        Beginning and end of each window, s.
     """
     z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
     score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], _likeliest(score), [0]])))
-    found = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
-    return tuple((a, b) for a, b in found if b - a >= SHORTEST_S)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], _most_likely_path(score), [0]])))
+    segments = [(float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2)]
+    return tuple((a, b) for a, b in segments if b - a >= SHORTEST_S)
 
 
-def inside(t: Array, given: tuple[Window, ...]) -> NDArray[np.bool_]:
-    """Which times lie in one of the windows, shape (T,)."""
+def inside(t: Array, windows: tuple[Window, ...]) -> NDArray[np.bool_]:
+    """Mask of the times that lie in one of the windows, shape (T,)."""
     mask = np.zeros(t.size, dtype=bool)
-    for begin, end in given:
+    for begin, end in windows:
         mask |= (t >= begin) & (t <= end)
     return mask
 
 
-def _likeliest(score: Array) -> NDArray[np.int8]:
-    """1 where the chain is likeliest loud, 0 where quiet, for scores of loud over quiet (T,)."""
+def _most_likely_path(score: Array) -> NDArray[np.int8]:
+    """Most likely states, 1 for loud and 0 for quiet, from their log-likelihood ratios (T,)."""
     quiet, loud = 0.0, -EDGE_COST
     from_loud, from_quiet = (np.zeros(score.size, dtype=bool) for _ in range(2))
     for k, x in enumerate(score.tolist()):

@@ -1,7 +1,7 @@
-"""The search: which candidates does a problem need? Forward and swap steps; every set is refitted.
+"""Subset selection by forward and swap steps, in which every set of candidates is refitted.
 
-A problem is what ``Problem`` says: it refits sets of candidates and knows which are worth trying.
-Many cases (joints, robots) go along together, so that a problem may share launches between them.
+A ``Problem`` refits sets of candidates and proposes additions to them. Many cases (joints, robots)
+are searched together, so that a problem can share launches between them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Hypothesis(Generic[Fit]):
 
     Attributes:
         members: The candidates.
-        fit: The best fit of them.
+        fit: Their best fit.
         evidence: Logarithm of the marginal likelihood and prior, up to a constant of the case.
     """
 
@@ -33,12 +33,12 @@ class Hypothesis(Generic[Fit]):
 
 @dataclass
 class Ledger(Generic[Fit]):
-    """Everything that was tried in one case.
+    """All sets that were tried in one case.
 
     Attributes:
-        case: Which case.
-        base: What every set has.
-        tried: The best of each set.
+        case: Index of the case.
+        base: Members that all sets have.
+        tried: The best hypothesis of each set.
     """
 
     case: int
@@ -47,22 +47,22 @@ class Ledger(Generic[Fit]):
 
     @property
     def plain(self) -> Hypothesis[Fit]:
-        """The base alone."""
+        """The hypothesis with the base only."""
         return self.tried[self.base]
 
     @property
     def best(self) -> Hypothesis[Fit]:
-        """The set of the largest evidence."""
+        """The hypothesis with the largest evidence."""
         return max(self.tried.values(), key=lambda h: h.evidence)
 
-    def keep(self, found: Hypothesis[Fit]) -> None:
-        """Take it down, unless the same set was fitted better before."""
-        known = self.tried.get(found.members)
-        if known is None or found.evidence > known.evidence:
-            self.tried[found.members] = found
+    def keep(self, hypothesis: Hypothesis[Fit]) -> None:
+        """Record a hypothesis, unless the same set already has a better fit."""
+        previous = self.tried.get(hypothesis.members)
+        if previous is None or hypothesis.evidence > previous.evidence:
+            self.tried[hypothesis.members] = hypothesis
 
     def closest(self, most: int, within: float) -> list[Hypothesis[Fit]]:
-        """The best set and its closest rivals of the same size, best first."""
+        """The best hypothesis and its closest rivals of the same size, best first."""
         best = self.best
         rivals = [
             h
@@ -73,42 +73,42 @@ class Ledger(Generic[Fit]):
 
 
 Pair = tuple[Ledger[Fit], Members]
-"""A set in a case."""
+"""A case and a set of candidates."""
 Job = tuple[Ledger[Fit], Members, Start]
-"""A set to refit in a case, and where its fit begins."""
+"""A case, a set to refit and its start."""
 
 
 class Problem(Protocol[Fit, Start]):
-    """What the search asks of the servos of a robot, or of a swim."""
+    """Interface of a selection problem, such as the servos of a robot or a swim."""
 
     def look(self, pairs: Sequence[Pair[Fit]]) -> None:
-        """Get ready to say what may join these sets, all in one go; nothing where it is cheap."""
+        """Prepare ``additions`` to these sets, in one batch if that is cheaper."""
 
     def additions(
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Start]]:
-        """What may join a set, likeliest first, each with a start; ``most`` candidates at most."""
+        """Candidates to add, most promising first, with starts; at most ``most``."""
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Start:
-        """Where the fit of a set begins that is a part of the best one."""
+        """Start of the fit of a subset of the best set."""
 
     def refit(self, jobs: Sequence[Job[Fit, Start]]) -> Sequence[Hypothesis[Fit]]:
-        """Fit each job; of a set with several starts the best may be given for all."""
+        """Fit each job; jobs of one set may share the fit of the best start."""
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
-        """Whether something could still explain more than chance."""
+        """Whether a further candidate could explain more than chance."""
 
 
 @dataclass(frozen=True)
 class Breadth:
-    """How widely the search goes.
+    """Breadth of the search.
 
     Attributes:
-        most: Candidates beyond the base that a set may have.
-        added: Candidates that are tried beside each set beyond single ones; all where None.
-        rivals: Sets of the best size that are gone on from.
-        within: How far their evidence may be behind.
-        swaps: Whether members are left out and another put in their place.
+        most: Largest number of candidates in a set, without the base.
+        added: Number of additions tried for each set after the first round; None for all.
+        rivals: Number of sets of the best size that are extended.
+        within: Largest difference of their evidence to the best one.
+        swaps: Whether members are also replaced by other candidates.
     """
 
     most: int = 4
@@ -125,31 +125,31 @@ def select(
     progress: Callable[[float], None] = lambda share: None,
     exhausted: Callable[[Ledger[Fit]], bool] = lambda ledger: False,
 ) -> None:
-    """Try sets of candidates in every case until none is better; the ledgers keep them all.
+    """Try sets of candidates in every case until none is better, and record them in the ledgers.
 
     Args:
-        problem: What is searched.
-        ledgers: One a case; each holds its base, fitted.
-        breadth: How widely.
-        progress: Called with the share that is done.
-        exhausted: Whether a case that would go on to larger sets has spent its budget.
+        problem: The problem.
+        ledgers: One per case, with the fit of its base.
+        breadth: Breadth of the search.
+        progress: Called with the completed share.
+        exhausted: Whether a case has spent its budget and is not searched for larger sets.
     """
     problem.look([(ledger, ledger.base) for ledger in ledgers])
-    _refit(problem, [job for one in ledgers for job in _grown(problem, one, one.base, None)])
-    going = [ledger for ledger in ledgers if problem.remains(ledger, ledger.base)]
+    _refit(problem, [job for x in ledgers for job in _enlarged(problem, x, x.base, None)])
+    active = [ledger for ledger in ledgers if problem.remains(ledger, ledger.base)]
     for number in range(1, breadth.most):
         progress(number / breadth.most)
-        going = [ledger for ledger in going if not exhausted(ledger)]
-        if not going:
+        active = [ledger for ledger in active if not exhausted(ledger)]
+        if not active:
             break
-        before = {ledger.case: ledger.best.members for ledger in going}
-        _extend(problem, going, breadth)
-        going = [ledger for ledger in going if ledger.best.members != before[ledger.case]]
+        before = {ledger.case: ledger.best.members for ledger in active}
+        _extend(problem, active, breadth)
+        active = [ledger for ledger in active if ledger.best.members != before[ledger.case]]
     progress(1.0)
 
 
 def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadth: Breadth) -> None:
-    """Add to the best sets, leave out one or two of their members, put another in the place."""
+    """Add to the best sets, remove one or two of their members, and replace these."""
     larger = [
         (ledger, hypothesis.members)
         for ledger in ledgers
@@ -161,31 +161,31 @@ def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadt
         for count in ((1, 2) if breadth.swaps else ())
         for out in combinations(sorted(ledger.best.members - ledger.base, key=str), count)
     ]
-    missing = [(one, s, problem.start(one, s)) for one, s in smaller if s not in one.tried]
+    missing = [(x, s, problem.start(x, s)) for x, s in smaller if s not in x.tried]
     _refit(problem, missing)
     problem.look([*larger, *smaller])
     jobs = [
         job
         for ledger, members in larger
         if len(members - ledger.base) < breadth.most and problem.remains(ledger, members)
-        for job in _grown(problem, ledger, members, breadth.added)
+        for job in _enlarged(problem, ledger, members, breadth.added)
     ]
     jobs += [
         job
         for ledger, members in smaller
-        for job in _grown(problem, ledger, members, breadth.added)
+        for job in _enlarged(problem, ledger, members, breadth.added)
     ]
     _refit(problem, [job for job in jobs if job[1] not in job[0].tried])
 
 
-def _grown(
+def _enlarged(
     problem: Problem[Fit, Start], ledger: Ledger[Fit], members: Members, most: int | None
 ) -> list[Job[Fit, Start]]:
-    every = problem.additions(ledger, members, most)
-    return [(ledger, members | {name}, start) for name, start in every]
+    candidates = problem.additions(ledger, members, most)
+    return [(ledger, members | {name}, start) for name, start in candidates]
 
 
 def _refit(problem: Problem[Fit, Start], jobs: Sequence[Job[Fit, Start]]) -> None:
     if jobs:
-        for (ledger, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-            ledger.keep(found)
+        for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
+            ledger.keep(hypothesis)

@@ -1,4 +1,4 @@
-"""Posteriors of servos: priors, likelihoods, a chain that survives being killed, and what is left.
+"""Posteriors of servos: priors, likelihoods, resumable chains, convergence, predictive checks.
 
-``servo.sample_servo`` does it all for one joint.
+``servo.sample_servo`` samples the posterior of one joint.
 """

@@ -1,4 +1,4 @@
-"""A Markov chain that lives in a file: killed at any moment, it goes on as if it had not been."""
+"""A Markov chain stored in a file: after an interruption it continues with identical results."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LogDensity = Callable[[Array], Array]
 
 FORMAT = "sim2real.chain/1"
 SMALLEST_BLOCK, BLOCK_SHARE = 100, 0.1
-"""Steps of a block: at least so many, and this share of all before it, so that writing stays cheap
-however long the chain."""
+"""Smallest number of steps in a block, and share of the previous steps: the total cost of writing
+grows only in proportion to the length of the chain."""
 
 
 def chain_file(out: Path, joint: str) -> Path:
-    """Where the chain of a joint is kept, next to the result ``out``."""
+    """File of the chain of a joint, next to the result ``out``."""
     return out.with_name(f"{out.stem}.chain.{joint}.npz")
 
 
@@ -35,12 +35,12 @@ class Chain:
     """An ensemble of walkers after N steps.
 
     Attributes:
-        coordinates: Where they were, standardised, shape (N, W, F).
-        log_density: Log-posterior there, shape (N, W).
-        accepted: Moves accepted by each walker, shape (W,).
-        random: State of the random numbers, as ``RandomState.get_state`` gives it.
-        origin: What the chain is about: arrays by name, the same from the first step to the last.
-        fingerprint: Of the problem; a chain goes on only with its own.
+        coordinates: Standardised coordinates, shape (N, W, F).
+        log_density: Log-posterior at these, shape (N, W).
+        accepted: Number of accepted moves of each walker, shape (W,).
+        random: State of the random number generator, from ``RandomState.get_state``.
+        origin: Constant arrays by name that define the coordinates, and the initial walkers.
+        fingerprint: Hash of the problem; a chain is continued only for the same problem.
     """
 
     coordinates: Array
@@ -52,28 +52,27 @@ class Chain:
 
     @property
     def steps(self) -> int:
-        """Steps made."""
+        """Number of completed steps."""
         return int(self.coordinates.shape[0])
 
 
 def new_chain(
     walkers: int, free: int, seed: int, origin: Mapping[str, Array], fingerprint: str
 ) -> Chain:
-    """A chain of no steps yet.
+    """A chain without steps.
 
     Its walkers start from a standard normal distribution, which is the Laplace approximation in
     standardised coordinates.
     """
-    random = np.random.RandomState(seed)  # noqa: NPY002 - the generator that emcee takes
+    random = np.random.RandomState(seed)  # noqa: NPY002 - the generator that emcee requires
     start = random.normal(size=(walkers, free))
-    given = {**origin, "start": start}
     empty = np.empty((0, walkers))
     return Chain(
         coordinates=np.empty((0, walkers, free)),
         log_density=empty,
         accepted=np.zeros(walkers, dtype=np.int64),
         random=tuple(random.get_state(legacy=True)),
-        origin=given,
+        origin={**origin, "start": start},
         fingerprint=fingerprint,
     )
 
@@ -85,14 +84,14 @@ def run_chain(
     file: Path | None = None,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> Chain:
-    """Go on until the chain has ``steps`` steps, writing it to ``file`` after every block.
+    """Continue a chain to ``steps`` steps, writing it to ``file`` after every block.
 
     Args:
-        chain: Where to start from.
+        chain: The chain to continue.
         log_density: Log-posterior of standardised coordinates (B, F), shape (B,).
-        steps: Steps that it shall have.
-        file: Where it lives, if anywhere.
-        progress: Called with the steps made, after every block.
+        steps: Total number of steps.
+        file: File of the chain; None keeps it in memory only.
+        progress: Called with the number of completed steps after every block.
 
     Raises:
         InputError: If the file can't be written.
@@ -103,13 +102,13 @@ def run_chain(
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
     blocks = [chain.coordinates], [chain.log_density]
     accepted = chain.accepted.copy()
-    made = chain.steps
-    if made:
+    completed = chain.steps
+    if completed:
         state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
     else:
         state = State(chain.origin["start"], random_state=chain.random)
-    while made < steps:
-        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * made)), steps - made)
+    while completed < steps:
+        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * completed)), steps - completed)
         coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
         before = state.coords.copy()
         for k, new in enumerate(sampler.sample(state, iterations=block, store=False)):
@@ -117,7 +116,7 @@ def run_chain(
             accepted += np.any(new.coords != before, axis=1)
             before = new.coords.copy()
             state = new
-        made += block
+        completed += block
         blocks[0].append(coordinates)
         blocks[1].append(log_posterior)
         chain = Chain(
@@ -130,21 +129,21 @@ def run_chain(
         )
         if file is not None:
             write_chain(chain, file)
-        progress(made)
+        progress(completed)
     return chain
 
 
 def write_chain(chain: Chain, file: Path) -> None:
-    """Write a chain, whole or not at all; without pickle.
+    """Write a chain atomically, without pickle.
 
     Raises:
         InputError: If the file can't be written.
     """
     kind, keys, *numbers = chain.random
     if kind != "MT19937":
-        raise ValueError(f"random numbers of {kind}, not of MT19937")
+        raise ValueError(f"random number generator {kind}, expected MT19937")
     stream = io.BytesIO()
-    given = {f"origin.{name}": value for name, value in chain.origin.items()}
+    origin = {f"origin.{name}": value for name, value in chain.origin.items()}
     np.savez(
         stream,
         allow_pickle=False,
@@ -155,13 +154,13 @@ def write_chain(chain: Chain, file: Path) -> None:
         accepted=chain.accepted,
         random_keys=keys,
         random_numbers=np.array(numbers, dtype=np.float64),
-        **given,  # type: ignore[arg-type]
+        **origin,  # type: ignore[arg-type]
     )
     write_whole(file, stream.getvalue())
 
 
 def clear_leftovers(file: Path) -> None:
-    """Remove what a process that was killed while it wrote ``file`` has left beside it."""
+    """Remove temporary files of a process that was killed while writing ``file``."""
     for leftover in file.parent.glob(f".{escape(file.name)}.*"):
         leftover.unlink(missing_ok=True)
 
@@ -170,25 +169,25 @@ def read_chain(file: Path) -> Chain:
     """Read a chain.
 
     Raises:
-        InputError: If the file is no chain.
+        InputError: If the file is not a chain.
     """
     try:
         with np.load(file, allow_pickle=False) as content:
-            given = {name: content[name] for name in content.files}
-        if str(given["format"]) != FORMAT:
-            raise InputError(file, "format", str(given["format"]), FORMAT)
-        position, has_gauss, gauss = given["random_numbers"]
+            arrays = {name: content[name] for name in content.files}
+        if str(arrays["format"]) != FORMAT:
+            raise InputError(file, "format", str(arrays["format"]), FORMAT)
+        position, has_gauss, gauss = arrays["random_numbers"]
         return Chain(
-            coordinates=given["coordinates"],
-            log_density=given["log_density"],
-            accepted=given["accepted"],
-            random=("MT19937", given["random_keys"], int(position), int(has_gauss), float(gauss)),
+            coordinates=arrays["coordinates"],
+            log_density=arrays["log_density"],
+            accepted=arrays["accepted"],
+            random=("MT19937", arrays["random_keys"], int(position), int(has_gauss), float(gauss)),
             origin={
                 name.removeprefix("origin."): value
-                for name, value in given.items()
+                for name, value in arrays.items()
                 if name.startswith("origin.")
             },
-            fingerprint=str(given["fingerprint"]),
+            fingerprint=str(arrays["fingerprint"]),
         )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         reason = f"{type(error).__name__}: {error}"
@@ -196,30 +195,30 @@ def read_chain(file: Path) -> Chain:
 
 
 FREEDOM, SCALE = 5.0, 1.1
-"""Degrees of freedom and size of the proposals: heavier tails than any normal distribution."""
+"""Degrees of freedom and scale of the independent proposals, which have heavy tails."""
 SHARES = (0.6, 0.2, 0.2)
-"""Share of steps that are independent proposals, stretch moves, and differences of walkers."""
+"""Shares of steps with independent proposals, stretch moves and differential evolution."""
 
 
 def moves(free: int) -> list[tuple[Any, float]]:
     """Moves of ``emcee`` for F standardised coordinates, each with its share of the steps.
 
-    Where the posterior is nearly normal an independent proposal from the Laplace approximation is
-    mostly accepted and forgets where it came from; where it is not, the moves that follow the
-    ensemble itself take over. Sources: Tierney, Annals of Statistics 22 (1994) 1701-1728
+    Where the posterior is nearly normal, independent proposals from the Laplace approximation are
+    mostly accepted, and samples are nearly uncorrelated; elsewhere the moves that adapt to the
+    ensemble are more efficient. Sources: Tierney, Annals of Statistics 22 (1994) 1701-1728
     (independence chains, mixtures of moves); Goodman and Weare, Communications in Applied
     Mathematics and Computational Science 5 (2010) 65-80; ter Braak, Statistics and Computing 16
     (2006) 239-249.
     """
     from emcee.moves import DEMove, MHMove, StretchMove  # type: ignore[import-untyped]
 
-    each = (MHMove(independent, ndim=free), StretchMove(), DEMove())
-    return list(zip(each, SHARES, strict=True))
+    proposals = (MHMove(independent, ndim=free), StretchMove(), DEMove())
+    return list(zip(proposals, SHARES, strict=True))
 
 
 def independent(
     coordinates: Array,
-    random: np.random.RandomState,  # noqa: NPY002 - the generator that emcee has
+    random: np.random.RandomState,  # noqa: NPY002 - the generator that emcee uses
 ) -> tuple[Array, Array]:
     """New coordinates (W, F) from a Student distribution about the optimum, and their log-ratio."""
     W, F = coordinates.shape

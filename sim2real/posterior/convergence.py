@@ -15,7 +15,7 @@ from sim2real.posterior.chain import Chain
 Array = NDArray[np.float64]
 
 LEAST_TIMES = 50
-"""Autocorrelation times that a chain must span before anything of it is published."""
+"""Smallest length of a chain, in autocorrelation times, for its samples to be used."""
 BURN_IN_TIMES = 5
 _ROUND = 500
 
@@ -26,7 +26,7 @@ class Convergence:
 
     Attributes:
         times: Integrated autocorrelation time of each parameter in steps, shape (F,).
-        steps: Steps made.
+        steps: Number of completed steps.
         accepted: Share of the moves that were accepted, all walkers together.
     """
 
@@ -36,7 +36,7 @@ class Convergence:
 
     @property
     def spans(self) -> float:
-        """Length of the chain in its longest autocorrelation time."""
+        """Length of the chain in units of its longest autocorrelation time."""
         return float(self.steps / self.times.max())
 
     @property
@@ -46,12 +46,12 @@ class Convergence:
 
     @property
     def burn_in(self) -> int:
-        """Steps to forget."""
+        """Number of initial steps to discard."""
         return min(math.ceil(BURN_IN_TIMES * float(self.times.max())), self.steps // 2)
 
     @property
     def thin(self) -> int:
-        """Steps from one that is kept to the next."""
+        """Number of steps between samples that are kept."""
         return max(1, int(self.times.min() / 2))
 
 
@@ -62,26 +62,26 @@ def convergence(chain: Chain) -> Convergence:
     return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
 
 
-def require(found: Convergence, what: str, names: tuple[str, ...]) -> None:
-    """Refuse a chain that is too short.
+def require(convergence: Convergence, what: str, names: tuple[str, ...]) -> None:
+    """Check that a chain is long enough.
 
     Raises:
-        InputError: If it spans less than 50 autocorrelation times; says how many steps would do.
+        InputError: If it spans less than 50 autocorrelation times, with the number of steps needed.
     """
-    if found.reached:
+    if convergence.reached:
         return
-    slowest = names[int(found.times.argmax())]
-    needed = math.ceil(1.2 * LEAST_TIMES * found.times.max() / _ROUND) * _ROUND
-    needed = max(needed, found.steps + _ROUND)
+    slowest = names[int(convergence.times.argmax())]
+    needed = math.ceil(1.2 * LEAST_TIMES * convergence.times.max() / _ROUND) * _ROUND
+    needed = max(needed, convergence.steps + _ROUND)
     raise InputError(
         what,
         slowest,
-        f"{found.steps} steps, {found.spans:.0f} of its autocorrelation times",
-        f"at least {LEAST_TIMES}; run again with --steps {needed}: the chain goes on where it is",
+        f"{convergence.steps} steps, {convergence.spans:.0f} of its autocorrelation times",
+        f"at least {LEAST_TIMES}; run again with --steps {needed}: the chain continues",
     )
 
 
-def sample(chain: Chain, found: Convergence) -> Array:
-    """What is kept of a chain, standardised coordinates of shape (N, F), step by step."""
-    kept = chain.coordinates[found.burn_in :: found.thin]
+def sample(chain: Chain, convergence: Convergence) -> Array:
+    """Thinned samples after the burn-in, standardised coordinates of shape (N, F)."""
+    kept = chain.coordinates[convergence.burn_in :: convergence.thin]
     return np.asarray(kept.reshape(-1, kept.shape[2]))

@@ -1,4 +1,4 @@
-"""The optimum and the normal distribution about it: where a chain starts and how it is scaled."""
+"""Laplace approximation of a posterior, which defines the start and the scaling of a chain."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LaplaceSettings:
-    """How an optimum is found, and the curvature about it.
+    """Settings of the search for the optimum and of the curvature there.
 
     Attributes:
         iterations: Iterations of the fit.
-        widest_sd: Largest standard deviation of a coordinate, where the recordings say nothing of
-            it.
-        reach_sd: Distance of the central differences, in standard deviations.
-        rounds: Steps of Newton's method at most.
+        widest_sd: Largest standard deviation of a coordinate, used where the recordings do not
+            constrain it.
+        reach_sd: Step of the central differences, in standard deviations.
+        rounds: Largest number of steps of Newton's method.
         longest_step_sd: Longest step, in standard deviations.
-        settled_sd: A step below it ends the search.
-        least_curvature: Curvature relative to the one before, below which it is taken for noise of
-            differences.
-        largest_curvature: The same, above which it is.
+        settled_sd: Length of a step below which the search ends, in standard deviations.
+        least_curvature: Lower limit of the curvature relative to the previous estimate, below which
+            it is attributed to noise of the differences.
+        largest_curvature: The corresponding upper limit.
     """
 
     iterations: int = 40
@@ -48,7 +48,7 @@ LAPLACE = LaplaceSettings()
 
 @dataclass(frozen=True)
 class Laplace:
-    """A normal distribution in unbounded coordinates, and the noise found with it.
+    """A normal distribution in unbounded coordinates, and the noise model fitted with it.
 
     Attributes:
         centre: Coordinates of the optimum, shape (F,).
@@ -68,7 +68,7 @@ class Laplace:
 
 
 def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
-    """Fit the joint and take the curvature of its log-posterior there.
+    """Fit the joint and compute the curvature of its log-posterior at the optimum.
 
     The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
     Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
@@ -84,10 +84,10 @@ def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
     theta = data.theta(start[None])
     columns = np.array([data.columns], dtype=np.int32)
     servos = Servos(np.zeros(1, dtype=np.int32), theta, columns, unit, low, high)
-    found = minimise(data.batch, servos, iterations=search.iterations)
-    gram = found.gram[0].sum(axis=0)
-    variance = gram[0, 0] / max(float(found.count[0]) - found.autoregression.shape[1], 1.0)
-    centre = priors.coordinates(found.servos.theta[0, data.columns])
+    fits = minimise(data.batch, servos, iterations=search.iterations)
+    gram = fits.gram[0].sum(axis=0)
+    variance = gram[0, 0] / max(float(fits.count[0]) - fits.autoregression.shape[1], 1.0)
+    centre = priors.coordinates(fits.servos.theta[0, data.columns])
     slope = priors.slope(centre) / unit[0]
     share = 0.5 * (1 + np.tanh(0.5 * centre))
     information = gram[1:, 1:] / variance * np.outer(slope, slope)
@@ -97,7 +97,7 @@ def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
     return Laplace(
         centre=centre,
         factor=np.linalg.cholesky(covariance),
-        autoregression=found.autoregression[0].copy(),
+        autoregression=fits.autoregression[0].copy(),
         noise_sd=float(np.sqrt(variance)),
     )
 
@@ -105,20 +105,20 @@ def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
 def sharpened(
     start: Laplace, log_posterior: Callable[[Array], Array], *, search: LaplaceSettings = LAPLACE
 ) -> Laplace:
-    """Move to the optimum of what is sampled, and take the curvature there.
+    """Refine the optimum with the log-posterior that is sampled, and the curvature there.
 
-    The fit's own rollouts are coarser than those of the sampler, which in sharp posteriors puts it
-    some standard deviations off. Newton's method on central differences, whose reach of a standard
-    deviation looks past kinks that friction and play leave.
+    The rollouts of the fit have longer sub-steps than those of the sampler, so that the optimum of
+    a sharp posterior may be several standard deviations away. Newton's method with central
+    differences over one standard deviation, which smooths kinks due to friction and backlash.
 
     Args:
-        start: Where the fit ended.
+        start: Result of the fit.
         log_posterior: Log-posterior of unbounded coordinates (B, F), shape (B,).
         search: Settings of the search.
     """
-    best, found = float(log_posterior(start.centre[None])[0]), start
+    best, current = float(log_posterior(start.centre[None])[0]), start
     for _ in range(search.rounds):
-        differences = _differences(found, log_posterior, search=search)
+        differences = _differences(current, log_posterior, search=search)
         if differences is None:
             break
         slope, curvature = differences
@@ -126,16 +126,16 @@ def sharpened(
         level = np.clip(level, search.least_curvature, search.largest_curvature)
         step = directions @ ((directions.T @ slope) / level)
         step *= min(1.0, search.longest_step_sd / max(float(np.linalg.norm(step)), 1e-12))
-        centre = found.coordinates(step)
+        centre = current.coordinates(step)
         value = float(log_posterior(centre[None])[0])
-        covariance = found.factor @ (directions / level) @ directions.T @ found.factor.T
-        found = replace(found, factor=np.linalg.cholesky(0.5 * (covariance + covariance.T)))
+        covariance = current.factor @ (directions / level) @ directions.T @ current.factor.T
+        current = replace(current, factor=np.linalg.cholesky(0.5 * (covariance + covariance.T)))
         if not value > best:
             break
-        best, found = value, replace(found, centre=centre)
+        best, current = value, replace(current, centre=centre)
         if np.linalg.norm(step) < search.settled_sd:
             break
-    return found
+    return current
 
 
 def _differences(
@@ -146,7 +146,7 @@ def _differences(
 ) -> tuple[Array, Array] | None:
     """Slope (F,) of the log-posterior and minus its curvature (F, F), standardised.
 
-    None where the log-posterior is not finite all around.
+    None where the log-posterior is not finite at all points of the differences.
     """
     F, h = at.centre.size, search.reach_sd
     unit, pairs = h * np.eye(F), list(combinations(range(F), 2))
@@ -158,6 +158,6 @@ def _differences(
     ahead, back, corner = value[1 : F + 1], value[F + 1 : 2 * F + 1], value[2 * F + 1 :]
     curvature = np.diag(2 * value[0] - ahead - back) / h**2
     for k, (i, j) in enumerate(pairs):
-        across = corner[4 * k] - corner[4 * k + 1] - corner[4 * k + 2] + corner[4 * k + 3]
-        curvature[i, j] = curvature[j, i] = -across / (4 * h**2)
+        cross = corner[4 * k] - corner[4 * k + 1] - corner[4 * k + 2] + corner[4 * k + 3]
+        curvature[i, j] = curvature[j, i] = -cross / (4 * h**2)
     return (ahead - back) / (2 * h), curvature

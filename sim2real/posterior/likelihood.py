@@ -24,20 +24,20 @@ Mask = NDArray[np.bool_]
 
 THREADS = 2
 LONGEST_SUBSTEP_S = 0.001
-"""With it sub-steps move a sharp posterior by less than a tenth of its width (tested)."""
+"""With it, the integration error shifts a sharp posterior by less than 0.1 widths (tested)."""
 
 RANDOM_EFFECTS = ("latency_jitter", "packet_loss")
-"""Effects whose draws cannot be known from their parameters; they are held, not sampled."""
+"""Effects that are random for given parameters; their parameters are not sampled."""
 
 
 @dataclass(frozen=True)
 class ServoData:
-    """One joint as a posterior needs it.
+    """Recordings, parameters and priors of one joint.
 
     Attributes:
         traces: Its recordings.
-        row: Parameters that are not sampled stay as here, shape (P,); loads are the recordings'.
-        priors: Priors of those that are, F of them.
+        row: Values of the parameters that are not sampled, shape (P,); loads are from the traces.
+        priors: Priors of the F sampled parameters.
     """
 
     traces: Sequence[Trace]
@@ -48,7 +48,7 @@ class ServoData:
     def batch(self) -> Batch:
         """The recordings, ready for rollouts.
 
-        The noise may wander without bound, as what no model explains must be able to.
+        The slow drift of the noise is not bounded, to include errors that no model explains.
         """
         return Batch([self.traces], threads=THREADS, bounded=False)
 
@@ -64,15 +64,15 @@ class ServoData:
         return rows
 
     def counts(self, lags: int) -> list[Mask]:
-        """Samples that are used, as are the ``lags`` before them, one array (T,) a recording."""
+        """Masks of the samples that are used with all ``lags`` before them, (T,) per recording."""
         return [counting(trace.used, lags) for trace in self.traces]
 
 
 def servo_data(traces: Sequence[Trace], joint: JointModel, priors: Priors) -> ServoData:
     """The joint's recordings, its parameters, and which of them are sampled.
 
-    Effects of chance (``RANDOM_EFFECTS``) are left out: their mean is what a rollout without them
-    shows, and what they add is noise.
+    ``RANDOM_EFFECTS`` are set to 0: a rollout without them has approximately their mean response,
+    and the deviation from it is noise.
     """
     row = joint_row(joint, traces[0].load)
     for name in RANDOM_EFFECTS:
@@ -81,7 +81,7 @@ def servo_data(traces: Sequence[Trace], joint: JointModel, priors: Priors) -> Se
 
 
 def loaded(trace: Trace, joint: JointModel) -> Trace:
-    """The trace with a load in the units of the model, be it per unit of inertia or not."""
+    """The trace with its load, or ``PER_INERTIA`` if the model is per unit of inertia."""
     if joint.per_inertia:
         return replace(trace, load=PER_INERTIA)
     if trace.load is PER_INERTIA:
@@ -91,12 +91,12 @@ def loaded(trace: Trace, joint: JointModel) -> Trace:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Log-likelihood of many values at once, in one launch.
+    """Log-likelihood of many parameter vectors in one launch.
 
-    Simulated minus measured angles are whitened by an autoregression that is held; the size of the
-    innovations is integrated out under Jeffreys' prior, which leaves -(n - p)/2 log(sum of squares)
-    (Box and Tiao, Bayesian Inference in Statistical Analysis (1973), sec. 2.7), n innovations and p
-    coefficients.
+    Simulated minus measured angles are whitened by a fixed autoregression; the variance of the n
+    innovations is integrated out under Jeffreys' prior, so that the log-likelihood is -(n - p)/2
+    log(sum of squares) with p coefficients (Box and Tiao, Bayesian Inference in Statistical
+    Analysis (1973), sec. 2.7).
 
     Attributes:
         data: The joint.
@@ -108,20 +108,20 @@ class Likelihood:
 
     @cached_property
     def servo(self) -> WhitenedServo:
-        """The recordings, ready for servos of any parameters.
+        """Simulator of the recordings.
 
-        Exact where the servo is linear, else with one sub-step, fine enough for the model's gains.
+        Exact if the servo is linear, else with one sub-step that resolves the model's gains.
         """
-        found = WhitenedServo(
+        servo = WhitenedServo(
             self.data.traces,
             self.data.counts(self.autoregression.size),
             self.autoregression,
             threads=THREADS,
         )
-        if not found.is_linear(self.data.theta(np.ones((1, len(self.data.columns))))):
+        if not servo.is_linear(self.data.theta(np.ones((1, len(self.data.columns))))):
             row = self.data.row[None]
-            found.substep_s = found.substep(row, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
-        return found
+            servo.substep_s = servo.substep(row, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+        return servo
 
     @property
     def exact(self) -> bool:
@@ -130,12 +130,12 @@ class Likelihood:
 
     @cached_property
     def freedom(self) -> int:
-        """Innovations that count, less the coefficients."""
+        """Number of innovations that count, minus the number of coefficients."""
         lags = self.autoregression.size
         return max(int(sum(c.sum() for c in self.data.counts(lags))) - lags, 1)
 
     def __call__(self, values: Array) -> Array:
         """Log-likelihood of ``values`` (B, F) up to a constant, shape (B,); never NaN."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = -0.5 * self.freedom * np.log(self.servo.energy(self.data.theta(values)))
-        return np.where(np.isfinite(found), found, -np.inf)
+            value = -0.5 * self.freedom * np.log(self.servo.energy(self.data.theta(values)))
+        return np.where(np.isfinite(value), value, -np.inf)

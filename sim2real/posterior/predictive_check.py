@@ -1,4 +1,4 @@
-"""Predictive check: does what the posterior predicts hold on a recording that it never saw?"""
+"""Predictive check of a posterior on a held-out recording."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ Array = NDArray[np.float64]
 
 LEVELS = (0.5, 0.8, 0.95)
 TOO_NARROW = 0.85
-"""Share of samples within the 95 % band below which the posterior is too sure of itself."""
+"""Share of samples within the 95 % band below which the posterior is too narrow."""
 DRAWS = 200
 
 
 @dataclass(frozen=True)
 class PredictiveCheck:
-    """What a posterior predicts of one recording, and what was measured.
+    """Predictions of a posterior for one recording, and the measured angles.
 
     Attributes:
         recording: Its name.
         t: Times in s, shape (T,).
         measured: Angles in rad, shape (T,), NaN where the sample was not held out.
-        median: Of the predictions, shape (T,).
-        band: Ends of their central 95 %, noise included, shape (2, T).
+        median: Median of the predictions, shape (T,).
+        band: Ends of the central 95 % of the predictions, with noise, shape (2, T).
         covered: Share of measured angles within the central band of each of ``LEVELS``.
-        rmse: Of the median, in rad.
+        rmse: Root mean square error of the median in rad.
     """
 
     recording: str
@@ -52,33 +52,33 @@ class PredictiveCheck:
 
 
 def predictive_check(
-    found: ServoPosterior, joint: JointModel, held_out: Trace, rng: np.random.Generator
+    posterior: ServoPosterior, joint: JointModel, held_out: Trace, rng: np.random.Generator
 ) -> PredictiveCheck:
-    """Predict a recording with draws of the posterior and set it beside what was measured.
+    """Predict a recording with draws of the posterior and compare it with the measured angles.
 
-    Noise of the size that the fitted recordings leave at the optimum is added to every prediction.
+    Noise is added to every prediction, with the root mean square of the residual of the fit.
     Source: Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
 
     Args:
-        found: The posterior.
+        posterior: The posterior.
         joint: Its model.
-        held_out: A recording of which no sample that is ``used`` was fitted.
-        rng: For draws and noise.
+        held_out: A trace whose ``used`` samples were not fitted.
+        rng: Generator for draws and noise.
     """
     trace = loaded(held_out, joint)
-    values = found.values[rng.choice(found.values.shape[0], DRAWS, replace=True)]
-    left = [
-        (_angles(found, one, found.optimum[None])[0] - one.position)[one.used]
-        for one in found.data.traces
+    values = posterior.values[rng.choice(posterior.values.shape[0], DRAWS, replace=True)]
+    residuals = [
+        (_angles(posterior, fitted, posterior.optimum[None])[0] - fitted.position)[fitted.used]
+        for fitted in posterior.data.traces
     ]
-    angles = _angles(found, trace, values)
-    noisy = angles + rng.normal(0.0, rms(left), angles.shape)
+    angles = _angles(posterior, trace, values)
+    noisy = angles + rng.normal(0.0, rms(residuals), angles.shape)
     measured = np.where(trace.used, trace.position, np.nan)
-    seen = np.isfinite(measured)
+    present = np.isfinite(measured)
     covered = {}
     for level in LEVELS:
         low, high = np.quantile(noisy, [0.5 - level / 2, 0.5 + level / 2], axis=0)
-        covered[level] = float(((measured >= low) & (measured <= high))[seen].mean())
+        covered[level] = float(((measured >= low) & (measured <= high))[present].mean())
     median = np.median(angles, axis=0)
     return PredictiveCheck(
         recording=held_out.name,
@@ -87,12 +87,12 @@ def predictive_check(
         median=median,
         band=np.quantile(noisy, [0.025, 0.975], axis=0),
         covered=covered,
-        rmse=rms([(median - measured)[seen]]),
+        rmse=rms([(median - measured)[present]]),
     )
 
 
-def _angles(found: ServoPosterior, trace: Trace, values: Array) -> Array:
+def _angles(posterior: ServoPosterior, trace: Trace, values: Array) -> Array:
     """Angles in rad (B, T) of servos with ``values`` (B, F) on the commands of one recording."""
-    theta = found.data.theta(values)
+    theta = posterior.data.theta(values)
     theta[:, 3], theta[:, 4] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     return rollout(theta, trace.t, trace.command[:, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""The sample of all joints together: the file that keeps correlations, and ArviZ's form."""
+"""The joint sample of all servos, its file ``posterior.npz``, and conversion to ArviZ."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class JointSample:
     Attributes:
         names: ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them.
         units: Their units, SI.
-        values: The draws, shape (N, P); parameters in one row belong together.
+        values: The draws, shape (N, P), one per row.
     """
 
     names: tuple[str, ...]
@@ -38,17 +38,18 @@ class JointSample:
     values: Array
 
 
-def joint_sample(found: Mapping[str, ServoPosterior], rng: np.random.Generator) -> JointSample:
+def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator) -> JointSample:
     """Draws of all joints, in random order and as many as the shortest chain has, 4000 at most.
 
-    Joints are sampled by themselves and depend on each other by nothing, so that any draw of one
-    goes with any draw of another; within a joint, correlations stay.
+    Posteriors of joints are independent; correlations within a joint are preserved.
     """
-    count = min([MOST_DRAWS, *(one.values.shape[0] for one in found.values())])
-    columns = [one.values[rng.permutation(one.values.shape[0])[:count]] for one in found.values()]
+    count = min([MOST_DRAWS, *(servo.values.shape[0] for servo in servos.values())])
+    columns = [
+        servo.values[rng.permutation(servo.values.shape[0])[:count]] for servo in servos.values()
+    ]
     return JointSample(
-        names=tuple(f"{joint}.{name}" for joint, one in found.items() for name in one.names),
-        units=tuple(prior.unit for one in found.values() for prior in one.priors.each),
+        names=tuple(f"{joint}.{name}" for joint, servo in servos.items() for name in servo.names),
+        units=tuple(prior.unit for servo in servos.values() for prior in servo.priors.each),
         values=np.concatenate(columns, axis=1),
     )
 
@@ -74,7 +75,7 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
     """Read ``posterior.npz``.
 
     Raises:
-        InputError: If it is no such file.
+        InputError: If it is not such a file.
     """
     try:
         with np.load(Path(path), allow_pickle=False) as content:
@@ -86,11 +87,11 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
         raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None
 
 
-def to_inference_data(found: Mapping[str, ServoPosterior]) -> Any:  # noqa: ANN401 - ArviZ's
-    """Posteriors of servos as ArviZ's ``InferenceData``: a chain a walker.
+def to_inference_data(posteriors: Mapping[str, ServoPosterior]) -> Any:  # noqa: ANN401 - ArviZ's
+    """Posteriors of servos as ArviZ's ``InferenceData``, with one chain per walker.
 
-    Variables are named ``J.PARAMETER`` and have their unit as an attribute. Joints are sampled by
-    themselves; of each the last draws are taken, as many as the shortest chain has.
+    Variables are named ``J.PARAMETER`` and have their unit as an attribute. The last draws of each
+    joint are used, as many as the shortest chain has.
 
     Raises:
         ModuleNotFoundError: If ArviZ is not installed.
@@ -99,9 +100,9 @@ def to_inference_data(found: Mapping[str, ServoPosterior]) -> Any:  # noqa: ANN4
     import arviz  # an extra: pip install sim2real[arviz]
 
     columns, units = {}, {}
-    for joint, one in found.items():
-        values = one.values.reshape(-1, one.chain.accepted.size, len(one.names))
-        for k, prior in enumerate(one.priors.each):
+    for joint, servo in posteriors.items():
+        values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
+        for k, prior in enumerate(servo.priors.each):
             columns[f"{joint}.{prior.name}"] = values[:, :, k].T
             units[f"{joint}.{prior.name}"] = prior.unit
     if len({column.shape[0] for column in columns.values()}) > 1:

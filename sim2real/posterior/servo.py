@@ -1,4 +1,4 @@
-"""From the recordings of one servo to a sample of its posterior."""
+"""Sample the posterior of one servo from its recordings."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from sim2real.units import unit_of
 def servo_priors(joint: JointModel) -> Priors:
     """Wide priors of a servo's gains, latency and the effects that its model holds.
 
-    Gains span natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to 4, each order of
-    magnitude alike; latency is anything up to 0.3 s; an effect's parameters are anywhere within the
-    limits that its file gives, for a servo of this strength. What a model does not state is held.
+    Gains are log-uniform over natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to
+    4, latency is uniform up to 0.3 s, and parameters of effects are uniform within the bounds of
+    the catalogue, scaled to this servo. Parameters that the model does not state are fixed.
     """
     inertia = joint.inertia_kgm2
     (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
@@ -52,9 +52,9 @@ def servo_priors(joint: JointModel) -> Priors:
     for fitted in joint.effects:
         if fitted.effect in RANDOM_EFFECTS:
             continue
-        for one in named(fitted.effect).parameters:
-            if one.name in fitted.parameters:
-                p = scaled(one, joint.kp_Nm_per_rad, inertia)
+        for parameter in named(fitted.effect).parameters:
+            if parameter.name in fitted.parameters:
+                p = scaled(parameter, joint.kp_Nm_per_rad, inertia)
                 name = f"{fitted.effect}.{p.name}"
                 parameters.append(Parameter(name, p.low, p.high, p.typical))
     return Priors(tuple(parameters))
@@ -70,15 +70,15 @@ class ServoPosterior:
     """A sample of the posterior of one servo.
 
     Attributes:
-        priors: What was assumed; names and units of the F parameters are theirs.
-        values: The sample, shape (N, F), the walkers of one step beside each other.
+        priors: Priors of the F parameters, with their names and units.
+        values: The sample, shape (N, F), ordered by step and then by walker.
         convergence: How well the chain has mixed.
         optimum: Values at the optimum, shape (F,).
         noise_sd: Standard deviation of the innovations at the optimum in rad.
         autoregression: Coefficients of the noise, shape (p,).
-        data: What it was sampled from.
-        exact: Whether the servo was solved in closed form, rather than in sub-steps.
-        chain: All steps.
+        data: The recordings and the fixed parameters.
+        exact: Whether the servo was solved in closed form, without sub-steps.
+        chain: The chain, with all steps.
     """
 
     priors: Priors
@@ -116,26 +116,26 @@ def sample_servo(
 
     Args:
         traces: Recordings of the joint.
-        joint: Its model, where the search for the optimum starts.
+        joint: Its model, from which the search for the optimum starts.
         seed: Seed of the chain.
-        steps: Steps of each walker, those that ``file`` holds included.
-        walkers: Walkers, at least twice as many as parameters.
-        priors: What is assumed; ``servo_priors`` where None.
-        file: Where the chain lives; it goes on from there. In memory only where None.
-        progress: Called with the steps made.
+        steps: Total steps of each walker, including those in ``file``.
+        walkers: Number of walkers, at least twice the number of parameters.
+        priors: Priors; ``servo_priors`` by default.
+        file: File of the chain, which is continued if it exists; None keeps it in memory.
+        progress: Called with the number of completed steps.
 
     Returns:
-        The sample; ``convergence.reached`` says whether it has converged.
+        The sample; ``convergence.reached`` is true if the chain is long enough.
 
     Raises:
-        InputError: If ``file`` holds the chain of other recordings, or there are too few walkers.
+        InputError: If ``file`` is the chain of another problem, or there are too few walkers.
     """
-    given = [loaded(trace, joint) for trace in traces]
-    data = servo_data(given, joint, priors or servo_priors(joint))
+    with_loads = [loaded(trace, joint) for trace in traces]
+    data = servo_data(with_loads, joint, priors or servo_priors(joint))
     F = len(data.priors.each)
     if walkers < 2 * F:
         raise InputError("--walkers", "", str(walkers), f"at least {2 * F} for {F} parameters")
-    chain = _begun(data, seed, walkers, file)
+    chain = _resumed_or_new(data, seed, walkers, file)
     origin = chain.origin
     start = Laplace(
         origin["centre"], origin["factor"], origin["autoregression"], float(origin["noise_sd"])
@@ -144,11 +144,11 @@ def sample_servo(
     log_posterior = _log_posterior(likelihood)
     progress(chain.steps)
     chain = run_chain(chain, lambda w: log_posterior(start.coordinates(w)), steps, file, progress)
-    found = convergence(chain)
+    mixing = convergence(chain)
     return ServoPosterior(
         priors=data.priors,
-        values=data.priors.values(start.coordinates(sample(chain, found))),
-        convergence=found,
+        values=data.priors.values(start.coordinates(sample(chain, mixing))),
+        convergence=mixing,
         optimum=data.priors.values(start.centre),
         noise_sd=start.noise_sd,
         autoregression=start.autoregression,
@@ -163,31 +163,31 @@ def _log_posterior(likelihood: Likelihood) -> LogDensity:
     priors = likelihood.data.priors
 
     def log_posterior(z: Array) -> Array:
-        found = likelihood(priors.values(z)) + priors.log_density(z)
-        return np.where(np.isfinite(found), found, -np.inf)
+        log_density = likelihood(priors.values(z)) + priors.log_density(z)
+        return np.where(np.isfinite(log_density), log_density, -np.inf)
 
     return log_posterior
 
 
-def _begun(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:
+def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
-    mark = _fingerprint(data, seed, walkers)
+    fingerprint = _fingerprint(data, seed, walkers)
     if file is not None:
         clear_leftovers(file)
     if file is not None and file.exists():
         chain = read_chain(file)
-        if chain.fingerprint != mark:
+        if chain.fingerprint != fingerprint:
             found = "the chain of other recordings, another model or seed"
-            raise InputError(file, "", found, "its own; remove the file to begin anew")
+            raise InputError(file, "", found, "that of this call; remove the file to start again")
         return chain
     start = laplace(data)
     start = sharpened(start, _log_posterior(Likelihood(data, start.autoregression)))
     origin = {name: np.asarray(value) for name, value in vars(start).items()}
-    return new_chain(walkers, len(data.priors.each), seed, origin, mark)
+    return new_chain(walkers, len(data.priors.each), seed, origin, fingerprint)
 
 
 def _fingerprint(data: ServoData, seed: int, walkers: int) -> str:
-    """SHA-256 of everything that the chain depends on, but its length."""
+    """SHA-256 of everything that the chain depends on, except its length."""
     digest = hashlib.sha256(f"{SIGNATURE} {data.priors.each} {seed} {walkers}".encode())
     digest.update(data.row.tobytes())
     for trace in data.traces:

@@ -1,4 +1,4 @@
-"""Randomization ranges: how far each parameter of the simulator may be from its value, by data.
+"""Randomization ranges: distributions of the simulator's parameters, derived from data.
 
-``gather.gather`` makes them from recordings and a model; ``entry`` has their file.
+``gather.gather`` derives them from recordings and a model; ``entry`` defines their file.
 """

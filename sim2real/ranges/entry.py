@@ -13,7 +13,7 @@ from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.ranges/1"
 _ALL_DIGITS = 17
-"""Digits at which two different numbers always read differently."""
+"""Significant digits with which different numbers are always printed differently."""
 
 Period = Literal["episode", "step"]
 
@@ -144,7 +144,7 @@ def read_ranges(path: str | os.PathLike[str]) -> Ranges:
     """Read ``ranges.json``.
 
     Raises:
-        InputError: If the file or one of its fields is not as the format says.
+        InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
     notes = top.content.get("notes", [])

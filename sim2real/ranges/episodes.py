@@ -1,4 +1,4 @@
-"""What recordings are called in a sentence."""
+"""Names of recordings in sentences."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def labelled(recordings: Sequence[Recording]) -> dict[str, str]:
 
 
 def listed(labels: Iterable[str], most: int = 4) -> str:
-    """Labels one after the other; many are counted."""
-    every = list(labels)
-    if len(every) > most:
-        return f"{every[0]} to {every[-1]} ({len(every)} recordings)"
-    return ", ".join(every)
+    """Labels separated by commas; more than ``most`` are abbreviated."""
+    names = list(labels)
+    if len(names) > most:
+        return f"{names[0]} to {names[-1]} ({len(names)} recordings)"
+    return ", ".join(names)

@@ -104,14 +104,14 @@ def gather(
 ) -> Gathered:
     """Make ranges.
 
-    Latency and noise come from all recordings. Gains and effects come from posteriors of bench
-    recordings (``kind`` ``servo``), the one held out left aside; without any, from the model.
+    Latency and noise are estimated from all recordings, gains and effects from posteriors of the
+    bench recordings (``kind`` ``servo``) except the held-out one, or else from the model.
 
     Args:
         recordings: Bench and pool recordings.
         robot: The robot.
-        model: Its fitted servos, and its body where that was calibrated.
-        sampling: How posteriors are sampled.
+        model: Its fitted servos, and its body if that was calibrated.
+        sampling: Settings of the posterior sampling.
 
     Raises:
         InputError: If recordings, robot and model do not agree, or a chain has not converged.
@@ -120,24 +120,24 @@ def gather(
     _check(recordings, robot, model)
     bench = [recording for recording in recordings if recording.kind == "servo"]
     posteriors, checks = sample_joints(bench, model, sampling)
-    found = latencies(recordings, model)
-    drawn = spread(found.seconds, found.sd) if found is not None else None
+    fits = latencies(recordings, model)
+    scatter = spread(fits.seconds, fits.sd) if fits is not None else None
     density = normalised_density(robot) if robot.weighed else None
     labels = labelled(recordings)
-    entries = _latency_ranges(found, drawn, model)
+    entries = _latency_ranges(fits, scatter, model)
     entries += camera_noise(recordings)
-    noises = [joint_noise(recordings, joint) for joint in model.joints]
-    entries += [noise for noise in noises if noise is not None]
-    for joint, one in model.joints.items():
-        mine: list[Range] = []
+    noise_ranges = [joint_noise(recordings, joint) for joint in model.joints]
+    entries += [noise for noise in noise_ranges if noise is not None]
+    for joint, servo in model.joints.items():
+        sampled: list[Range] = []
         if joint in posteriors:
-            fitted = [labels[one.file] for one in posteriors[joint].data.traces]
-            mine = from_posterior(joint, posteriors[joint], listed(fitted))
-        entries += mine + from_model(joint, one, [entry.parameter for entry in mine])
+            fitted = [labels[trace.file] for trace in posteriors[joint].data.traces]
+            sampled = from_posterior(joint, posteriors[joint], listed(fitted))
+        entries += sampled + from_model(joint, servo, [entry.parameter for entry in sampled])
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
-    notes = _notes(recordings, model, posteriors, checks, found, drawn)
-    return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, found, drawn, density)
+    notes = _notes(recordings, model, posteriors, checks, fits, scatter)
+    return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
 
 
 def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
@@ -146,32 +146,32 @@ def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
         validate_recording(recording, robot)
     for joint in model.joints:
         if robot.joint(joint) is None:
-            known = ", ".join(one.name for one in robot.joints)
-            raise InputError("model", f"joints.{joint}", "a joint not of the robot", known)
+            names = ", ".join(known.name for known in robot.joints)
+            raise InputError("model", f"joints.{joint}", "a joint not of the robot", names)
 
 
 def sample_joints(
     bench: Sequence[Recording], model: Model, sampling: Sampling
 ) -> tuple[dict[str, ServoPosterior], dict[str, PredictiveCheck]]:
-    """Posteriors of every joint that moves on the bench, and what they predict of what they miss.
+    """Posteriors of every joint that moves on the bench, and their predictive checks.
 
     Raises:
-        InputError: If a chain has not converged, or no recording has the name held out.
+        InputError: If a chain has not converged, or no recording has the held-out name.
     """
     names = [recording.name for recording in bench]
     if sampling.held_out is not None and sampling.held_out not in names:
-        known = ", ".join(names) or "no bench recording"
-        raise InputError("--held-out", "", repr(sampling.held_out), f"one of {known}")
+        expected = ", ".join(names) or "no bench recording"
+        raise InputError("--held-out", "", repr(sampling.held_out), f"one of {expected}")
     posteriors, checks = {}, {}
-    for number, (joint, one) in enumerate(model.joints.items()):
-        given = traces(bench, joint)
-        if not given:
+    for number, (joint, servo) in enumerate(model.joints.items()):
+        joint_traces = traces(bench, joint)
+        if not joint_traces:
             continue
-        fitted, scored, _ = split(given, sampling.held_out)
+        fitted, scored, _ = split(joint_traces, sampling.held_out)
         check_runs(fitted, joint)
         posteriors[joint] = sample_servo(
             fitted,
-            one,
+            servo,
             seed=sampling.seed + number,
             steps=sampling.steps,
             walkers=sampling.walkers,
@@ -180,15 +180,15 @@ def sample_joints(
         )
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
-            checks[joint] = predictive_check(posteriors[joint], one, scored[0], rng)
-    for joint, found in posteriors.items():
-        require(found.convergence, f"posterior of {joint}", found.names)
+            checks[joint] = predictive_check(posteriors[joint], servo, scored[0], rng)
+    for joint, posterior in posteriors.items():
+        require(posterior.convergence, f"posterior of {joint}", posterior.names)
     return posteriors, checks
 
 
-def _latency_ranges(found: Latencies | None, drawn: Spread | None, model: Model) -> list[Range]:
-    """The latency of all joints, and what each has beyond it where joints clearly differ."""
-    if found is None or drawn is None:
+def _latency_ranges(fits: Latencies | None, scatter: Spread | None, model: Model) -> list[Range]:
+    """The latency of all joints, and offsets of single joints if they differ significantly."""
+    if fits is None or scatter is None:
         ends = [
             joint.interval.get("latency_s", (joint.latency_s,) * 2)
             for joint in model.joints.values()
@@ -197,25 +197,25 @@ def _latency_ranges(found: Latencies | None, drawn: Spread | None, model: Model)
         values += [joint.latency_s for joint in model.joints.values()]
         source = "the model: 90 % intervals of all joints; no recording shows a latency"
         return [uniform("command_latency_s", min(values), max(values), "s", source)]
-    low, high = max(drawn.centre - drawn.half_width, 0.0), drawn.centre + drawn.half_width
-    what = "windows" if found.windows else "recordings"
-    ends_ms = " to ".join(f"{1e3 * end:.2g}" for end in drawn.half_width_90)
+    low, high = max(scatter.centre - scatter.half_width, 0.0), scatter.centre + scatter.half_width
+    what = "windows" if fits.windows else "recordings"
+    ends_ms = " to ".join(f"{1e3 * end:.2g}" for end in scatter.half_width_90)
     source = (
-        f"latency fitted to each of {len(found.episodes)} {what}: medians of the posterior of the "
+        f"latency fitted to each of {len(fits.episodes)} {what}: medians of the posterior of the "
         f"uniform distribution behind them; 90 % interval of its half-width {ends_ms} ms"
     )
     out = [uniform("command_latency_s", low, high, "s", source)]
-    if any(abs(value) > _CLEAR * sd for value, sd in found.offset.values()):
+    if any(abs(value) > _CLEAR * sd for value, sd in fits.offset.values()):
         source = f"the same {what}: mean of the joint less that of all, and its standard error"
         out += [
             normal(f"{joint}.latency_offset_s", value, sd, "s", source)
-            for joint, (value, sd) in found.offset.items()
+            for joint, (value, sd) in fits.offset.items()
         ]
     return out
 
 
 def _on_check(joint: str, check: PredictiveCheck, noise: Range | None) -> list[str]:
-    """What the recording held out says against the ranges of a joint."""
+    """Notes on a joint whose ranges the held-out recording contradicts."""
     where = f"{joint}: {check.recording}, held out,"
     if not check.holds:
         share = 100 * check.covered[0.95]
@@ -237,26 +237,26 @@ def _notes(
     model: Model,
     posteriors: Mapping[str, ServoPosterior],
     checks: Mapping[str, PredictiveCheck],
-    found: Latencies | None,
-    drawn: Spread | None,
+    fits: Latencies | None,
+    scatter: Spread | None,
 ) -> tuple[str, ...]:
-    """What a user must know of these ranges."""
+    """Notes on the limitations of these ranges."""
     notes = []
     missing = [joint for joint in model.joints if joint not in posteriors]
     if missing:
         notes.append(f"no bench recording moves {', '.join(missing)}: gains are those of the model")
     for joint, check in checks.items():
         notes += _on_check(joint, check, joint_noise(recordings, joint))
-    if found is not None and found.windows:
+    if fits is not None and fits.windows:
         notes.append(
-            "latency is known by windows of few recordings: it may differ more between days"
+            "latency was fitted to windows of few recordings: it may differ more between days"
         )
-    if found is not None and found.dropped:
-        notes.append(f"{found.dropped} fits of latency were too unsure to count")
-    if drawn is not None and posteriors and drawn.half_width_90[0] > 1e-3:
+    if fits is not None and fits.dropped:
+        notes.append(f"{fits.dropped} fits of latency were too uncertain and are not used")
+    if scatter is not None and posteriors and scatter.half_width_90[0] > 1e-3:
         notes.append(
-            "latency varies within these recordings, and the gains were sampled with one of it: "
-            "their ranges may be off"
+            "latency varies between these recordings, but the gains were sampled with a constant "
+            "latency: their ranges may be biased"
         )
     if not any(recording.has_poses for recording in recordings):
         notes.append("no camera columns: position and direction have no range")

@@ -1,4 +1,4 @@
-"""How late commands take effect, episode by episode, and how far that varies."""
+"""Latency of each recording or window, and the distribution of latencies."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LatencySettings:
-    """How latencies are fitted, and which of them count.
+    """Settings of the fits of latencies, and of their selection.
 
     Attributes:
-        gain_sd: How far the gains of one episode may be from those shared, as a share of them.
+        gain_sd: Relative standard deviation of the gains of one episode about the shared gains.
         iterations: Iterations of a fit.
-        rounds: Steps of the shared gains.
-        largest_change: Largest change of a gain by one step, as a share of it.
-        smallest_spread_s: Half-widths below it are all one: a tenth of a millisecond.
-        law_sd_s: Standard deviation that no law of a servo gets better than.
-        enough_recordings: With fewer recordings, windows of them count as episodes: latency may
-            drift within one.
+        rounds: Number of steps of the shared gains.
+        largest_change: Largest relative change of a gain in one step.
+        smallest_spread_s: Smallest half-width of the distribution of latencies that is resolved.
+        law_sd_s: Smallest standard deviation of a latency, from errors of the servo's law.
+        enough_recordings: With fewer recordings, windows of them count as episodes, as latency may
+            drift within a recording.
         window_s: Length of such a window.
-        least_samples: Samples of a window that are worth a fit of three parameters and their noise.
-        largest_sd_s: A latency less sure than this says nothing of a spread.
+        least_samples: Smallest number of samples in a window for a fit of gains, latency and noise.
+        largest_sd_s: Latencies with a larger standard deviation are not used.
     """
 
     gain_sd: float = 0.02
@@ -56,7 +56,7 @@ LATENCY_SETTINGS = LatencySettings()
 
 
 def episode_latencies(
-    given: Sequence[Trace],
+    traces: Sequence[Trace],
     joints: Sequence[JointModel],
     group: NDArray[np.intp],
     *,
@@ -64,25 +64,25 @@ def episode_latencies(
 ) -> tuple[Array, Array]:
     """Latency of each trace and its standard deviation in s, each of shape (N,).
 
-    A sine alone cannot tell latency from damping. So gains are shared by the traces of a group, and
-    found together with a latency each, by Gauss-Newton steps from which the latencies are
-    eliminated (Golub and Pereyra, SIAM Journal on Numerical Analysis 10 (1973) 413-432). What
-    ``gain_sd`` of freedom in the gains would do to each latency counts into its error.
+    Latency and damping are not distinguishable in the response to a sine. Gains are therefore
+    shared by the traces of a group and fitted together with one latency per trace, by Gauss-Newton
+    steps from which the latencies are eliminated (Golub and Pereyra, SIAM Journal on Numerical
+    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``gain_sd``.
 
     Args:
-        given: The traces.
-        joints: The model of each one's joint, where the search starts; its effects stay.
-        group: Which traces share gains, shape (N,), from 0 on.
+        traces: The traces.
+        joints: Models of their joints, from which the search starts; effects are fixed.
+        group: Index of the group of each trace that shares gains, shape (N,).
         settings: Settings of the fit.
     """
-    batch = Batch([[one] for one in given])
-    rows = np.array([joint_row(joint, one.load) for one, joint in zip(given, joints, strict=True)])
-    inertia = np.array([one.load.inertia_kgm2 for one in given])
-    servos = plain_servos(np.arange(len(given)), rows, inertia, batch.period)
-    alone = minimise(batch, servos, iterations=settings.iterations)
-    gains = _pooled(alone, _weights(alone, batch.lags), group)
+    batch = Batch([[trace] for trace in traces])
+    rows = np.array([joint_row(joint, x.load) for x, joint in zip(traces, joints, strict=True)])
+    inertia = np.array([trace.load.inertia_kgm2 for trace in traces])
+    servos = plain_servos(np.arange(len(traces)), rows, inertia, batch.period)
+    single_fits = minimise(batch, servos, iterations=settings.iterations)
+    gains = _pooled(single_fits, _weights(single_fits, batch.lags), group)
     for _ in range(settings.rounds):
-        fits = _with_gains(batch, servos, alone, gains, settings=settings)
+        fits = _with_gains(batch, servos, single_fits, gains, settings=settings)
         gains = gains * (
             1
             + _step(
@@ -93,7 +93,7 @@ def episode_latencies(
                 settings=settings,
             )
         )
-    fits = _with_gains(batch, servos, alone, gains, settings=settings)
+    fits = _with_gains(batch, servos, single_fits, gains, settings=settings)
     return fits.servos.theta[:, 2], _errors(
         fits, _weights(fits, batch.lags), settings=settings
     ) * servos.unit[:, 2]
@@ -102,21 +102,21 @@ def episode_latencies(
 def _with_gains(
     batch: Batch, servos: Servos, start: Fits, gains: Array, *, settings: LatencySettings
 ) -> Fits:
-    """Latencies fitted under given gains (N, 2), and there the curvature by all three."""
+    """Latencies fitted with fixed gains (N, 2), and the curvature by all three parameters."""
     x = start.servos.values()
     x[:, :2] = gains / servos.unit[:, :2]
-    held = servos.at(x)
-    only = Servos(
-        held.joint, held.theta, held.columns[:, 2:], held.unit[:, 2:], held.low[:, 2:],
-        held.high[:, 2:],
+    fixed = servos.at(x)
+    latency_only = Servos(
+        fixed.joint, fixed.theta, fixed.columns[:, 2:], fixed.unit[:, 2:], fixed.low[:, 2:],
+        fixed.high[:, 2:],
     )  # fmt: skip
-    late = minimise(batch, only, iterations=settings.iterations)
-    x[:, 2] = late.servos.values()[:, 0]
+    latency_fits = minimise(batch, latency_only, iterations=settings.iterations)
+    x[:, 2] = latency_fits.servos.values()[:, 0]
     return minimise(batch, servos.at(x), iterations=1)
 
 
 def _weights(fits: Fits, lags: int) -> tuple[Array, Array]:
-    """Gradient (N, 3) and curvature (N, 3, 3) of minus the log-likelihood, in units."""
+    """Gradient (N, 3) and curvature (N, 3, 3) of minus the log-likelihood, in natural units."""
     gram = fits.gram.sum(axis=1)
     variance = gram[:, 0, 0] / np.maximum(fits.count - lags, 1)
     ridge = 1e-9 * np.einsum("nff->n", gram[:, 1:, 1:])[:, None, None] * np.eye(3)
@@ -125,22 +125,22 @@ def _weights(fits: Fits, lags: int) -> tuple[Array, Array]:
 
 
 def _eliminated(weights: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Gradient (N, 2) and curvature (N, 2, 2) by the gains, each latency at its best."""
+    """Gradient (N, 2) and curvature (N, 2, 2) by the gains, with latencies eliminated."""
     slope, curvature = weights
-    across = curvature[:, :2, 2] / curvature[:, 2, 2][:, None]
-    inner = curvature[:, :2, :2] - across[:, :, None] * curvature[:, None, 2, :2]
-    return slope[:, :2] - across * slope[:, 2:], inner
+    cross = curvature[:, :2, 2] / curvature[:, 2, 2][:, None]
+    inner = curvature[:, :2, :2] - cross[:, :, None] * curvature[:, None, 2, :2]
+    return slope[:, :2] - cross * slope[:, 2:], inner
 
 
-def _pooled(alone: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -> Array:
-    """Gains (N, 2) of each one's group: the mean of what each found, by how sure it is."""
+def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -> Array:
+    """Gains (N, 2) of the group of each trace: means of single fits, weighted by precision."""
     _, inner = _eliminated(weights)
-    value, unit = alone.servos.values()[:, :2], alone.servos.unit[:, :2]
+    value, unit = fits.servos.values()[:, :2], fits.servos.unit[:, :2]
     out = np.empty_like(value)
     for g in np.unique(group):
-        mine = group == g
-        known = np.einsum("nij,nj->i", inner[mine], value[mine])
-        out[mine] = np.linalg.lstsq(inner[mine].sum(axis=0), known)[0]
+        members = group == g
+        weighted = np.einsum("nij,nj->i", inner[members], value[members])
+        out[members] = np.linalg.lstsq(inner[members].sum(axis=0), weighted)[0]
     return np.asarray(np.maximum(out, 1e-3) * unit)
 
 
@@ -156,28 +156,28 @@ def _step(
     slope, inner = _eliminated(weights)
     out = np.empty_like(slope)
     for g in np.unique(group):
-        mine = group == g
-        change = np.linalg.lstsq(inner[mine].sum(axis=0), -slope[mine].sum(axis=0))[0]
-        out[mine] = change / gains[mine]
+        members = group == g
+        change = np.linalg.lstsq(inner[members].sum(axis=0), -slope[members].sum(axis=0))[0]
+        out[members] = change / gains[members]
     return np.clip(out, -settings.largest_change, settings.largest_change)
 
 
 def _errors(fits: Fits, weights: tuple[Array, Array], *, settings: LatencySettings) -> Array:
-    """Standard deviation of each latency in units, were its gains known to ``gain_sd``."""
+    """Standard deviation of each latency in units, for gains with ``gain_sd``."""
     _, curvature = weights
-    known = curvature.copy()
+    penalised = curvature.copy()
     gains = np.maximum(fits.servos.values()[:, :2], 1e-9)
-    known[:, [0, 1], [0, 1]] += 1 / (settings.gain_sd * gains) ** 2
-    return np.asarray(np.sqrt(np.linalg.inv(known)[:, 2, 2]))
+    penalised[:, [0, 1], [0, 1]] += 1 / (settings.gain_sd * gains) ** 2
+    return np.asarray(np.sqrt(np.linalg.inv(penalised)[:, 2, 2]))
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A uniform distribution that latencies were drawn from, as far as they tell.
+    """Estimate of the uniform distribution of latencies.
 
     Attributes:
-        centre: In s.
-        half_width: In s.
+        centre: Centre in s.
+        half_width: Half-width in s.
         half_width_90: 90 % interval of the half-width in s.
     """
 
@@ -187,11 +187,11 @@ class Spread:
 
 
 def spread(seconds: Array, sd: Array, *, settings: LatencySettings = LATENCY_SETTINGS) -> Spread:
-    """The uniform distribution behind latencies (E,) that are known to within ``sd`` (E,).
+    """Estimate the uniform distribution of latencies with known standard deviations.
 
     Posterior medians of centre and half-width, on a grid, under a prior that is flat in the centre
     and in the logarithm of the half-width. The likelihood of each latency is the uniform density
-    smeared by its own error, so that errors of the fit are not counted as spread.
+    convolved with its error, so that errors of the fit do not increase the width.
 
     Args:
         seconds: Latencies in s, shape (E,).
@@ -202,7 +202,7 @@ def spread(seconds: Array, sd: Array, *, settings: LatencySettings = LATENCY_SET
     half = np.geomspace(settings.smallest_spread_s, 3 * reach, 160)
     middle = 0.5 * float(seconds.max() + seconds.min())
     centre = middle + np.linspace(-1.0, 1.0, 201) * reach
-    log_density = np.zeros((half.size, centre.size))  # the prior is flat in the grid's steps
+    log_density = np.zeros((half.size, centre.size))  # the prior is uniform on the grid
     for value, error in zip(seconds, np.maximum(sd, settings.law_sd_s), strict=True):
         above = ndtr((centre[None] + half[:, None] - value) / error)
         below = ndtr((centre[None] - half[:, None] - value) / error)
@@ -223,12 +223,12 @@ class Latencies:
     """Latency of the commands of each episode.
 
     Attributes:
-        episodes: What each is: a recording, or a window of one.
-        seconds: Latency that all joints share, shape (E,).
-        sd: How sure each is, shape (E,).
-        offset: What each joint has beyond it in s, and how sure that is.
+        episodes: Description of each episode: a recording, or a window of one.
+        seconds: Latency that all joints share in s, shape (E,).
+        sd: Its standard deviations in s, shape (E,).
+        offset: Deviation of each joint in s, and its standard deviation.
         windows: Whether episodes are windows.
-        dropped: Fits that were too unsure to count.
+        dropped: Number of fits that were too uncertain to be used.
     """
 
     episodes: Sequence[str]
@@ -242,10 +242,10 @@ class Latencies:
 def latencies(
     recordings: Sequence[Recording], model: Model, *, settings: LatencySettings = LATENCY_SETTINGS
 ) -> Latencies | None:
-    """Find the latency of every episode; None where no joint of the model moves.
+    """Fit the latency of every episode; None where no joint of the model moves.
 
-    Gains are found anew, shared by all episodes of a joint on one load, in one medium: in the water
-    they are not those of the bench. Effects stay as the model has them.
+    Gains are fitted as well and shared by all episodes of a joint with the same load and medium, as
+    they differ between water and bench. Effects are those of the model.
 
     Args:
         recordings: Recordings of any kind with commands and measured angles.
@@ -253,43 +253,43 @@ def latencies(
         settings: Settings of the fit.
     """
     labels = labelled(recordings)
-    given = [
-        (recording, labels[recording.file], joint, loaded(one, model.joints[joint]))
+    episodes = [
+        (recording, labels[recording.file], joint, loaded(trace, model.joints[joint]))
         for recording in recordings
         for joint in model.joints
-        for one in traces([recording], joint)
+        for trace in traces([recording], joint)
     ]
-    windows = len({name for _, name, _, _ in given}) < settings.enough_recordings
+    windows = len({name for _, name, _, _ in episodes}) < settings.enough_recordings
     if windows:
-        given = [
-            (r, n, j, w)
-            for r, name, j, one in given
-            for n, w in _windows(name, one, settings=settings)
+        episodes = [
+            (r, n, j, part)
+            for r, name, j, trace in episodes
+            for n, part in _windows(name, trace, settings=settings)
         ]
-    if not given:
+    if not episodes:
         return None
-    alike = [(joint, r.kind, r.medium, one.load) for r, _, joint, one in given]
-    group = np.array([alike.index(one) for one in alike])
-    models = [model.joints[joint] for _, _, joint, _ in given]
-    value, sd = episode_latencies([one for *_, one in given], models, group, settings=settings)
-    sure = sd < settings.largest_sd_s
-    if not sure.any():
+    conditions = [(joint, r.kind, r.medium, trace.load) for r, _, joint, trace in episodes]
+    group = np.array([conditions.index(condition) for condition in conditions])
+    models = [model.joints[joint] for _, _, joint, _ in episodes]
+    value, sd = episode_latencies([x for *_, x in episodes], models, group, settings=settings)
+    used = sd < settings.largest_sd_s
+    if not used.any():
         return None
-    kept = [(n, j) for (_, n, j, _), good in zip(given, sure, strict=True) if good]
-    return _combined(kept, value[sure], sd[sure], windows, int(np.sum(~sure)), settings=settings)
+    kept = [(n, j) for (_, n, j, _), good in zip(episodes, used, strict=True) if good]
+    return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)), settings=settings)
 
 
 def _windows(name: str, whole: Trace, *, settings: LatencySettings) -> list[tuple[str, Trace]]:
-    """Segments of one recording, each simulated from its start but scored by itself."""
-    found = []
+    """Windows of one recording, simulated from its start but scored separately."""
+    windows = []
     for start in np.arange(whole.t[0], whole.t[-1], settings.window_s):
         inside = whole.used & (whole.t >= start) & (whole.t < start + settings.window_s)
         moves = (
             np.ptp(whole.command[(whole.t >= start) & (whole.t < start + settings.window_s)]) > 0
         )
         if inside.sum() >= settings.least_samples and moves:
-            found.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
-    return found
+            windows.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
+    return windows
 
 
 def _combined(
@@ -301,10 +301,10 @@ def _combined(
     *,
     settings: LatencySettings,
 ) -> Latencies:
-    """Split latencies into what all joints of an episode share and what each joint adds.
+    """Split latencies into a part that all joints of an episode share and one for each joint.
 
-    Weighted least squares on latency = episode + joint, the joints' parts adding up to 0; errors
-    are raised to what the fit leaves, where that is more.
+    Weighted least squares for latency = episode + joint, where the parts of the joints sum to 0;
+    errors are increased to match the residual of this fit, if that is larger.
     """
     episodes = list(dict.fromkeys(name for name, _ in kept))
     joints = list(dict.fromkeys(joint for _, joint in kept))
@@ -320,7 +320,7 @@ def _combined(
     covariance = np.linalg.pinv(matrix.T @ matrix)
     answer = covariance @ matrix.T @ target
     freedom = len(kept) - E - J + 1
-    left = float(np.sum((matrix @ answer - target) ** 2))
-    inflated = np.sqrt(np.diag(covariance) * max(left / freedom if freedom > 0 else 1.0, 1.0))
+    residual = float(np.sum((matrix @ answer - target) ** 2))
+    inflated = np.sqrt(np.diag(covariance) * max(residual / freedom if freedom > 0 else 1.0, 1.0))
     offset = {j: (float(answer[E + k]), float(inflated[E + k])) for k, j in enumerate(joints)}
     return Latencies(episodes, answer[:E], inflated[:E], offset, windows, dropped)

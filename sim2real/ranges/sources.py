@@ -1,4 +1,4 @@
-"""What each range is read from: a servo, a body, the noise of joints and camera."""
+"""Ranges from single sources: posterior, model, body, and noise of joints and camera."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ LOW, HIGH = 0.05, 0.95
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 
 
-def from_posterior(joint: str, found: ServoPosterior, recordings: str) -> list[Range]:
-    """Everything sampled but the latency, which has a range of its own.
+def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> list[Range]:
+    """Ranges of all sampled parameters except the latency, which has a separate range.
 
     Args:
         joint: The joint's name.
-        found: Its posterior.
+        posterior: Its posterior.
         recordings: Names of the recordings, for the source.
     """
-    low, high = found.quantiles(LOW, HIGH)
+    low, high = posterior.quantiles(LOW, HIGH)
     source = f"{recordings}: 5 % and 95 % quantiles of the posterior"
     return [
         uniform(f"{joint}.{prior.name}", low[k], high[k], prior.unit, source)
-        for k, prior in enumerate(found.priors.each)
+        for k, prior in enumerate(posterior.priors.each)
         if prior.name != "latency_s"
     ]
 
 
-def from_model(joint: str, model: JointModel, known: Sequence[str] = ()) -> list[Range]:
-    """What the model says by itself: its 90 % intervals, or its values where it has none.
+def from_model(joint: str, model: JointModel, existing: Sequence[str] = ()) -> list[Range]:
+    """Ranges from the model: its 90 % intervals, or its values where it has none.
 
     Args:
         joint: The joint's name.
         model: The joint.
-        known: Parameters that have a range already.
+        existing: Parameters that already have a range.
     """
     values = {name: getattr(model, name) for name in _GAINS}
     for effect in model.effects:
         values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
     out = []
     for name, value in values.items():
-        if f"{joint}.{name}" in known:
+        if f"{joint}.{name}" in existing:
             continue
         low, high = model.interval.get(name, (value, value))
         source = "the model: its 90 % interval"
@@ -69,7 +69,7 @@ def from_model(joint: str, model: JointModel, known: Sequence[str] = ()) -> list
 
 
 def density_ranges(density: Density) -> list[Range]:
-    """Normalised density of each link, where scale and ruler say how sure they are."""
+    """Normalised density of each link with stated standard deviations of mass or length."""
     if density.sd is None:
         return []
     source = "mass_sd_kg and length_sd_m of the robot's links, through the density's derivatives"
@@ -81,13 +81,13 @@ def density_ranges(density: Density) -> list[Range]:
 
 
 def body_ranges(model: Model) -> list[Range]:
-    """Drag and whatever else the model's body was calibrated to, from its 90 % intervals."""
+    """Calibrated parameters of the model's body, from its 90 % intervals."""
     intervals = model.body.get("interval")
-    given: Mapping[str, object] = intervals if isinstance(intervals, Mapping) else {}
+    interval_of: Mapping[str, object] = intervals if isinstance(intervals, Mapping) else {}
     out = []
     for name, value in values(model).items():
         low, high, source = value, value, "the model's body: its value; it gives no interval"
-        ends = given.get(name)
+        ends = interval_of.get(name)
         numbers = [finite_number(end) for end in ends] if isinstance(ends, list | tuple) else []
         if len(numbers) == 2:
             low, high = (value if end is None else end for end in numbers)
@@ -97,7 +97,7 @@ def body_ranges(model: Model) -> list[Range]:
 
 
 def shared_ranges(model: Model) -> list[Range]:
-    """Effects on the supply and the link that all joints share, as the model has them."""
+    """Effects of the supply and the link, which all joints share, with the model's values."""
     source = "the model: its value; it gives no interval"
     return [
         uniform(f"{effect.effect}.{name}", value, value, unit_of(name), source)
@@ -114,31 +114,31 @@ def _body_unit(name: str) -> str:
 Array = NDArray[np.float64]
 
 _FEWEST = 60
-"""Samples below which a recording says nothing of noise."""
+"""Smallest number of samples for an estimate of the noise."""
 _METHOD = "difference-based noise of each, root mean square"
 
 
 def joint_noise(recordings: Sequence[Recording], joint: str) -> Range | None:
-    """Noise of the measured angle of one joint, quantization included; None where none is seen."""
-    found, labels = {}, labelled(recordings)
+    """Noise of the measured angle of one joint, with quantization; None without an estimate."""
+    noise, labels = {}, labelled(recordings)
     for recording in (r for r in recordings if joint in r.joints):
         j = recording.joints.index(joint)
         position = recording.position[:, j]
         if np.isfinite(position).sum() >= _FEWEST:
-            found[labels[recording.file]] = noise_floor(
+            noise[labels[recording.file]] = noise_floor(
                 recording.t, recording.command[:, j], position
             )
-    if not found:
+    if not noise:
         return None
-    source = f"{listed(found)}: noise floor of each, root mean square"
-    return _step(f"{joint}.position_noise_rad", "rad", list(found.values()), source)
+    source = f"{listed(noise)}: noise floor of each, root mean square"
+    return _step(f"{joint}.position_noise_rad", "rad", list(noise.values()), source)
 
 
 def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
-    """Noise of position (x and y alike) and direction as the camera gives them.
+    """Noise of position (the same for x and y) and heading as measured by the camera.
 
-    From differences of high order, which motion hardly touches: what it finds is noise that is
-    independent from frame to frame. A frame that is repeated counts once.
+    From differences of high order, which motion hardly affects: an estimate of noise that is
+    independent from frame to frame. Repeated frames count once.
     """
     place: dict[str, list[float]] = {}
     heading: dict[str, list[float]] = {}
@@ -148,26 +148,26 @@ def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
         t, x, y, yaw = _frames(recording)
         if t.size >= _FEWEST:
             place[label] = [difference_noise(t, x), difference_noise(t, y)]
-        seen = np.isfinite(yaw)
-        if seen.sum() >= _FEWEST:
-            heading[label] = [difference_noise(t[seen], np.unwrap(yaw[seen]))]
+        present = np.isfinite(yaw)
+        if present.sum() >= _FEWEST:
+            heading[label] = [difference_noise(t[present], np.unwrap(yaw[present]))]
     out = []
-    for name, unit, found in (
+    for name, unit, noise in (
         ("body.position_noise_m", "m", place),
         ("body.yaw_noise_rad", "rad", heading),
     ):
-        if found:
-            values = [value for pair in found.values() for value in pair]
-            out.append(_step(name, unit, values, f"{listed(found)}: {_METHOD}"))
+        if noise:
+            values = [value for pair in noise.values() for value in pair]
+            out.append(_step(name, unit, values, f"{listed(noise)}: {_METHOD}"))
     return out
 
 
 def _frames(recording: Recording) -> tuple[Array, Array, Array, Array]:
-    """Times, x, y and yaw of the frames in which the robot was seen, repeated ones once."""
+    """Times, x, y and yaw of the frames in which the robot was tracked, without repeated ones."""
     none = np.full(recording.t.size, np.nan)
     x, y, yaw = (recording.columns.get(f"body.{n}", none) for n in ("x_m", "y_m", "yaw_rad"))
-    seen = np.isfinite(x) & np.isfinite(y)
-    t, x, y, yaw = (values[seen] for values in (recording.t, x, y, yaw))
+    tracked = np.isfinite(x) & np.isfinite(y)
+    t, x, y, yaw = (values[tracked] for values in (recording.t, x, y, yaw))
     new = np.ones(t.size, dtype=bool)
     new[1:] = (np.diff(x) != 0) | (np.diff(y) != 0)
     return t[new], x[new], y[new], yaw[new]

@@ -14,8 +14,8 @@ def slide(
 ) -> wp.vec4d:
     """Apply dry friction to a sub-step that would end at speed ``free`` without it.
 
-    ``stop`` is the change of speed that friction can make. Where the shaft comes to rest inside the
-    sub-step, friction turns round there, so that reversals too are of second order.
+    ``stop`` is the largest change of speed by friction. Where the shaft comes to rest inside the
+    sub-step, friction changes its direction there, so that reversals are of second order as well.
     """
     v = state[1]
     after = free - wp.sign(v) * stop
@@ -24,11 +24,11 @@ def slide(
     moving = wp.float64(0.0)
     if v != wp.float64(0.0):
         moving = v / (v - after)
-    rest = wp.float64(1.0) - moving
-    push = rest * (free - v)
-    after = push - wp.clamp(push, -rest * stop, rest * stop)
+    resting = wp.float64(1.0) - moving
+    push = resting * (free - v)
+    after = push - wp.clamp(push, -resting * stop, resting * stop)
     return wp.vec4d(
-        state[0] + half * (moving * v + rest * after),
+        state[0] + half * (moving * v + resting * after),
         after,
         torque,
         (after - v) * per_h,

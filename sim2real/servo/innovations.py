@@ -1,4 +1,4 @@
-"""Sums of squared innovations of many servos at once: how a posterior is sampled."""
+"""Sums of squared innovations of many servos at once, for sampling posteriors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LANES = 4
 
 
 class WhitenedServo(Simulator):
-    """Recordings of one joint with a noise model that is held, for servos of any parameters."""
+    """Recordings of one joint with a fixed noise model, for servos with any parameters."""
 
     def __init__(
         self,
@@ -30,36 +30,36 @@ class WhitenedServo(Simulator):
         substep_s: float = np.inf,
         threads: int = 2,
     ) -> None:
-        """Put recordings and noise model where Warp finds them.
+        """Copy recordings and noise model to Warp arrays.
 
         Args:
             traces: The recordings.
-            counts: Samples whose innovations count, one array (T,) a recording.
+            counts: Mask of the samples whose innovations count, one array (T,) per recording.
             autoregression: The noise model, shape (p,).
-            substep_s: Longest sub-step, the same for all servos, so that the sums are smooth;
-                infinite for the exact solution, which knows gains and latency alone.
+            substep_s: Longest sub-step in s, the same for all servos, so that the sums are smooth
+                functions of the parameters; infinite for the exact solution of linear servos.
             threads: CPU threads.
         """
         super().__init__(traces, threads)
         self.substep_s = substep_s
         p = autoregression.size
         counted = np.zeros(self.position.shape, dtype=np.int32)
-        for s, one in enumerate(counts):
-            counted[s, : one.size] = one
+        for s, mask in enumerate(counts):
+            counted[s, : mask.size] = mask
         self._counts = to_warp(counted, "cpu")
         self._noise = (p, to_warp(np.pad(autoregression, (0, -p % _LANES if p else _LANES)), "cpu"))
 
     def energy(self, theta: Array) -> Array:
         """Sum of squared innovations in rad2 of servos (B, P), shape (B,).
 
-        The bits of each do not depend on the rows beside it.
+        Each sum is independent of the other rows to the last bit.
         """
         parts = [part for part in np.array_split(theta, self.threads) if part.size]
         sums = np.concatenate(list(self._pool.map(self._energy, parts)))
         return np.asarray(sums.reshape(theta.shape[0], -1).sum(axis=1))
 
     def _energy(self, theta: Array) -> Array:
-        """Sums of some servos, one a servo and recording."""
+        """Sums of a part of the servos, one per servo and recording."""
         angle = self.run(theta, self.substep_s)
         sums: Any = wp.zeros(angle.shape[0], dtype=wp.float64, device="cpu")
         lags, coefficients = self._noise
@@ -71,5 +71,5 @@ class WhitenedServo(Simulator):
             outputs=[sums],
             device="cpu",
         )
-        taken: Array = sums.numpy()
-        return taken
+        energies: Array = sums.numpy()
+        return energies

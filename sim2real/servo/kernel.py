@@ -1,4 +1,4 @@
-"""The Warp kernel of a rollout: one servo a thread, its clock stopping at every event."""
+"""The Warp kernels of a rollout: event-driven integration, with one or two servos per thread."""
 
 from typing import Any
 
@@ -20,12 +20,12 @@ from sim2real.servo.motor import MOTOR_BIT, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
 
 _CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
-"""Columns that say when a servo hears of its set-points, and when it looks."""
+"""Columns that determine when set-points take effect and when the controller samples."""
 
 
 @wp.func
 def at_rest(u: wp.float64, kp: wp.float64, p: Row) -> wp.vec4d:
-    """State of a servo that holds its first set-point."""
+    """State of a servo at rest at its first set-point."""
     zero = wp.float64(0.0)
     q = resting_angle(u, kp, p[4])
     return wp.vec4d(q, zero, kp * (u - q), zero)
@@ -35,12 +35,12 @@ def at_rest(u: wp.float64, kp: wp.float64, p: Row) -> wp.vec4d:
 def measured(
     state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: wp.int64
 ) -> wp.float64:
-    """What the sensor says at the end of a sub-step."""
+    """Measured angle at the end of a sub-step."""
     return measured_angle(state[0], state[0], state[1], state[2], time, h, p, z, active)
 
 
 @wp.func
-def _same_clock(
+def _same_events(
     row: int,
     other: int,
     theta: wp.array2d(dtype=wp.float64),
@@ -48,9 +48,13 @@ def _same_clock(
     signal: wp.array(dtype=wp.int32),
     longest: Row,
 ) -> bool:
-    """Whether two rows stop at the same events and take the same sub-steps between them."""
-    uneven = (active[row] | active[other]) & wp.static(wp.int64(ARRIVAL_BITS))
-    if signal[row] != signal[other] or longest[row] != longest[other] or uneven != wp.int64(0):
+    """Whether two rows have the same events and the same sub-steps between them."""
+    arrival_effects = (active[row] | active[other]) & wp.static(wp.int64(ARRIVAL_BITS))
+    if (
+        signal[row] != signal[other]
+        or longest[row] != longest[other]
+        or arrival_effects != wp.int64(0)
+    ):
         return False
     for k in range(wp.static(len(_CLOCK))):
         if theta[row, wp.static(_CLOCK[k])] != theta[other, wp.static(_CLOCK[k])]:
@@ -61,8 +65,8 @@ def _same_clock(
 def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that simulates servos from rest on their signal's first set-point.
 
-    A thread takes ``together`` of the rows in ``order``. With ``pairs`` neighbours of one clock
-    go side by side: a sub-step is one long chain of operations, and a core has room for two.
+    A thread simulates ``together`` of the rows in ``order``; with ``pairs``, two with the same
+    events at once: a core can execute the long dependency chains of two sub-steps in parallel.
     """
     substep = substep_of(effects)
     mask = ~MOTOR_BIT if effects else 0
@@ -87,11 +91,11 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
         while place < end:
             row = order[place]
             place += 1
-            both = bool(False)
+            paired = bool(False)
             if wp.static(pairs) and place < end:
-                both = _same_clock(row, order[place], theta, active, signal, longest)
+                paired = _same_events(row, order[place], theta, active, signal, longest)
             row_b = int(row)
-            if both:
+            if paired:
                 row_b = order[place]
                 place += 1
             p = theta[row]
@@ -123,11 +127,11 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             angle_b = wp.float64(state_b[0])
             following = (others | others_b) & wp.static(wp.int64(FOLLOWING_BITS))
             start = t[0]
-            now = wp.float64(start)
+            clock = wp.float64(start)
             sample = int(0)
             arrival = int(0)
             period = m.period
-            looks = wp.float64(start) + m.phase
+            next_tick = wp.float64(start) + m.phase
             z[wp.static(HELD_CELL)] = state[2]
             z_b[wp.static(HELD_CELL)] = state_b[2]
             tick = bool(False)
@@ -147,40 +151,40 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             continue
                 until = wp.min(t[sample], arrives)
                 if period > zero:
-                    if now >= looks:
+                    if clock >= next_tick:
                         tick = True
                         ticks += wp.float64(1.0)
-                        looks = start + m.phase + ticks * period
-                    until = wp.min(until, looks)
-                if until > now:
-                    h = until - now
+                        next_tick = start + m.phase + ticks * period
+                    until = wp.min(until, next_tick)
+                if until > clock:
+                    h = until - clock
                     count = int(wp.ceil(h * per_longest))
                     if count > 1:
                         h = h / wp.float64(count)
-                    if both:
+                    if paired:
                         for k in range(count):
-                            time = now - start + wp.float64(k) * h
-                            look = tick and k == 0
+                            time = clock - start + wp.float64(k) * h
+                            ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
                             )
                             state_b = substep(
                                 state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
-                                effects_b, look,
+                                effects_b, ticking,
                             )  # fmt: skip
                             if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
                                 angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
                     else:
                         for k in range(count):
-                            time = now - start + wp.float64(k) * h
-                            look = tick and k == 0
+                            time = clock - start + wp.float64(k) * h
+                            ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, look
+                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
                             )
                             if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
-                    now = until
+                    clock = until
                     tick = False
                 if arrives <= until:
                     u = sent[arrival]
@@ -192,13 +196,13 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                         kd_b = zero
                         u = zero
                 elif until == t[sample]:
-                    asked = sample == 0 or following == wp.int64(0)
-                    if asked:
-                        angle = measured(state, now - start, zero, p, z, others)
+                    at_sample = sample == 0 or following == wp.int64(0)
+                    if at_sample:
+                        angle = measured(state, clock - start, zero, p, z, others)
                     position[row, sample] = angle
-                    if both:
-                        if asked:
-                            angle_b = measured(state_b, now - start, zero, p_b, z_b, others_b)
+                    if paired:
+                        if at_sample:
+                            angle_b = measured(state_b, clock - start, zero, p_b, z_b, others_b)
                         position[row_b, sample] = angle_b
                     sample += 1
 
@@ -206,7 +210,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
 
 
 KERNELS = {(e, p): _simulating(e, p) for e in (False, True) for p in (False, True)}
-"""By whether servos may have effects (those that have none are faster), and may go in pairs."""
+"""Kernels by whether servos may have effects (slower) and whether they are simulated in pairs."""
 
 
 @wp.kernel(enable_backward=False)
@@ -218,7 +222,7 @@ def solve_servos(
     length: wp.array(dtype=wp.int32),
     position: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """The same of a servo that is linear, with no effect and no pendulum: exact between events."""
+    """Simulate linear servos without effects and pendulum, exactly between events."""
     row = wp.tid()
     p = theta[row]
     t = times[signal[row]]
@@ -229,21 +233,21 @@ def solve_servos(
     kd = wp.float64(p[1])
     u = wp.float64(sent[0])
     state = wp.vec4d(u, zero, zero, zero)
-    now = wp.float64(t[0])
+    clock = wp.float64(t[0])
     sample = int(0)
     arrival = int(1)
     while sample < samples:
         if arrival < samples and sent[arrival] == sent[arrival - 1]:
-            arrival += 1  # it changes nothing
+            arrival += 1  # the set-point does not change
             continue
         until = wp.float64(t[sample])
         arrived = int(0)
         if arrival < samples and t[arrival] + p[2] <= until:
             until = t[arrival] + p[2]
             arrived = int(1)
-        if until > now:
-            state = exact_motion(state, u, until - now, kp, kd, p[3])
-            now = until
+        if until > clock:
+            state = exact_motion(state, u, until - clock, kp, kd, p[3])
+            clock = until
         if arrived == 1:
             u = sent[arrival]
             arrival += 1

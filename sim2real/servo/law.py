@@ -1,8 +1,8 @@
-"""The servo's dynamics, once: every rollout, fit and simulator calls these Warp functions.
+"""Dynamics of the servo: the Warp functions that all rollouts, fits and simulators call.
 
 Symbols: u set-point, q angle, v speed of the output shaft (rad, rad/s); h length of a sub-step
 (s); p row of the joint's parameters (see ``parameters.COLUMNS``); z its memory; active, bit k set
-where effect k of the catalogue is on and ``MOTOR_BIT`` where the motor is more than linear (see
+where effect k of the catalogue is on and ``MOTOR_BIT`` where the motor is not linear (see
 ``motor``). All float64, SI.
 """
 
@@ -12,6 +12,7 @@ import warp as wp
 
 from sim2real.effects import CATALOGUE
 from sim2real.effects.elementary import sine
+from sim2real.servo.friction import slide
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
@@ -29,29 +30,29 @@ from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
 
 
 def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], int]:
-    """Terms, columns, cells and bits of the effects at one site, and all their bits together."""
-    here = [
+    """Terms, columns, cells and bits of the effects at one site, and the sum of their bits."""
+    entries = [
         (k, effect, term)
         for k, effect in enumerate(CATALOGUE)
         for place, term in ((effect.site, effect.term), *effect.also)
         if place == site
     ]
-    here.sort(key=lambda entry: entry[1].order)
+    entries.sort(key=lambda entry: entry[1].order)
     return (
-        [term for _, _, term in here],
-        [FIRST_COLUMN[effect.name] for _, effect, _ in here],
-        [FIRST_CELL[effect.name] for _, effect, _ in here],
-        [1 << k for k, _, _ in here],
-        sum(1 << k for k, _, _ in here),
+        [term for _, _, term in entries],
+        [FIRST_COLUMN[effect.name] for _, effect, _ in entries],
+        [FIRST_CELL[effect.name] for _, effect, _ in entries],
+        [1 << k for k, _, _ in entries],
+        sum(1 << k for k, _, _ in entries),
     )
 
 
 def _chain(site: str) -> wp.Function:
-    """The function that passes a number through all active effects of one site."""
-    terms, columns, cells, bits, every = _at(site)
+    """The function that applies all active effects of one site in order."""
+    terms, columns, cells, bits, all_bits = _at(site)
 
     @wp.func
-    def through(
+    def chain(
         x: wp.float64,
         q: wp.float64,
         v: wp.float64,
@@ -62,7 +63,7 @@ def _chain(site: str) -> wp.Function:
         z: Row,
         active: wp.int64,
     ) -> wp.float64:
-        if (active & wp.static(wp.int64(every))) == wp.int64(0):
+        if (active & wp.static(wp.int64(all_bits))) == wp.int64(0):
             return x
         for k in range(wp.static(len(terms))):
             if (active & wp.static(wp.int64(bits[k]))) != wp.int64(0):
@@ -71,7 +72,7 @@ def _chain(site: str) -> wp.Function:
                 )
         return x
 
-    return through
+    return chain
 
 
 arrival_time = _chain("arrival")
@@ -87,14 +88,14 @@ _LIMIT = FIRST_COLUMN["torque_saturation"]
 SENSOR_BITS = _at("sensor")[-1]
 """Bits of the effects on the sensor."""
 FOLLOWING_BITS = SENSOR_BITS & ~sum(1 << k for k, effect in enumerate(CATALOGUE) if effect.steady)
-"""Bits of those that must follow every sub-step."""
+"""Bits of those with state, which must be evaluated in every sub-step."""
 ARRIVAL_BITS = _at("arrival")[-1]
-"""Bits of the effects on when, and whether, a set-point arrives."""
+"""Bits of the effects on the time, or the loss, of a set-point."""
 
 
 @wp.func
 def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
-    """Inertia on the shaft in kg m2: the load's, the rotor's and what effects add."""
+    """Inertia on the shaft in kg m2: of the load, of the rotor and of effects."""
     zero = wp.float64(0.0)
     inertia += read_motor(p).rotor
     return other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)
@@ -115,13 +116,13 @@ def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
 
 
 def substep_of(effects: bool) -> wp.Function:
-    """The sub-step of servos that may have effects, or of ones that have none and are faster.
+    """The sub-step of servos with effects, or a faster one of servos without.
 
     It advances (q, v, motor torque, acceleration) by h under a constant set-point. Second order and
     symmetric: forces at the middle position, damping by the trapezoidal rule, dry friction as an
-    impulse that can stop the shaft but not turn it round. Source: the Moreau-Jean scheme, Acary and
+    impulse that can stop the shaft but not reverse it. Source: the Moreau-Jean scheme, Acary and
     Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (Springer, 2008), ch. 10. ``tick``
-    says that a sampled controller looks at the start of the sub-step.
+    is true if a sampled controller measures at the start of the sub-step.
     """
     mask = ~MOTOR_BIT if effects else 0
 
@@ -143,7 +144,7 @@ def substep_of(effects: bool) -> wp.Function:
         half = wp.float64(0.5) * h
         v = state[1]
         q = state[0] + half * v
-        speed = v + half * state[3]  # about that of the middle
+        speed = v + half * state[3]  # approximates the speed at the middle
         per_h = wp.float64(1.0) / h
         impulse = h / inertia
         damp = wp.float64(0.5) * impulse
@@ -153,7 +154,7 @@ def substep_of(effects: bool) -> wp.Function:
         weight = load
         error = u - q
         others = active & wp.static(wp.int64(mask))
-        if others != 0:
+        if others != wp.int64(0):
             error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
             error = error_seen(error, q, speed, state[2], time, h, p, z, active)
             load = load_torque(load, q, speed, state[2], time, h, p, z, active)
@@ -162,14 +163,14 @@ def substep_of(effects: bool) -> wp.Function:
         torque = pd_torque(kp, kd, error, middle)
         if active == wp.int64(0):
             return wp.vec4d(q + half * after, after, torque, wp.float64(0.0))
-        still = wp.float64(0.0)
+        zero = wp.float64(0.0)
         dry = wp.float64(0.0)
         if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
-            if kp > still:
+            if kp > zero:
                 if tick:
                     z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
                 push = motor_push(kp, kd, error, middle, m)
-                if m.period > still:
+                if m.period > zero:
                     push = held_push(z[wp.static(HELD_CELL)], kd, m)
                 rise = resistance(push, speed, m)
                 weaker = wp.float64(1.0) / rise
@@ -184,69 +185,37 @@ def substep_of(effects: bool) -> wp.Function:
                 dry = gear_friction(speed, (push.torque - push.damping * speed) * weaker, weight, m)
             else:
                 dry = gear_friction(speed, torque, weight, m)
-        if others != 0:
-            if kp > still:
-                made = motor_torque(torque, q, middle, torque, time, h, p, z, active)
-                if made != torque:
+        if others != wp.int64(0):
+            if kp > zero:
+                output = motor_torque(torque, q, middle, torque, time, h, p, z, active)
+                if output != torque:
                     beyond = p[wp.static(_LIMIT + 1)] * p[1]
-                    drive = made + beyond * middle
+                    drive = output + beyond * middle
                     if wp.abs(wp.abs(drive) - p[wp.static(_LIMIT)]) <= wp.float64(1e-12):
-                        # At the limit only this share of the damping is left.
+                        # At the limit only this share of the damping remains.
                         stiff = wp.float64(1.0) / (wp.float64(1.0) + damp * beyond)
                         after = (
                             (wp.float64(1.0) - damp * beyond) * v + impulse * (drive + load)
                         ) * stiff
-                        made = drive - beyond * wp.float64(0.5) * (v + after)
+                        output = drive - beyond * wp.float64(0.5) * (v + after)
                     else:
-                        after += impulse * stiff * (made - torque)
-                torque = made
+                        after += impulse * stiff * (output - torque)
+                torque = output
             if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
                 dry = gear_friction(speed, torque, weight, m)
-            way = speed
-            if v == still:
-                way = wp.float64(1e-9) * wp.sign(after)  # held against where it would go
-            dry = friction_bound(dry, q, way, torque, time, h, p, z, active)
+            direction = speed
+            if v == zero:
+                direction = wp.float64(1e-9) * wp.sign(after)  # opposes the impending motion
+            dry = friction_bound(dry, q, direction, torque, time, h, p, z, active)
         stop = impulse * stiff * dry
-        if stop > still:
-            if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0) and softness(m) > still:
+        if stop > zero:
+            if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0) and softness(m) > zero:
                 slowed = after - wp.clamp(after - soft_stop(v, after, h, m), -stop, stop)
                 return wp.vec4d(q + half * slowed, slowed, torque, (slowed - v) * per_h)
             return slide(state, after, stop, half, torque, per_h)
         return wp.vec4d(q + half * after, after, torque, (after - v) * per_h)
 
     return substep
-
-
-@wp.func
-def slide(
-    state: wp.vec4d,
-    free: wp.float64,
-    stop: wp.float64,
-    half: wp.float64,
-    torque: wp.float64,
-    per_h: wp.float64,
-) -> wp.vec4d:
-    """Apply dry friction to a sub-step that would end at speed ``free`` without it.
-
-    ``stop`` is the change of speed that friction can make. Where the shaft comes to rest inside the
-    sub-step, friction turns round there, so that reversals too are of second order.
-    """
-    v = state[1]
-    after = free - wp.sign(v) * stop
-    if v != wp.float64(0.0) and after * v >= wp.float64(0.0):
-        return wp.vec4d(state[0] + half * (v + after), after, torque, (after - v) * per_h)
-    moving = wp.float64(0.0)
-    if v != wp.float64(0.0):
-        moving = v / (v - after)
-    rest = wp.float64(1.0) - moving
-    push = rest * (free - v)
-    after = push - wp.clamp(push, -rest * stop, rest * stop)
-    return wp.vec4d(
-        state[0] + half * (moving * v + rest * after),
-        after,
-        torque,
-        (after - v) * per_h,
-    )
 
 
 @wp.func
@@ -263,7 +232,7 @@ def resting_angle(u: wp.float64, kp: wp.float64, gravity: wp.float64) -> wp.floa
 def free_motion(a: wp.float64, w2: wp.float64, h: wp.float64) -> wp.vec2d:
     """Decaying cosine and sine of y'' + 2 a y' + w2 y = 0 after h seconds: C and S.
 
-    y(h) = (C + a S) y(0) + S y'(0), whatever the damping.
+    y(h) = (C + a S) y(0) + S y'(0), for any damping.
     """
     s2 = a * a - w2
     if s2 < wp.float64(0.0):
@@ -288,9 +257,9 @@ def exact_motion(
     kd: wp.float64,
     inertia: wp.float64,
 ) -> wp.vec4d:
-    """Advance (q, v) of a servo that is linear, with no effect and no pendulum, by any h.
+    """Advance (q, v) of a linear servo without effects and pendulum by any h.
 
-    The matrix exponential of a second order system: Astrom and Wittenmark, Computer-Controlled
+    The matrix exponential of a second-order system: Astrom and Wittenmark, Computer-Controlled
     Systems (Prentice Hall, 1997), ch. 2.
     """
     a = wp.float64(0.5) * kd / inertia

@@ -1,4 +1,4 @@
-"""The servo linearised about its own motion: from torques and set-points to the angle, and back.
+"""The servo linearised about its motion: responses to torques and set-points, and their inverse.
 
 I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about the mean set-point.
 """
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 EARLIEST_S = 0.04
-"""Most that a set-point's response is followed ahead of the latency."""
+"""Longest time before the latency from which the response to a set-point is computed."""
 _SETTLED, _LONGEST = 0.003, 80
-"""Share of a response that may be left where it is cut off, and the most samples until then."""
+"""Share of a response at which it is truncated, and its largest number of samples."""
 _LEAST_RATE, _APART = 0.1, 0.03
 Filter = tuple[Array, Array]
 """Numerator and denominator of a digital filter, as ``scipy.signal.lfilter`` takes them."""
 WINDOW_S, ORDER = 0.18, 3
-"""Length and order of the local polynomials that smooth."""
+"""Length and order of the smoothing local polynomials."""
 
 
 def torque_filter(inertia: float, kd: float, stiffness: float, step_s: float) -> Filter:
@@ -36,7 +36,7 @@ def torque_filter(inertia: float, kd: float, stiffness: float, step_s: float) ->
     Args:
         inertia: kg m2.
         kd: N m s/rad.
-        stiffness: Of the gain and the weight together, N m/rad.
+        stiffness: Sum of those of the gain and of the weight, N m/rad.
         step_s: Time between samples.
     """
     c = 2 / step_s
@@ -50,13 +50,13 @@ def torque_filter(inertia: float, kd: float, stiffness: float, step_s: float) ->
     return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
 
 
-def through(torque: Array, given: Filter) -> Array:
-    """Angles in rad of torques in N m, shape (T, ...), from rest."""
-    return np.asarray(lfilter(*given, torque, axis=0))
+def through(torque: Array, coefficients: Filter) -> Array:
+    """Angles in rad in response to torques in N m, shape (T, ...), from rest."""
+    return np.asarray(lfilter(*coefficients, torque, axis=0))
 
 
 def gain_torques(t: Array, command: Array, angle: Array, servo: tuple[float, float]) -> Array:
-    """Torques by which kp, kd and latency move the angle, shape (T, 3).
+    """Torques equivalent to a change of kp, kd and latency, per unit of each, shape (T, 3).
 
     Args:
         t: Times in s, shape (T,).
@@ -65,9 +65,9 @@ def gain_torques(t: Array, command: Array, angle: Array, servo: tuple[float, flo
         servo: kp in N m/rad and latency in s.
     """
     kp, latency = servo
-    seen = np.interp(t - latency, t, command)
+    in_force = np.interp(t - latency, t, command)
     speed = np.gradient(angle, t)
-    return np.stack([seen - angle, speed, kp * np.gradient(seen, t)], axis=1)
+    return np.stack([in_force - angle, speed, kp * np.gradient(in_force, t)], axis=1)
 
 
 def residual_torque(
@@ -90,12 +90,12 @@ def residual_torque(
     step = float(np.median(np.diff(t)))
     length = _length(step, t.size)
     grid = t[0] + step * np.arange(int(round((t[-1] - t[0]) / step)) + 1)
-    known = np.isfinite(residual)
-    even = np.interp(grid, t[known], residual[known])
+    measured = np.isfinite(residual)
+    resampled = np.interp(grid, t[measured], residual[measured])
     torque: Array = np.zeros(grid.size)
     taps: Array = np.zeros(length)
     for order, weight in zip((2, 1, 0), servo, strict=True):
-        torque -= weight * savgol_filter(even, length, ORDER, deriv=order, delta=step)
+        torque -= weight * savgol_filter(resampled, length, ORDER, deriv=order, delta=step)
         taps += weight * savgol_coeffs(length, ORDER, deriv=order, delta=step)
     sd = noise_rad * float(np.sqrt(np.sum(taps**2)))
     return np.interp(t, grid, torque), np.full(t.size, sd)
@@ -104,10 +104,10 @@ def residual_torque(
 def smooth_speed(t: Array, position: Array) -> Array:
     """Speed in rad/s by local polynomials, shape (T,), of angles with NaN where missing."""
     step = float(np.median(np.diff(t)))
-    known = np.isfinite(position)
-    even = np.interp(t, t[known], position[known])
+    measured = np.isfinite(position)
+    resampled = np.interp(t, t[measured], position[measured])
     length = _length(step, t.size)
-    return np.asarray(savgol_filter(even, length, ORDER, deriv=1, delta=step))
+    return np.asarray(savgol_filter(resampled, length, ORDER, deriv=1, delta=step))
 
 
 def _length(step: float, samples: int) -> int:
@@ -117,13 +117,13 @@ def _length(step: float, samples: int) -> int:
 
 @dataclass(frozen=True)
 class Residual:
-    """What the fit of a servo leaves of one joint in one recording.
+    """Residual of the fit of a servo, for one joint in one recording.
 
     Attributes:
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad, sent at ``t``, shape (T,).
-        used: Samples that may be seen, shape (T,).
-        residual: Simulated minus measured angle in rad, shape (T,); anything where not used.
+        used: Mask of the samples to use, shape (T,).
+        residual: Simulated minus measured angle in rad, shape (T,); arbitrary where not used.
         kp: Fitted proportional gain in N m/rad.
         kd: Fitted derivative gain in N m s/rad.
         latency_s: Fitted latency.
@@ -144,7 +144,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class _Modes:
-    """A second-order system, gain / ((s - fast) (s - slow)), its poles kept a little apart."""
+    """A second-order system, gain / ((s - fast) (s - slow)), with distinct poles."""
 
     fast: complex
     slow: complex
@@ -174,7 +174,7 @@ class _Modes:
         return np.asarray((value / size).real), np.asarray((slope / size).real * (x > 0))
 
     def _decays(self, x: Array) -> tuple[Array, Any, Any]:
-        """Positive part of ``x``, and what is left of the fast and the slow mode then."""
+        """Positive part of ``x``, and the fast and the slow exponential at that time."""
         y = np.maximum(x, 0.0)
         if self.fast.imag == 0:
             return y, np.exp(self.fast.real * y), np.exp(self.slow.real * y)
@@ -186,15 +186,15 @@ class _Modes:
 class SetPoints:
     """Responses of one angle to its K = T set-points.
 
-    All tables have one row a set-point; column m of row k is sample ``k + first + m``.
+    All tables have one row per set-point; column m of row k is sample ``k + first + m``.
 
     Attributes:
-        first: Samples from a set-point to the first that it can move.
-        late: Simulated minus measured angle per s that a set-point is late, in rad/s, shape (K, W).
-        missing: Simulated minus measured angle per rad by which the set-point in force, from this
-            one to the next, is below the one sent, shape (K, W).
-        change: Set-points minus those before them in rad, shape (K,).
-        refit: Change of the angle in rad with the latency in s and with the logarithms of kd and
+        first: Number of samples from a set-point to the first that it can affect.
+        late: Simulated minus measured angle per delay of a set-point in rad/s, shape (K, W).
+        missing: Simulated minus measured angle per rad by which the set-point in force, until the
+            next one, is below the one sent, shape (K, W).
+        change: Set-points minus the previous ones in rad, shape (K,).
+        refit: Derivatives of the angle in rad by the latency in s and by the logarithms of kd and
             kp, shape (T, 3).
         period_s: Usual time between set-points.
     """
@@ -209,7 +209,7 @@ class SetPoints:
     since: Array
 
     def late_by(self, delay: Array) -> tuple[Array, Array]:
-        """What delays of any size do: simulated minus measured angle, and its derivative.
+        """Effect of delays of any size: simulated minus measured angle, and its derivative.
 
         Args:
             delay: Of each set-point in s, shape (K,).
@@ -217,9 +217,9 @@ class SetPoints:
         Returns:
             Angles in rad, shape (T,), and a table like ``late``.
         """
-        change, then = self.change[:, None], self.since - delay[:, None]
-        gap = (self._on_time - self.modes.step(then)) * change
-        return spread(gap, self.first), self.modes.impulse(then) * change
+        change, elapsed = self.change[:, None], self.since - delay[:, None]
+        gap = (self._on_time - self.modes.step(elapsed)) * change
+        return spread(gap, self.first), self.modes.impulse(elapsed) * change
 
     @cached_property
     def _on_time(self) -> Array:
@@ -227,7 +227,7 @@ class SetPoints:
 
 
 def spread(rows: Array, first: int) -> Array:
-    """Sum of a table (K, W) over its set-points, by sample, shape (K,)."""
+    """Sum of a table (K, W) over its set-points, for each sample, shape (K,)."""
     K, W = rows.shape
     total = np.zeros(K + first + W)
     for m in range(W):
@@ -235,14 +235,14 @@ def spread(rows: Array, first: int) -> Array:
     return total[:K]
 
 
-def set_points(given: Residual) -> SetPoints:
-    """The exact responses at the true times; a late set-point to first order in its delay."""
-    modes, t, K = _modes(given), given.t, given.t.size
+def set_points(residual: Residual) -> SetPoints:
+    """Responses of the linearised servo, to first order in the delay of a set-point."""
+    modes, t, K = _modes(residual), residual.t, residual.t.size
     period = float(np.median(np.diff(t)))
-    change = np.diff(given.command, prepend=given.command[0])
-    arrival = t + given.latency_s
-    seen = arrival <= t[-1]
-    offset = (np.searchsorted(t, arrival) - np.arange(K))[seen]
+    change = np.diff(residual.command, prepend=residual.command[0])
+    arrival = t + residual.latency_s
+    arrived = arrival <= t[-1]
+    offset = (np.searchsorted(t, arrival) - np.arange(K))[arrived]
     first = int(offset.min()) if offset.size else 0
     first -= min(first, int(np.ceil(EARLIEST_S / period)))
     rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)
@@ -253,18 +253,18 @@ def set_points(given: Residual) -> SetPoints:
     slot = np.append(np.diff(t), period)[:, None]
     late = modes.impulse(since) * change[:, None]
     missing = modes.step(since) - modes.step(since - slot)
-    inertia, kp, kd = given.inertia_kgm2, given.kp, given.kd
-    twice, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
-    gains = (-late, -kp * kd * twice, kp * (inertia * slope + kd * twice))
+    inertia, kp, kd = residual.inertia_kgm2, residual.kp, residual.kd
+    double_pole, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
+    gains = (-late, -kp * kd * double_pole, kp * (inertia * slope + kd * double_pole))
     refit = np.stack([spread(x, first) for x in gains], axis=1)
     return SetPoints(first, late, missing, change, refit, period, modes, since)
 
 
-def _modes(given: Residual) -> _Modes:
-    weight = given.gravity_Nm * float(np.cos(np.mean(given.command)))
-    stiffness = max(given.kp + weight, 1e-3 * given.kp) / given.inertia_kgm2
-    half = given.kd / (2 * given.inertia_kgm2)
+def _modes(residual: Residual) -> _Modes:
+    weight = residual.gravity_Nm * float(np.cos(np.mean(residual.command)))
+    stiffness = max(residual.kp + weight, 1e-3 * residual.kp) / residual.inertia_kgm2
+    half = residual.kd / (2 * residual.inertia_kgm2)
     root = complex(half**2 - stiffness) ** 0.5
     if abs(root) < _APART * half:
         root = complex(_APART * half)
-    return _Modes(-half - root, -half + root, given.kp / given.inertia_kgm2)
+    return _Modes(-half - root, -half + root, residual.kp / residual.inertia_kgm2)

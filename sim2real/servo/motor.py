@@ -1,30 +1,30 @@
-"""The servo as it is built: a drive that clips, a motor on its torque-speed line, gears that rub.
+"""Law of a servo with a limited drive, a motor on its torque-speed line and gear friction.
 
-With T = kp e - kd v the torque that the linear servo would make, K the stall torque, w the no-load
-speed and b = K / w the back-EMF's damping::
+With T = kp e - kd v the torque of the linear servo, K the stall torque, w the no-load speed and
+b = K / w the damping by the back-EMF::
 
-    drive   d = clip(T + b v, -K, K)                           what the bridge can give
+    drive   d = clip(T + b v, -K, K)                           limit of the bridge
     motor   m (1 + r |m| / K) = d - b v                        r: rise of resistance with current
     dry     Kc + |Km m - Ke l| + exp(-(v / vs)^2) |Ksm m - Kse l|
 
-where l is the weight of the load. Damping that the line has not (kd > b) is the controller's, so
-that the drive of a servo with a proportional controller alone, kd = b, is clip(kp e). Without a
-limit, loss and friction this is the linear servo. The controller may see angle and speed once a
-period only, from its phase on, and hold its drive in between; back-EMF it cannot hold.
+where l is the weight of the load. Damping beyond that of the line (kd > b) is due to the
+controller; a proportional controller has kd = b and the drive clip(kp e). Without limits, losses
+and friction this is the linear servo. A sampled controller measures angle and speed once per
+period, starting at its phase, and holds its drive in between; the back-EMF acts continuously.
 
-Dry friction stops the shaft at once, or softly: while it is below its bound it lets the speed v
-settle, under a torque T that would accelerate the free shaft by a, at what creeps on::
+Dry friction stops the shaft at once or gradually: while it is below its bound, the speed v tends to
+the creep speed tc a, where a is the acceleration of the shaft without dry friction::
 
     v' = (tc a - v) / (ts + tc)                                ts: sticking, tc: creeping
 
-so that ts = tc = 0 is Coulomb's, ts = 0 friction that is viscous near standstill.
+so that ts = tc = 0 is Coulomb friction and ts = 0 is friction that is viscous near standstill.
 
 Sources: the circuit of a DC motor behind a bridge (any text on motors); friction: Duclusaud,
 Passault, Padois, Ly, Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA
-2025, whose directional model with a Stribeck part this is (the exponent 2 as in
-``effects.stribeck_friction``). Soft sticking: MuJoCo's documentation, Computation, Constraint model
-(friction loss; impedance d and rate b give ts = 1 / b and tc = ts (1 - d) / d, 9.5 and 1.06 ms by
-default).
+2025, the directional model with a Stribeck part (with the exponent 2 of
+``effects.stribeck_friction``). Gradual stopping: MuJoCo's documentation, Computation, Constraint
+model (friction loss; impedance d and rate b give ts = 1 / b and tc = ts (1 - d) / d, 9.5 and
+1.06 ms by default).
 
 Symbols and units as in ``law``; ``p`` is the joint's row of parameters, ``m`` its motor.
 """
@@ -38,7 +38,7 @@ from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, MOTOR
 Row = wp.array(dtype=wp.float64)
 
 MOTOR_BIT = -(1 << MOST_EFFECTS)
-"""Bit of the mask of active effects that is set where the law is not the linear one."""
+"""Bit of the mask of active effects that is set where the law is not linear."""
 
 
 def _column(name: str) -> int:
@@ -67,7 +67,7 @@ _NO_EXPONENT = wp.constant(wp.float64(36.0))
 
 @wp.struct
 class Motor:
-    """A motor and its gears, read off a row once for many sub-steps; symbols as above.
+    """A motor and its gears, read from a row once for many sub-steps; symbols as above.
 
     ``line`` is b, 0 where no line is known; ``per_stall`` is 1 / K or 0, ``per_slow`` 1 / vs.
     """
@@ -115,7 +115,7 @@ def read_motor(p: Row) -> Motor:
 
 @wp.struct
 class Push:
-    """What the motor gives during a sub-step: ``torque - damping * speed``.
+    """Output of the motor during a sub-step: ``torque - damping * speed``.
 
     ``stiffness`` is the derivative of ``torque`` by the error, 0 where the drive clips.
     """
@@ -135,7 +135,7 @@ def back_emf(kd: wp.float64, m: Motor) -> wp.float64:
 def wanted_drive(
     kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64, m: Motor
 ) -> wp.float64:
-    """Drive that the controller asks for, before it clips, N m at stall."""
+    """Drive that the controller commands, before it is clipped, in N m at stall."""
     return kp * error - (kd - back_emf(kd, m)) * v
 
 
@@ -143,7 +143,7 @@ def wanted_drive(
 def motor_push(
     kp: wp.float64, kd: wp.float64, error: wp.float64, free: wp.float64, m: Motor
 ) -> Push:
-    """Torque and damping of a motor whose resistance does not rise.
+    """Torque and damping of a motor of constant resistance.
 
     ``free`` is the speed that the linear servo would have in the middle of the sub-step.
     """
@@ -161,7 +161,7 @@ def motor_push(
 
 @wp.func
 def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
-    """The same for a drive that the controller holds."""
+    """Torque and damping for a drive that the controller holds."""
     push = Push()
     push.torque = drive
     if m.stall > wp.float64(0.0):
@@ -174,7 +174,7 @@ def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
 def resistance(push: Push, v: wp.float64, m: Motor) -> wp.float64:
     """The motor's resistance at speed ``v`` over that of a motor at rest: 1 + r |m| / K.
 
-    The torque that is left of the push is the push over this.
+    The torque of the motor is that of ``push`` divided by this ratio.
     """
     if m.rise == wp.float64(0.0):
         return wp.float64(1.0)
@@ -189,19 +189,19 @@ def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor)
     if m.slow_of_motor + m.slow_of_load > wp.float64(0.0):
         slow = v * m.per_slow
         if slow * slow < _NO_EXPONENT:
-            more = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
-            bound += decay(slow * slow) * more
+            stribeck = wp.abs(m.slow_of_motor * torque - m.slow_of_load * load)
+            bound += decay(slow * slow) * stribeck
     return bound
 
 
 @wp.func
 def softness(m: Motor) -> wp.float64:
-    """Time in which dry friction stops the shaft, s; 0 where at once."""
+    """Time constant with which dry friction stops the shaft, s; 0 for an immediate stop."""
     return m.stick + m.creep
 
 
 @wp.func
 def soft_stop(v: wp.float64, free: wp.float64, h: wp.float64, m: Motor) -> wp.float64:
-    """Speed after h, friction below its bound, of a shaft at ``v`` that would reach ``free``."""
+    """Speed after h, with friction below its bound; ``free`` is the speed without friction."""
     creeping = m.creep * (free - v) / h
     return creeping + (v - creeping) * decay(h / softness(m))

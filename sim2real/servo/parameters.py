@@ -1,4 +1,4 @@
-"""The row of numbers that a rollout takes for each joint: where each parameter stands in it."""
+"""Layout of the row of parameters of one joint, as rollouts take it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
 
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
-"""A motor's torque-speed line: what the recordings may say of its drive."""
+"""A motor's torque-speed line."""
 
 ROTOR = "motor.rotor_inertia_kgm2"
 
@@ -29,21 +29,21 @@ LOSSES = (
     "motor.stribeck_load_friction",
     "motor.stribeck_speed_rad_s",
 )
-"""What they may say of its losses and its gears."""
+"""Losses of motor and gears."""
 
 SOFT = ("motor.stick_time_s", "motor.creep_time_s")
-"""How softly dry friction stops the shaft."""
+"""Time constants with which dry friction stops the shaft."""
 
 LOOP = ("motor.loop_period_s", "motor.loop_phase_s")
-"""When a sampled controller looks."""
+"""Sampling times of a sampled controller."""
 
 MOTOR = (*LINE, LOSSES[0], ROTOR, *LOSSES[1:], *SOFT, *LOOP)
-"""Columns of the motor's law, see ``motor.py``; all 0, the servo is the plain PD one."""
+"""Columns of the motor's law, see ``motor.py``; all are 0 for a plain PD servo."""
 
 FIRST_MOTOR_COLUMN = len(BASE)
 
 FIRST_EFFECT_COLUMN = len(BASE) + len(MOTOR)
-"""Where the effects' begin."""
+"""First column of the effects."""
 
 FIRST_COLUMN: Mapping[str, int] = {
     effect.name: FIRST_EFFECT_COLUMN + sum(len(e.parameters) for e in CATALOGUE[:k])
@@ -54,13 +54,13 @@ FIRST_COLUMN: Mapping[str, int] = {
 FIRST_CELL: Mapping[str, int] = {
     effect.name: sum(e.memory for e in CATALOGUE[:k]) for k, effect in enumerate(CATALOGUE)
 }
-"""Cell of memory where each effect's begins."""
+"""First memory cell of each effect."""
 
 HELD_CELL = sum(effect.memory for effect in CATALOGUE)
-"""Cell of memory with the drive that a sampled loop holds."""
+"""Memory cell of the drive that a sampled controller holds."""
 
 CELLS = HELD_CELL + 1
-"""Cells of memory of one joint."""
+"""Number of memory cells of one joint."""
 
 COLUMNS = (
     BASE
@@ -72,7 +72,7 @@ COLUMNS = (
 """Names of all columns of one joint."""
 
 INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
-"""Column of the inertia that no load states."""
+"""Column of the inertia in addition to that of the stated load."""
 
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
@@ -85,7 +85,7 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
 
     Args:
         joint: The fitted joint.
-        load: The load it turns; the model's own where None. Ignored where the model is per unit of
+        load: Load on the shaft; by default that of the model. Ignored if the model is per unit of
             inertia.
         where: The joint's name, for messages.
 
@@ -107,8 +107,8 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     for name, value in joint.motor.items():
         column = f"motor.{name}"
         if column not in MOTOR:
-            known = ", ".join(column.removeprefix("motor.") for column in MOTOR)
-            raise InputError(where, "motor", repr(name), f"one of {known}")
+            valid = ", ".join(column.removeprefix("motor.") for column in MOTOR)
+            raise InputError(where, "motor", repr(name), f"one of {valid}")
         row[COLUMNS.index(column)] = value
     for fitted in joint.effects:
         _fill(row, fitted, where)
@@ -116,12 +116,12 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
 
 
 def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> JointModel:
-    """A fitted joint as a model states it: what ``joint_row`` takes back.
+    """The model of a fitted joint, the inverse of ``joint_row``.
 
     Args:
-        row: Its parameters, shape (len(COLUMNS),); what it has of a motor included.
+        row: Its parameters, shape (len(COLUMNS),), including those of the motor.
         load: The load that it was fitted with, ``PER_INERTIA`` where none was known.
-        effects: Those that it has.
+        effects: Its fitted effects.
     """
     motor = motor_of(row)
     kp, kd, latency = (float(x) for x in row[:3])
@@ -139,7 +139,7 @@ def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> Join
 
 
 def motor_of(row: Array) -> dict[str, float]:
-    """What a row (P,) has of a motor, by name; parameters that have no effect are left out."""
+    """Motor parameters of a row (P,) by name, without those that have no effect."""
     values = row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
     pairs = zip(MOTOR, values, strict=True)
     return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}

@@ -43,8 +43,8 @@ def predict(
     angles = {}
     for joint, sent in command.items():
         if joint not in model.joints:
-            known = ", ".join(model.joints)
-            raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {known}")
+            modelled = ", ".join(model.joints)
+            raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
         row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
         angles[joint] = rollout(row[None], t, sent[:, None])[0, :, 0]
     return angles

@@ -39,8 +39,8 @@ class Prediction(NotebookDisplay):
         for recording, angles in zip(self.recordings, self.angles, strict=True):
             square = (angles - recording.position) ** 2
             for j, joint in enumerate(recording.joints):
-                known = square[np.isfinite(square[:, j]), j]
-                mean = float(np.sqrt(known.mean())) if known.size else float("nan")
+                measured = square[np.isfinite(square[:, j]), j]
+                mean = float(np.sqrt(measured.mean())) if measured.size else float("nan")
                 errors[recording.name, joint] = mean
         return errors
 

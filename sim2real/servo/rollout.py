@@ -1,4 +1,4 @@
-"""Batched rollouts: many parameter sets, one command signal or some recordings, angles out."""
+"""Batched rollouts: simulated angles of many parameter sets on commands or recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 32.0
-"""Sub-steps while the fastest mode turns by one radian: halving them moves nothing by 1e-4 rad."""
+"""Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
 _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
@@ -47,16 +47,16 @@ def rollout(
 ) -> Array:
     """Simulate servos from rest on their first command.
 
-    The clock stops at every sample to be written and at every set-point that arrives at a joint, so
-    latency is any real number of seconds and no command edge falls inside a sub-step.
+    The integration stops at every sample and at every arrival of a set-point, so that the latency
+    is not rounded and no change of the command falls inside a sub-step.
 
     Args:
         theta: Parameters, shape (B, J * P), joint by joint in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T, J); NaN where the torque is off.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
-        substep_s: Longest sub-step in s; by ``steps_per_radian``, and at most 2 ms, where None. One
-            length for all rows makes differences between them smooth; else one a row, (B * J,).
+        substep_s: Longest sub-step in s, for all rows or of shape (B * J,); by default determined
+            by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
         device: Warp device.
         threads: CPU threads to share the batch.
 
@@ -76,22 +76,22 @@ def rollout(
         to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
     ]
 
-    def some(part: slice) -> None:
+    def simulate_part(part: slice) -> None:
         out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
         simulate(
             active[part], rows[part, 2], to_warp(rows[part], device), signal[part], signals,
             longest[part], out,
         )  # fmt: skip
-        if out.device.is_cuda:  # on a CPU it is the same memory
+        if out.device.is_cuda:  # on a CPU the memory is shared
             position[part] = out.numpy()
 
     edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
     if len(parts) == 1:
-        some(parts[0])
+        simulate_part(parts[0])
     else:
         with ThreadPoolExecutor(len(parts)) as pool:
-            list(pool.map(some, parts))
+            list(pool.map(simulate_part, parts))
     return np.moveaxis(position.reshape(B, J, T), 1, 2)
 
 
@@ -101,13 +101,13 @@ def longest_substep(
     steps_per_radian: float | Array = STEPS_PER_RADIAN,
     longest_s: float = LONGEST_SUBSTEP_S,
 ) -> Array:
-    """The rule for sub-steps, in s: so many while the fastest mode turns by one radian.
+    """Longest sub-step in s that resolves the fastest mode.
 
     Args:
         theta: Parameters, shape (..., P).
-        inertia: Inertia on the shaft in kg m2, without what may be left out of it, shape (...).
-        steps_per_radian: How many.
-        longest_s: No sub-step is longer.
+        inertia: Inertia of the stated load in kg m2, shape (...).
+        steps_per_radian: Sub-steps per radian of the fastest mode.
+        longest_s: Upper limit in s.
     """
     kp, kd = np.abs(theta[..., 0]), theta[..., 1]
     total = inertia + theta[..., INERTIA_LEFT_OUT] + theta[..., ROTOR_INERTIA]
@@ -120,18 +120,18 @@ def coarse_substep(substep_s: Array) -> Array:
     """Sub-steps for derivatives and for searches far from their minimum, in s.
 
     Up to four times as long as those of a residual, at most 4 ms. The discretisation error of a
-    second-order scheme, some 1 % of a derivative, changes the path to a minimum but hardly the
-    minimum: there the residual is orthogonal to all derivatives, and its own error is what counts.
+    second-order scheme, about 1 % of a derivative, changes the path to a minimum but hardly the
+    minimum itself, where the residual is orthogonal to all derivatives.
     """
     longest = np.maximum(substep_s, _LONGEST_COARSE_SUBSTEP_S)
     return np.minimum(longest, _COARSENING * substep_s)
 
 
 class Simulator:
-    """Recordings of one joint, whose commands are given to servos of any parameters."""
+    """Simulates servos with any parameters on the recordings of one joint."""
 
     def __init__(self, traces: Sequence[Trace], threads: int = 2) -> None:
-        """Put the recordings where Warp finds them.
+        """Copy the recordings to Warp arrays.
 
         Args:
             traces: S recordings of one joint.
@@ -151,34 +151,34 @@ class Simulator:
         self._pool = _pool(threads)
 
     def is_linear(self, theta: Array) -> bool:
-        """Whether servos (B, P) have an exact solution: no effect is on, and no pendulum there."""
+        """Whether servos (B, P) have an exact solution: no active effect and no pendulum."""
         return not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
 
     def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
-        """One sub-step in s for all servos (B, P): of the fastest; infinite if all are linear."""
+        """Common sub-step in s for all servos (B, P), infinite if all are linear."""
         if self.is_linear(theta):
             return np.inf
         inertia = self._load[:, 0, None]
         return float(longest_substep(theta, inertia, steps_per_radian, longest_s).min())
 
     def angles(self, theta: Array, substep_s: float) -> list[Array]:
-        """Angles in rad of servos (B, P), for each recording (B, T); the load is its own.
+        """Angles in rad of servos (B, P) with the load of each recording, one array (B, T) each.
 
-        ``substep_s`` is the longest sub-step; where it is infinite all must be linear.
+        ``substep_s`` is the longest sub-step; if it is infinite, all servos must be linear.
         """
         parts = [part for part in np.array_split(theta, self.threads) if part.size]
-        done = list(self._pool.map(lambda part: self.run(part, substep_s).numpy(), parts))
+        results = list(self._pool.map(lambda part: self.run(part, substep_s).numpy(), parts))
         S = len(self.traces)
         return [
-            np.concatenate([angle[s::S, : trace.t.size] for angle in done])
+            np.concatenate([angle[s::S, : trace.t.size] for angle in results])
             for s, trace in enumerate(self.traces)
         ]
 
     def run(self, theta: Array, substep_s: float) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """Angles of servos (B, P) as a Warp array, one row a servo and recording, (B * S, T).
+        """Angles of servos (B, P) as a Warp array, one row per servo and recording, (B * S, T).
 
         Raises:
-            ValueError: If the sub-step is infinite and one of them is not linear.
+            ValueError: If the sub-step is infinite and a servo is not linear.
         """
         if np.isinf(substep_s) and not self.is_linear(theta):
             raise ValueError("no exact solution of servos with effects or a pendulum")
@@ -190,8 +190,8 @@ class Simulator:
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
         servos = to_warp(rows, "cpu")
         if np.isinf(substep_s):
-            given = [servos, to_warp(signal, "cpu"), *self._signals]
-            wp.launch(solve_servos, dim=len(rows), inputs=given, outputs=[angle], device="cpu")
+            inputs = [servos, to_warp(signal, "cpu"), *self._signals]
+            wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         else:
             longest = np.full(len(rows), substep_s)
             simulate(
@@ -209,7 +209,7 @@ _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def active_effects(rows: Array) -> NDArray[np.int64]:
-    """Bit mask of the effects that are on in each parameter row, and of the motor's law, (N,)."""
+    """Bit mask of the active effects and of the motor's law for each parameter row, (N,)."""
     motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
     active: NDArray[np.int64] = np.where(motor, MOTOR_BIT, 0).astype(np.int64)
     for k, effect in enumerate(CATALOGUE):
@@ -223,23 +223,23 @@ def simulate(
     active: NDArray[np.int64],
     latency: Array,
     theta: Any,  # noqa: ANN401 - Warp has no stubs
-    signal: NDArray[np.int64],
+    signal: NDArray[np.int32],
     signals: Sequence[Any],
     longest: Array,
     out: Any,  # noqa: ANN401
     rows: NDArray[np.intp] | None = None,
 ) -> None:
-    """Launch N rollouts, on the CPU those of one clock side by side.
+    """Launch N rollouts; on the CPU, those with the same events in pairs.
 
     Args:
         active: Effects of each, see ``active_effects``, shape (N,).
         latency: Latency of each in s, shape (N,).
         theta: Their parameters, a Warp array (N, P).
-        signal: Which signal each follows, shape (N,).
+        signal: Index of the signal of each, shape (N,).
         signals: Times, commands and lengths of the signals, Warp arrays.
         longest: Longest sub-step of each in s, shape (N,).
-        out: Where their angles go, a Warp array (N, T).
-        rows: Those to simulate, shape (M,); all where None.
+        out: Output, the angles in rad, a Warp array (N, T).
+        rows: Indices of the rollouts to simulate, shape (M,); all by default.
     """
     N, device = signal.size, str(out.device)
     pairs = device == "cpu"
@@ -249,12 +249,12 @@ def simulate(
     effects = bool(np.any(active & ~MOTOR_BIT))
     memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
     mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
-    rows_of = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
+    inputs = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
     wp.launch(
         KERNELS[effects, pairs],
         dim=1 if pairs else order.size,
         inputs=[
-            theta, mask, memory, *rows_of, order.size if pairs else 1, *signals,
+            theta, mask, memory, *inputs, order.size if pairs else 1, *signals,
             to_warp(longest, device),
         ],
         outputs=[out],

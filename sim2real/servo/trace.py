@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
 _FEWEST, _PROPORTIONAL = 50, 0.02
-"""Fewest samples of a drive; largest share of its power that is not proportional to the error."""
+"""Fewest samples of a drive; largest share of its power that the error does not explain."""
 
 FEWEST_SAMPLES = 20
 """Smallest number of measured angles for a fit."""
 FINEST_NOISE_RAD = 1e-6
-"""Smallest noise: recordings are printed to the sixth decimal."""
+"""Smallest noise: recordings are written with six decimals."""
 
 HELD_OUT_SHARE = 0.25
 """Share of a single recording, at its end, that is held out."""
@@ -35,7 +35,7 @@ class Trace:
 
     Attributes:
         name: Name of the recording.
-        file: File of the recording, which is unique.
+        file: File of the recording, unique among recordings.
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
@@ -55,7 +55,7 @@ class Trace:
     drive_per_rad: float | None = None
 
     def window(self, length_s: float) -> Trace:
-        """The first ``length_s`` at most, starting at the first change of the command."""
+        """The trace from the first change of the command on, for at most ``length_s`` seconds."""
         moves = np.flatnonzero(np.diff(self.command))
         first = int(moves[0]) if moves.size else 0
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
@@ -74,8 +74,8 @@ class Trace:
 
     def moves(self) -> bool:
         """Whether both the command and the measured angle change."""
-        seen = self.position[np.isfinite(self.position)]
-        return self.activity() > 0 and seen.size > 1 and float(np.ptp(seen)) > 0
+        measured = self.position[np.isfinite(self.position)]
+        return self.activity() > 0 and measured.size > 1 and float(np.ptp(measured)) > 0
 
 
 def trace(recording: Recording, joint: str) -> Trace:
@@ -100,57 +100,57 @@ def trace(recording: Recording, joint: str) -> Trace:
 def drive_slope(error: Array, load: Array) -> float | None:
     """Slope of the load that a servo reports against its control error, if the load is its drive.
 
-    The reported load is taken for the drive, as a share of the full drive, if it is within -1 and 1
-    and proportional to the error until it saturates; a measured torque or current is not.
+    The reported load is assumed to be the drive, as a share of the full drive, if it is between -1
+    and 1 and proportional to the error until it saturates; a measured torque or current is not.
     """
-    good = np.isfinite(error) & np.isfinite(load)
-    if np.count_nonzero(good) < _FEWEST or np.abs(load[good]).max() > _FULL + _ROUNDING:
+    valid = np.isfinite(error) & np.isfinite(load)
+    if np.count_nonzero(valid) < _FEWEST or np.abs(load[valid]).max() > _FULL + _ROUNDING:
         return None
-    e, d = error[good], load[good]
-    inside = (np.abs(d) < _NEARLY_FULL) & (np.abs(e) > 0)
-    if np.count_nonzero(inside) < _FEWEST:
+    e, d = error[valid], load[valid]
+    unsaturated = (np.abs(d) < _NEARLY_FULL) & (np.abs(e) > 0)
+    if np.count_nonzero(unsaturated) < _FEWEST:
         return None
-    slope = float(e[inside] @ d[inside] / (e[inside] @ e[inside]))
-    left = d - np.clip(slope * e, -_FULL, _FULL)
+    slope = float(e[unsaturated] @ d[unsaturated] / (e[unsaturated] @ e[unsaturated]))
+    residual = d - np.clip(slope * e, -_FULL, _FULL)
     power = float(np.sum(d**2))
-    if slope <= 0 or power == 0 or np.sum(left**2) > _PROPORTIONAL * power:
+    if slope <= 0 or power == 0 or np.sum(residual**2) > _PROPORTIONAL * power:
         return None
     return slope
 
 
-def sensor_noise(given: Sequence[Trace]) -> float:
+def sensor_noise(traces: Sequence[Trace]) -> float:
     """Standard deviation of a joint's sensor noise in rad, the largest over its recordings."""
-    floors = (noise_floor(trace.t, trace.command, trace.position) for trace in given)
+    floors = (noise_floor(trace.t, trace.command, trace.position) for trace in traces)
     return max(FINEST_NOISE_RAD, *floors)
 
 
-def check_samples(given: Sequence[Trace], joint: str) -> None:
+def check_samples(traces: Sequence[Trace], joint: str) -> None:
     """Check that a joint has enough samples for a fit.
 
     Raises:
-        InputError: If it has not.
+        InputError: If it has too few.
     """
-    count = sum(int(trace.used.sum()) for trace in given)
+    count = sum(int(trace.used.sum()) for trace in traces)
     if count < FEWEST_SAMPLES:
         found = f"{count} measured angles while its torque is on"
         expected = f"at least {FEWEST_SAMPLES}"
-        raise InputError(given[0].file, f"{joint}.position_rad", found, expected)
+        raise InputError(traces[0].file, f"{joint}.position_rad", found, expected)
 
 
-def check_runs(given: Sequence[Trace], joint: str) -> None:
+def check_runs(traces: Sequence[Trace], joint: str) -> None:
     """Check that a joint has enough consecutive samples to fit an autoregressive noise model.
 
     Raises:
-        InputError: If it has not.
+        InputError: If it has too few.
     """
     count = order = 0
-    for trace in given:
+    for trace in traces:
         order = max(order, lags(float(np.median(np.diff(trace.t)))))
         count += int(counting(trace.used, order).sum())
     if count <= order:
         found = f"{count} measured angles that follow {order} others without a gap"
-        expected = f"more than {order}: a longer recording, or one that lacks fewer samples"
-        raise InputError(given[0].file, f"{joint}.position_rad", found, expected)
+        expected = f"more than {order}: a longer recording, or one with fewer missing samples"
+        raise InputError(traces[0].file, f"{joint}.position_rad", found, expected)
 
 
 def shows_inertia(fitted: Sequence[Trace]) -> bool:
@@ -160,19 +160,19 @@ def shows_inertia(fitted: Sequence[Trace]) -> bool:
 
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
     """The traces of ``joint`` in all recordings in which its command and its angle change."""
-    every = [trace(recording, joint) for recording in recordings if joint in recording.joints]
-    return [one for one in every if one.t.size > 1 and one.moves()]
+    candidates = [trace(recording, joint) for recording in recordings if joint in recording.joints]
+    return [candidate for candidate in candidates if candidate.t.size > 1 and candidate.moves()]
 
 
-def split(given: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
+def split(traces: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
     """Traces to fit, traces to score, and a description of what is held out.
 
     In the traces to score, ``used`` marks only samples that the fit does not use.
     """
-    if len(given) > 1:
-        last = next((trace for trace in given if trace.name == held_out), given[-1])
-        return [trace for trace in given if trace is not last], [last], last.name
-    whole = given[0]
+    if len(traces) > 1:
+        last = next((trace for trace in traces if trace.name == held_out), traces[-1])
+        return [trace for trace in traces if trace is not last], [last], last.name
+    whole = traces[0]
     until = whole.t[0] + (1 - HELD_OUT_SHARE) * (whole.t[-1] - whole.t[0])
     early = whole.t < until
     if not replace(whole, position=np.where(early, whole.position, np.nan)).moves():

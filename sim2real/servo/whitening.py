@@ -1,8 +1,8 @@
-"""Warp kernels from many rollouts to whitened normal equations, one problem a handful of threads.
+"""Warp kernels that turn many rollouts into whitened normal equations.
 
-A problem is one joint with one set of effects: its rollouts are rows of ``angle``, for each of its
+A problem is one joint with one set of effects. Its rollouts are rows of ``angle``: for each of its
 recordings the servo itself and then V - 1 variants of it. Noise that is correlated in time is
-whitened by an autoregression whose coefficients are the problem's own.
+whitened by an autoregression with coefficients for each problem.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Table = wp.array2d(dtype=wp.float64)
 def expand(
     theta: Table, variant: Rows, signal: Rows, load: Table, inertia: int, out: Table
 ) -> None:
-    """Give each row the parameters of its variant and the load of its recording."""
+    """Copy the parameters of its variant and the load of its recording to each row."""
     row = wp.tid()
     for k in range(out.shape[1]):
         out[row, k] = theta[variant[row], k]
@@ -29,7 +29,7 @@ def expand(
 
 @wp.kernel(enable_backward=False)
 def difference(base: Rows, signal: Rows, length: Rows, scale: Row, angle: Table) -> None:
-    """Turn the angles of variants into differences from their servo, scaled."""
+    """Replace the angles of variants by their scaled differences from their servo."""
     row = wp.tid()
     if base[row] != row:
         for k in range(length[signal[row]]):
@@ -38,7 +38,7 @@ def difference(base: Rows, signal: Rows, length: Rows, scale: Row, angle: Table)
 
 @wp.kernel(enable_backward=False)
 def residual(base: Rows, signal: Rows, length: Rows, position: Table, angle: Table) -> None:
-    """Turn the angles of servos into simulated minus measured angles, 0 where none was measured."""
+    """Replace the angles of servos by simulated minus measured angles, 0 where missing."""
     row = wp.tid()
     if base[row] == row:
         for k in range(length[signal[row]]):
@@ -62,9 +62,9 @@ def lag_products(
 ) -> None:
     """Sums of products of each problem's residual at two lags, over samples that count.
 
-    One lag further back for both, the sums differ only where samples begin or cease to count.
+    If both lags increase by one, the sums change only where runs of counted samples begin or end.
     """
-    problem, apart = wp.tid()
+    problem, separation = wp.tid()
     order = out.shape[1] - 1
     total = wp.float64(0.0)
     for r in range(recordings[problem]):
@@ -72,22 +72,22 @@ def lag_products(
         s = signal[row]
         counted = int(0)
         for k in range(order, length[s] + 1):
-            here = int(0)
+            counts_now = int(0)
             if k < length[s]:
-                here = counts[s, k]
-            if here != counted:
-                sign = wp.float64(here - counted)
-                for i in range(1, order + 1 - apart):
-                    out[problem, i, i + apart] += (
-                        sign * angle[row, k - i] * angle[row, k - i - apart]
+                counts_now = counts[s, k]
+            if counts_now != counted:
+                sign = wp.float64(counts_now - counted)
+                for i in range(1, order + 1 - separation):
+                    out[problem, i, i + separation] += (
+                        sign * angle[row, k - i] * angle[row, k - i - separation]
                     )
-            if here != 0:
-                total += angle[row, k] * angle[row, k - apart]
-            counted = here
-    for i in range(order + 1 - apart):
-        total += out[problem, i, i + apart]
-        out[problem, i, i + apart] = total
-        out[problem, i + apart, i] = total
+            if counts_now != 0:
+                total += angle[row, k] * angle[row, k - separation]
+            counted = counts_now
+    for i in range(order + 1 - separation):
+        total += out[problem, i, i + separation]
+        out[problem, i, i + separation] = total
+        out[problem, i + separation, i] = total
 
 
 @wp.kernel(enable_backward=False)
@@ -99,11 +99,11 @@ def whiten(
     autoregression: Table,
     angle: Table,
 ) -> None:
-    """Subtract from every sample what the samples before it foretell; 0 where none counts."""
+    """Replace every sample by its innovation, 0 where the sample does not count."""
     row = wp.tid()
     s = signal[row]
     order = autoregression.shape[1]
-    fours = order - order % 4  # so that four sums go at once
+    fours = order - order % 4  # four sums are computed in parallel
     for back in range(length[s]):
         k = length[s] - 1 - back
         if k < order or counts[s, k] == 0:
@@ -135,22 +135,22 @@ def gram(
     angle: Table,
     out: wp.array3d(dtype=wp.float64),
 ) -> None:
-    """Inner products of each problem's whitened rows, block by block of its recordings.
+    """Inner products of each problem's whitened rows, for each block of its recordings.
 
     ``out[problem, recording * blocks + block]`` holds the products of row j < deep with row i at
     ``j * V + i``, and those of each row i with itself at ``deep * V + i``.
     """
     problem, block, pair = wp.tid()
-    across = variants[problem]
-    most = out.shape[2] / (deep + 1)
-    j = pair / most
-    i = pair - j * most
+    variant_count = variants[problem]
+    widest = out.shape[2] / (deep + 1)
+    j = pair / widest
+    i = pair - j * widest
     if j == deep:
         j = i
     r = block / blocks
-    if i >= across or j > i or r >= recordings[problem]:
+    if i >= variant_count or j > i or r >= recordings[problem]:
         return
-    row = first[problem] + r * across
+    row = first[problem] + r * variant_count
     count = length[signal[row]]
     part = block - r * blocks
     total = wp.float64(0.0)
@@ -172,7 +172,7 @@ def innovation_energy(
 ) -> None:
     """Sum of squared innovations of simulated minus measured angles, over the samples that count.
 
-    Coefficients come in fours, so that four sums go at once; those
+    The number of coefficients is a multiple of four, as four sums are computed in parallel; those
     beyond the first ``lags`` are 0.
     """
     row = wp.tid()

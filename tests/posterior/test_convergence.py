@@ -30,7 +30,7 @@ def test_time_of_a_known_chain():
 def test_a_short_chain_is_refused_and_told_how_long_it_must_be():
     found = convergence(correlated(300, 0.95, seed=2))
     assert not found.reached
-    with pytest.raises(InputError, match="run again with --steps [0-9]+: the chain goes on") as e:
+    with pytest.raises(InputError, match="run again with --steps [0-9]+: the chain continues") as e:
         require(found, "posterior of j1", NAMES)
     needed = int(str(e.value).split("--steps ")[1].split(":")[0])
     assert needed >= 50 * found.times.max()

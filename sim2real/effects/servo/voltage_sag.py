@@ -18,8 +18,8 @@ from sim2real.effects.warp_types import F, Row
 def sag(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque of the motor in N m."""
     full = wp.max(wp.float64(0.5) * p[0], wp.float64(1e-12))
-    left = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
-    return (x + p[1] * v) * left - p[1] * v
+    remaining = wp.float64(1.0) - p[c] * wp.min(wp.abs(x) / full, wp.float64(1.0))
+    return (x + p[1] * v) * remaining - p[1] * v
 
 
 EFFECT = Effect(
