@@ -34,8 +34,8 @@ class ForeignServo(Servo):
         loop_Hz: Rate of the controller.
         eccentric: Amplitude in rad, cycles per radian and phase of the sensor's error.
         read_s: How long after the set-point is sent the angle is read.
-        friction_on_output: Whether dry friction acts on the output of the gear train, not its motor.
-        sensor_on_output: Whether the recorded sensor is on the output of the gear train.
+        friction_on_output: Whether dry friction acts on the output's side of the gear train.
+        sensor_on_output: Whether the recorded sensor is on the output's side.
     """
 
     loop_Hz: float = 1000.0

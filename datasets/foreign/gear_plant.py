@@ -24,8 +24,9 @@ FLANK_HZ, FLANK_DAMPING = 250.0, 0.4
 SPRING_DAMPING = 0.05
 """Damping ratio of a train that is a spring."""
 FIELDS = {  # with the value at which each does nothing
-    "kp": 1.0, "kd": 0.0, "firmware_kd": 0.0, "stall": 1e9, "rotor": 1.0, "output": 1.0, "pendulum": 0.0,
-    "ripple": 0.0, "waves": 1.0, "phase": 0.0, "gap": 0.0, "spring": 1e3, "damper": 0.0,
+    "kp": 1.0, "kd": 0.0, "firmware_kd": 0.0, "stall": 1e9, "rotor": 1.0, "output": 1.0,
+    "pendulum": 0.0, "ripple": 0.0, "waves": 1.0, "phase": 0.0,
+    "gap": 0.0, "spring": 1e3, "damper": 0.0,
     "dry_rotor": 0.0, "dry_output": 0.0, "on_output": 0.0,
     "drag": 0.0, "dead": 0.0, "limit": 1e9, "integral": 0.0, "weight": 0.0,
     "cog": 0.0, "cog_period": 1.0, "cog_phase": 0.0, "push": 0.0, "jam": 0.0,
@@ -93,8 +94,9 @@ def simulate(
     return np.interp(grid, times, angle)
 
 
-(KP, KD, FIRMWARE_KD, STALL, ROTOR, OUTPUT, PENDULUM, RIPPLE, WAVES, PHASE, GAP, SPRING, DAMPER, DRY_ROTOR,
- DRY_OUTPUT, ON_OUTPUT, DRAG, DEAD, LIMIT, INTEGRAL, WEIGHT, COG, COG_PERIOD, COG_PHASE, PUSH, JAM,
+(KP, KD, FIRMWARE_KD, STALL, ROTOR, OUTPUT, PENDULUM, RIPPLE, WAVES, PHASE, GAP, SPRING, DAMPER,
+ DRY_ROTOR, DRY_OUTPUT, ON_OUTPUT, DRAG, DEAD, LIMIT, INTEGRAL, WEIGHT, COG, COG_PERIOD, COG_PHASE,
+ PUSH, JAM,
  SHAKE, SHAKE_HZ, SHAKE_PHASE, STOP, STOP_SIDE, STOP_K, SCHEDULE, SCHEDULE_BY,
  ) = range(len(FIELDS))  # fmt: skip
 

@@ -9,7 +9,7 @@ from sim.lattice.cell import BODY, Box
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 from sim.robot.chain import RING, Chain, Motion
-from sim2real.servo.law import arrival_time
+from sim2real.servo.effect_chain import arrival_time
 
 HISTORY = 16
 """Control periods whose states are kept, for a look at what led to a stop."""

@@ -4,13 +4,12 @@ import warp as wp
 
 from sim.robot.chain import RING, Chain, Motion
 from sim.robot.linear import response
-from sim2real.servo.law import (
+from sim2real.servo.effect_chain import (
     command_in_force,
     error_seen,
     friction_bound,
     load_torque,
     motor_torque,
-    pd_torque,
     shaft_inertia,
 )
 from sim2real.servo.motor import (
@@ -21,6 +20,7 @@ from sim2real.servo.motor import (
     read_motor,
     resistance,
 )
+from sim2real.servo.torques import pd_torque
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 """Sweeps at most, and the change of a joint's rate in rad/s that ends them."""

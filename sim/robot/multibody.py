@@ -24,7 +24,7 @@ from sim.robot.joints import drive, stop_joints
 from sim.robot.linear import factorise, solve
 from sim.robot.outside import carried, pull, resist, skin
 from sim2real.effects import SIGNATURE
-from sim2real.servo.law import SENSOR_BITS, measured_angle
+from sim2real.servo.effect_chain import SENSOR_BITS, measured_angle
 
 FREE, KINEMATIC, HELD = range(3)
 """Whether servos move the joints, or the joints are prescribed, or the body's motion is too."""

@@ -23,7 +23,7 @@ from sim.robot.multibody import column, move_links, pose_links
 from sim.robot.outside import pull, resist, skin
 from sim.twin import law as twin_law
 from sim2real.effects import SIGNATURE
-from sim2real.servo.law import SENSOR_BITS, arrival_time, measured_angle
+from sim2real.servo.effect_chain import SENSOR_BITS, arrival_time, measured_angle
 
 POINTS = wp.constant(twin_law.POINTS)
 

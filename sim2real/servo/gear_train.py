@@ -17,12 +17,39 @@ like the rest of the law.
 
 import warp as wp
 
-from sim2real.servo.friction import slide
+from sim2real.effects import CATALOGUE
+from sim2real.servo.effect_chain import (
+    command_in_force,
+    error_seen,
+    friction_bound,
+    load_torque,
+    motor_torque,
+)
+from sim2real.servo.motor import (
+    MOTOR_BIT,
+    Motor,
+    Push,
+    Row,
+    gear_friction,
+    held_push,
+    motor_push,
+    resistance,
+    wanted_drive,
+)
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
+from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
 """Angle and speed of the motor's side; lead of the motor, and its rate."""
 
 SPRING_DAMPING = 0.05
+_GAP, _SPRING = FIRST_COLUMN["backlash"], FIRST_COLUMN["compliance"]
+_GAP_CELL, _SPRING_CELL = FIRST_CELL["backlash"], FIRST_CELL["compliance"]
+_GAP_BIT, _SPRING_BIT = (
+    1 << [effect.name for effect in CATALOGUE].index(name) for name in ("backlash", "compliance")
+)
+TRAIN_BITS = _GAP_BIT | _SPRING_BIT
+"""Bits of the effects that make two masses of the gear train, see ``gear_train``."""
 _PHASES = wp.constant(6)
 """Contacts in one sub-step at most."""
 _SWEEPS = wp.constant(8)
@@ -30,7 +57,7 @@ _SWEEPS = wp.constant(8)
 
 @wp.struct
 class Train:
-    """A gear train: inertias in kg m2, half the gap in rad, the spring in rad/(N m).
+    """A gear train: inertias in kg m2, half the gap in rad, compliance in rad/(N m).
 
     ``damper`` is in N m s; ``friction`` is the bound of dry friction on the output, N m.
     """
@@ -38,7 +65,7 @@ class Train:
     motor: wp.float64
     output: wp.float64
     half_gap: wp.float64
-    spring: wp.float64
+    compliance: wp.float64
     damper: wp.float64
     friction: wp.float64
 
@@ -76,7 +103,7 @@ def pressed(
     h: wp.float64,
     g: Train,
 ) -> bool:
-    """Whether a flank pushes, rather than pulls, while both sides move from one speed to another."""
+    """Whether a flank pushes, not pulls, while both sides move from one speed to another."""
     zero = wp.float64(0.0)
     if after == zero:  # at rest: friction takes what it needs to on either side
         if side > zero:
@@ -99,9 +126,9 @@ def across_gap(
     """A sub-step of a train whose flanks are rigid."""
     zero = wp.float64(0.0)
     q = state[0]
-    v = state[1]
-    x = state[2]
-    faster = state[3]
+    v = wp.float64(state[1])
+    x = wp.float64(state[2])
+    faster = wp.float64(state[3])
     left = wp.float64(h)
     phase = int(0)
     while phase < _PHASES and left > zero:
@@ -157,7 +184,7 @@ def through_spring(
     force = zero
     gain = zero
     if g.half_gap == zero or wp.abs(middle) > g.half_gap:
-        per = wp.float64(1.0) / g.spring
+        per = wp.float64(1.0) / g.compliance
         force = (state[2] - wp.sign(middle) * g.half_gap) * per
         gain = half * per + g.damper
     # Mean speeds a and b: (2 Jm/h + D + G) a - G b = ..., (2 Jo/h + G) b - G a = ...
@@ -172,8 +199,8 @@ def through_spring(
     b = (gain * right + m1 * below) * per
     if dry + g.friction > zero:
         # Friction's torques c, d change a by (o1 c + G d) per, b by (G c + m1 d) per
-        c = zero
-        d = zero
+        c = wp.float64(0.0)
+        d = wp.float64(0.0)
         sweep = int(0)
         changed = bool(True)
         while changed and sweep < _SWEEPS:
@@ -206,6 +233,129 @@ def train_step(
     g: Train,
 ) -> vec4:
     """Advance a train by h; the motor's torque is ``torque`` less ``damping`` times its speed."""
-    if g.spring > wp.float64(0.0):
+    if g.compliance > wp.float64(0.0):
         return through_spring(state, torque, damping, load, dry, h, g)
     return across_gap(state, torque, damping, load, dry, h, g)
+
+
+@wp.func
+def train_cell(active: wp.int64) -> int:
+    """Cell of memory with the motor's lead over the output; its rate is in the next."""
+    if (active & wp.static(wp.int64(_GAP_BIT))) != wp.int64(0):
+        return wp.static(_GAP_CELL)
+    return wp.static(_SPRING_CELL)
+
+
+@wp.func
+def train_of(inertia: wp.float64, p: Row) -> Train:
+    """The gear train of a row of parameters, of so much inertia in all."""
+    g = Train()
+    rotor = p[wp.static(_GAP + 1)]
+    if rotor == wp.float64(0.0):
+        rotor = p[wp.static(_SPRING + 1)]
+    if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
+        rotor = inertia  # an output without inertia
+    g.motor = wp.clamp(rotor, wp.float64(0.02) * inertia, wp.float64(0.98) * inertia)
+    g.output = inertia - g.motor
+    g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
+    g.friction = p[wp.static(_GAP + 2)] + p[wp.static(_SPRING + 2)]
+    g.compliance = p[wp.static(_SPRING)]
+    if g.compliance > wp.float64(0.0):
+        reduced = g.motor * g.output / inertia
+        g.damper = wp.static(wp.float64(2.0 * SPRING_DAMPING)) * wp.sqrt(reduced / g.compliance)
+    return g
+
+
+@wp.func
+def train_at_rest(
+    state: wp.vec4d, u: wp.float64, kp: wp.float64, p: Row, z: Row, active: wp.int64
+) -> wp.vec4d:
+    """State of a train whose motor holds the first set-point, the load on one flank."""
+    cell = train_cell(active)
+    q = state[0]
+    for _ in range(8):
+        carried = -pendulum_torque(q - z[cell], p[4])
+        z[cell] = wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
+        z[cell] += p[wp.static(_SPRING)] * carried
+        q = u - carried / kp
+    return wp.vec4d(q, state[1], kp * (u - q), state[3])
+
+
+@wp.func
+def sensed(q: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
+    """Angle of the side of the gear train that the sensor is on; q is that of the motor's side."""
+    if (active & wp.static(wp.int64(_GAP_BIT))) != wp.int64(0):
+        return q - z[wp.static(_GAP_CELL)]
+    if (active & wp.static(wp.int64(_SPRING_BIT))) != wp.int64(0):
+        return q - p[wp.static(_SPRING + 3)] * z[wp.static(_SPRING_CELL)]
+    return q
+
+
+@wp.func
+def train_substep(
+    state: wp.vec4d,
+    u: wp.float64,
+    time: wp.float64,
+    h: wp.float64,
+    kp: wp.float64,
+    kd: wp.float64,
+    inertia: wp.float64,
+    m: Motor,
+    p: Row,
+    z: Row,
+    active: wp.int64,
+    tick: bool,
+) -> wp.vec4d:
+    """The sub-step of a servo whose gear train is two masses; the controller sees the motor's side.
+
+    Loads act on the output's side, the friction of the motor's law and of other effects on the
+    motor's side.
+    """
+    zero = wp.float64(0.0)
+    half = wp.float64(0.5) * h
+    v = state[1]
+    q = state[0] + half * v
+    speed = v + half * state[3]
+    rest = active & ~wp.static(wp.int64(TRAIN_BITS))
+    cell = train_cell(active)
+    lead = z[cell]
+    rate = z[cell + 1]
+    output = q - lead - half * rate
+    weight = pendulum_torque(output, p[4])
+    error = command_in_force(u, q, speed, state[2], time, h, p, z, rest) - q
+    error = error_seen(error, q, speed, state[2], time, h, p, z, rest)
+    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, rest)
+    push = Push()
+    push.torque = kp * error
+    push.damping = kd
+    dry = zero
+    if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
+        if kp > zero:
+            if tick:
+                z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
+            push = motor_push(kp, kd, error, speed, m)
+            if m.period > zero:
+                push = held_push(z[wp.static(HELD_CELL)], kd, m)
+            weaker = wp.float64(1.0) / resistance(push, speed, m)
+            push.torque *= weaker
+            push.damping *= weaker
+        dry = gear_friction(speed, push.torque - push.damping * speed, weight, m)
+    if kp > zero:
+        torque = push.torque - push.damping * speed
+        changed = motor_torque(torque, q, speed, torque, time, h, p, z, rest)
+        if changed != torque:
+            push.torque = changed
+            push.damping = zero
+    direction = speed
+    if v == zero:
+        direction = wp.float64(1e-9) * wp.sign(push.torque + load)
+    torque = push.torque - push.damping * speed
+    dry = friction_bound(dry, q, direction, torque, time, h, p, z, rest)
+    moved = train_step(
+        vec4(state[0], v, lead, rate), push.torque, push.damping, load, dry, h,
+        train_of(inertia, p),
+    )  # fmt: skip
+    z[cell] = moved[2]
+    z[cell + 1] = moved[3]
+    middle = wp.float64(0.5) * (v + moved[1])
+    return wp.vec4d(moved[0], moved[1], push.torque - push.damping * middle, (moved[1] - v) / h)

@@ -5,18 +5,16 @@ from typing import Any
 import warp as wp
 
 from sim2real.effects import SIGNATURE
-from sim2real.servo.law import (
+from sim2real.servo.effect_chain import (
     ARRIVAL_BITS,
     FOLLOWING_BITS,
-    Row,
     arrival_time,
-    exact_motion,
     measured_angle,
-    resting_angle,
     shaft_inertia,
-    substep_of,
 )
-from sim2real.servo.motor import MOTOR_BIT, read_motor
+from sim2real.servo.gear_train import TRAIN_BITS, sensed, train_at_rest
+from sim2real.servo.law import exact_motion, resting_angle, substep_of
+from sim2real.servo.motor import MOTOR_BIT, Row, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
 
 _CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
@@ -36,7 +34,9 @@ def measured(
     state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: wp.int64
 ) -> wp.float64:
     """Measured angle at the end of a sub-step."""
-    return measured_angle(state[0], state[0], state[1], state[2], time, h, p, z, active)
+    q = sensed(state[0], p, z, active)
+    rest = active & ~wp.static(wp.int64(TRAIN_BITS))
+    return measured_angle(q, q, state[1], state[2], time, h, p, z, rest)
 
 
 @wp.func
@@ -123,6 +123,10 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             u = wp.float64(sent[0])
             state = at_rest(u, kp, p)
             state_b = at_rest(u, kp_b, p_b)
+            if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+                state = train_at_rest(state, u, kp, p, z, others)
+            if (others_b & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+                state_b = train_at_rest(state_b, u, kp_b, p_b, z_b, others_b)
             angle = wp.float64(state[0])
             angle_b = wp.float64(state_b[0])
             following = (others | others_b) & wp.static(wp.int64(FOLLOWING_BITS))

@@ -10,9 +10,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from sim2real.effects import CATALOGUE
-from sim2real.effects.elementary import sine
-from sim2real.servo.friction import slide
+from sim2real.servo.effect_chain import (
+    command_in_force,
+    error_seen,
+    friction_bound,
+    load_torque,
+    motor_torque,
+)
+from sim2real.servo.gear_train import TRAIN_BITS, train_substep
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
@@ -20,99 +25,15 @@ from sim2real.servo.motor import (
     gear_friction,
     held_push,
     motor_push,
-    read_motor,
     resistance,
     soft_stop,
     softness,
     wanted_drive,
 )
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
-
-
-def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], int]:
-    """Terms, columns, cells and bits of the effects at one site, and the sum of their bits."""
-    entries = [
-        (k, effect, term)
-        for k, effect in enumerate(CATALOGUE)
-        for place, term in ((effect.site, effect.term), *effect.also)
-        if place == site
-    ]
-    entries.sort(key=lambda entry: entry[1].order)
-    return (
-        [term for _, _, term in entries],
-        [FIRST_COLUMN[effect.name] for _, effect, _ in entries],
-        [FIRST_CELL[effect.name] for _, effect, _ in entries],
-        [1 << k for k, _, _ in entries],
-        sum(1 << k for k, _, _ in entries),
-    )
-
-
-def _chain(site: str) -> wp.Function:
-    """The function that applies all active effects of one site in order."""
-    terms, columns, cells, bits, all_bits = _at(site)
-
-    @wp.func
-    def chain(
-        x: wp.float64,
-        q: wp.float64,
-        v: wp.float64,
-        torque: wp.float64,
-        time: wp.float64,
-        h: wp.float64,
-        p: Row,
-        z: Row,
-        active: wp.int64,
-    ) -> wp.float64:
-        if (active & wp.static(wp.int64(all_bits))) == wp.int64(0):
-            return x
-        for k in range(wp.static(len(terms))):
-            if (active & wp.static(wp.int64(bits[k]))) != wp.int64(0):
-                x = wp.static(terms[k])(
-                    x, q, v, torque, time, h, p, wp.static(columns[k]), z, wp.static(cells[k])
-                )
-        return x
-
-    return chain
-
-
-arrival_time = _chain("arrival")
-command_in_force = _chain("command")
-error_seen = _chain("error")
-motor_torque = _chain("motor")
-load_torque = _chain("load")
-friction_bound = _chain("friction")
-other_inertia = _chain("inertia")
-measured_angle = _chain("sensor")
+from sim2real.servo.parameters import FIRST_COLUMN, HELD_CELL
+from sim2real.servo.torques import pd_torque, pendulum_torque, slide
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
-SENSOR_BITS = _at("sensor")[-1]
-"""Bits of the effects on the sensor."""
-FOLLOWING_BITS = SENSOR_BITS & ~sum(1 << k for k, effect in enumerate(CATALOGUE) if effect.steady)
-"""Bits of those with state, which must be evaluated in every sub-step."""
-ARRIVAL_BITS = _at("arrival")[-1]
-"""Bits of the effects on the time, or the loss, of a set-point."""
-
-
-@wp.func
-def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
-    """Inertia on the shaft in kg m2: of the load, of the rotor and of effects."""
-    zero = wp.float64(0.0)
-    inertia += read_motor(p).rotor
-    return other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)
-
-
-@wp.func
-def pd_torque(kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64) -> wp.float64:
-    """Torque of the servo, T = kp (J_des - J) - kd J'. Lin, Liu, Wang (2024), Sec. III-B.2."""
-    return kp * error - kd * v
-
-
-@wp.func
-def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
-    """Torque of the stated load's weight."""
-    if gravity == wp.float64(0.0):
-        return wp.float64(0.0)
-    return -gravity * sine(q)
 
 
 def substep_of(effects: bool) -> wp.Function:
@@ -154,6 +75,8 @@ def substep_of(effects: bool) -> wp.Function:
         weight = load
         error = u - q
         others = active & wp.static(wp.int64(mask))
+        if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+            return train_substep(state, u, time, h, kp, kd, inertia, m, p, z, active, tick)
         if others != wp.int64(0):
             error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
             error = error_seen(error, q, speed, state[2], time, h, p, z, active)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sim2real.servo.law import Row
+from sim2real.servo.motor import Row
 
 Rows = wp.array(dtype=wp.int32)
 Table = wp.array2d(dtype=wp.float64)

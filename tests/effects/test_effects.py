@@ -391,36 +391,32 @@ def test_backlash_hangs_by_half_its_gap():
     """At rest the load lies against the flank that its weight pulls it to."""
     for angle in (0.4, -0.4):
         command = np.where(T > 0.2, angle, 0.0)
-        weight = {"gravity_load": {"torque_Nm": 0.3}}
-        tight, loose = (
-            simulate(command, **weight, **more)[-1] for more in ({}, {"backlash": {"gap_rad": 0.1}})
-        )
-        assert loose - tight == pytest.approx(-0.05 * np.sign(angle), abs=1e-6)
+        load = simulate(command, gravity_load={"torque_Nm": 0.3}, backlash={"gap_rad": 0.1})[-1]
+        motor = load + 0.05 * np.sign(angle)
+        assert KP * (angle - motor) == pytest.approx(0.3 * np.sin(load), abs=1e-6)
 
 
 def test_backlash_is_never_wider_than_its_gap():
     slow = 0.3 * np.sin(2 * np.pi * 0.5 * T)
-    plain = simulate(slow)
-    apart = simulate(slow, backlash={"gap_rad": 0.1}) - plain
-    assert np.abs(apart).max() == pytest.approx(0.05, abs=1e-4)
-    touching = np.abs(np.abs(apart) - 0.05) < 1e-4
+    train = {"gap_rad": 0.1, "rotor_inertia_kgm2": 1e-3, "output_friction_Nm": 0.004}
+    apart = simulate(slow, backlash=train) - simulate(slow, coulomb_friction={"torque_Nm": 0.004})
+    assert np.abs(apart).max() == pytest.approx(0.05, abs=6e-3)
+    touching = np.abs(np.abs(apart) - 0.05) < 6e-3
     assert 0.5 < touching.mean() < 1.0, "most of the time on a flank, seldom between them"
 
 
-def test_backlash_is_crossed_by_the_load_s_inertia():
-    """From rest on one flank the load crosses in sqrt(2 gap inertia / torque)."""
-    t = 0.001 * np.arange(1200)
-    weight = {"gravity_load": {"torque_Nm": 0.3}}
-    command = np.where(t < 1.0, 0.6, 0.0)
-    command[0] = 0.6
-    kick = {"latency": 0.0, "kp": 2.2, "kd": 0.06}
-    tight = simulate(command, t, **kick, **weight)
-    apart = simulate(command, t, **kick, **weight, backlash={"gap_rad": 0.01}) - tight
-    assert apart[990] == pytest.approx(-0.005, abs=1e-6)
-    torque = KP * tight[999]  # the motor's, as the set-point falls to 0 and the shaft is at rest
-    leaves, arrives = (np.argmax(apart[1000:] > edge) for edge in (-0.0049, 0.0049))
-    crossing = 0.001 * (arrives - leaves)
-    assert crossing == pytest.approx(np.sqrt(2 * 0.01 * INERTIA / torque), abs=0.0015)
+def test_backlash_is_crossed_under_the_motor_s_torque():
+    """The load waits, held by friction, until the motor has crossed sqrt(2 gap inertia/torque)."""
+    t = 0.0005 * np.arange(2400)
+    command = np.where(t < 1.0, 0.1, -0.3)
+    command[0] = 0.1
+    rotor, gap = 1e-3, 0.02
+    train = {"gap_rad": gap, "rotor_inertia_kgm2": rotor, "output_friction_Nm": 0.05}
+    load = simulate(command, t, kp=KP, latency=0.0, kd=0.02, accuracy=64.0, backlash=train)
+    pushed = load[1999] + 0.5 * gap  # the motor, which pushed the load up to where it is
+    crossing = np.sqrt(2 * gap * rotor / (KP * (pushed + 0.3)))
+    starts = 0.0005 * np.argmax(np.abs(load[2000:] - load[1999]) > 1e-6)
+    assert starts == pytest.approx(crossing, rel=0.1)
 
 
 def test_compliance_leads_the_load_by_what_the_spring_gives():

@@ -1,19 +1,24 @@
 """Backlash: a gap between the motor, whose angle is controlled, and the output, which is measured.
 
-Two masses and a dead zone with stiff flanks (Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec.
-2). With r the rotor's share of the total inertia J, T the motor's torque and g the weight of the
-load, the common centre moves as one body, and the motor leads the load by x::
+Two masses and a dead zone with rigid flanks, dry friction on either side: ``servo.gear_train``,
+after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``output_friction_Nm`` acts on the
+output's side, and holds the output in the gap; the friction of other effects acts on the motor's
+side. The angle is measured from the middle of the gap. Where the rotor's inertia is not known, the
+output has none, and crossing the gap does not change the motor's motion.
+
+The terms below are those of an articulated robot, whose joints are one mass each. With r the
+rotor's share of the total inertia J, T the motor's torque and g the weight of the load, the common
+centre moves as one body, and the motor leads the load by x::
 
     r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and when a flank separates
     motor's angle   = q + (1 - r) x        load's angle = q - r x
 
-The controller measures the motor's angle; impacts are inelastic. Angles are relative to the flank
-that is in contact at the start. Where the rotor's inertia is not known, r is 1 and crossing the gap
-does not change the motor's motion.
-
-Residual: jumps of the size of the gap where the torque changes its sign. Confused with: dead band,
-Coulomb friction; three amplitudes distinguish them.
+Residual: jumps of the size of the gap where the torque changes its sign; with friction on the
+output, more Coulomb friction by kp gap / 2. Confused with: dead band, Coulomb friction; three
+amplitudes distinguish them.
 """
+
+from collections.abc import Mapping
 
 import warp as wp
 
@@ -75,18 +80,32 @@ def play(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
     return x - share * z[s] - (wp.float64(1.0) - share) * z[s + 2]
 
 
+@wp.func
+def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
+    """Largest torque of dry friction in N m, the output's included."""
+    return x + p[c + 2]
+
+
+def said(values: Mapping[str, float]) -> str:
+    """The clause of a diagnosis."""
+    friction = values["output_friction_Nm"] > 0
+    held = ", and friction of {output_friction_Nm} acts on its output" if friction else ""
+    return "the gear train has {gap_rad} of backlash" + held
+
+
 EFFECT = Effect(
     name="backlash",
     plain="backlash",
-    says="the gear train has {gap_rad} of backlash",
+    says=said,
     site="motor",
     term=cross,
     parameters=(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
+        Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
     ),
     memory=4,
     order=1,
-    also=(("sensor", play),),
+    also=(("sensor", play), ("friction", hold)),
     steady=True,
 )

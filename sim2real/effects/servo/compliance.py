@@ -1,10 +1,15 @@
-"""Compliance: a spring between the shaft, whose angle is controlled and measured, and its load.
+"""Compliance: a spring between the motor, whose angle is controlled, and its load.
 
-Two masses and a spring (any text on flexible-joint robots, such as Spong, Journal of Dynamic
-Systems 109 (1987) 310-318) below their resonance. With r the rotor's share of the total inertia, T
-the motor's torque and g the weight of the load, the spring transmits the torque on the load::
+Two masses, a spring and a damper, dry friction on either side: ``servo.gear_train``, after Spong,
+Journal of Dynamic Systems 109 (1987) 310-318. ``output_friction_Nm`` acts on the load's side, the
+friction of other effects on the motor's. ``sensor_on_output`` is 0 where the motor's angle is
+measured and 1 where the load's is.
 
-    F = (1 - r) T - r g                    shaft's angle = q + (1 - r) compliance (F - F0)
+The terms below are those of an articulated robot, whose joints are one mass each, below the
+resonance. With r the rotor's share of the total inertia, T the motor's torque and g the weight of
+the load, the spring transmits the torque on the load::
+
+    F = (1 - r) T - r g                    motor's angle = q + (1 - r) compliance (F - F0)
 
 where q is the angle of the common centre, which moves as one body, and F0 the spring's torque at
 the start. With x the torque that PD control of q would command, the motor acts on load and spring
@@ -13,6 +18,8 @@ in series: ``T + (1 - r) compliance (kp (F - F0) + kd F') = x``.
 Residual: an error proportional to torque, largest where it changes fast. Confused with: kp, kd, a
 filter; a known additional inertia distinguishes them.
 """
+
+from collections.abc import Mapping
 
 import warp as wp
 
@@ -62,20 +69,37 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
     rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
-    return x + rest * p[c] * carried(torque, q, p, c, z, s)
+    return x + (rest - p[c + 3]) * p[c] * carried(torque, q, p, c, z, s)
+
+
+@wp.func
+def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
+    """Largest torque of dry friction in N m, the load's side included."""
+    return x + p[c + 2]
+
+
+def said(values: Mapping[str, float]) -> str:
+    """The clause of a diagnosis."""
+    side = "load" if values["sensor_on_output"] > 0.5 else "motor"
+    return (
+        "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
+        f"the sensor measures the {side}"
+    )
 
 
 EFFECT = Effect(
     name="compliance",
     plain="compliance between motor and load",
-    says="motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}",
+    says=said,
     site="motor",
     term=soften,
     parameters=(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.5, typical=0.02),
-        Parameter("rotor_inertia_kgm2", low=0.0, high=0.0018, typical=4e-4, starts=(1.0,)),
+        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
+        Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0,)),
+        Parameter("sensor_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
     ),
     memory=3,
-    also=(("sensor", twist),),
+    also=(("sensor", twist), ("friction", hold)),
     steady=True,
 )

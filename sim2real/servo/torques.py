@@ -1,6 +1,22 @@
-"""Dry friction as an impulse, for the sub-steps of the servo law and of the gear train."""
+"""Torques on the shaft: of the PD law, of a pendulum, of dry friction as an impulse."""
 
 import warp as wp
+
+from sim2real.effects.elementary import sine
+
+
+@wp.func
+def pd_torque(kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64) -> wp.float64:
+    """Torque of the servo, T = kp (J_des - J) - kd J'. Lin, Liu, Wang (2024), Sec. III-B.2."""
+    return kp * error - kd * v
+
+
+@wp.func
+def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
+    """Torque of the stated load's weight."""
+    if gravity == wp.float64(0.0):
+        return wp.float64(0.0)
+    return -gravity * sine(q)
 
 
 @wp.func
