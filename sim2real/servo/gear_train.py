@@ -275,8 +275,9 @@ def train_at_rest(
     q = state[0]
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4])
-        z[cell] = wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
-        z[cell] += p[wp.static(_SPRING)] * carried
+        z[cell] = p[wp.static(_SPRING)] * carried
+        if carried != wp.float64(0.0):  # else in the middle of the gap
+            z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
         q = u - carried / kp
     return wp.vec4d(q, state[1], kp * (u - q), state[3])
 
