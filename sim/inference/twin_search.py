@@ -60,7 +60,6 @@ class TwinSwims:
         is_error: Whether each column is a shape of the twin's error, shape (F,).
         first_fit: First linearised fit without effects.
         kept: Rows that a fit uses, shape (n,); all where None.
-        rollouts: Number of simulated swims.
     """
 
     coordinates: Coordinates
@@ -87,10 +86,8 @@ class TwinSwims:
         variances: list[Array | float] = [0.0] * len(self.blocks)
         for k, change in enumerate(self.doubted):
             variances[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
-        self.weights = [
-            blocks.weights(self.prior.shares, variance)
-            for blocks, variance in zip(self.blocks, variances, strict=True)
-        ]
+        pairs = zip(self.blocks, variances, strict=True)
+        self.weights = [blocks.weights(self.prior.shares, more) for blocks, more in pairs]
         if self.doubted:
             self._doubt()
         self.is_error = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
@@ -203,12 +200,9 @@ class TwinSwims:
         step[free] = bounded(curvature, gradient, self.coordinates.room(x)[:, free])
         step[self.is_error] = 0.0
         loss = 0.5 * float(errors @ errors) + 0.5 * float(deviation @ prior @ deviation)
-        error_columns = self.is_error[free]
-        error_gradient = gradient[error_columns]
-        gain = float(
-            error_gradient
-            @ np.linalg.solve(curvature[np.ix_(error_columns, error_columns)], error_gradient)
-        )
+        error = self.is_error[free]
+        pull = gradient[error]
+        gain = float(pull @ np.linalg.solve(curvature[np.ix_(error, error)], pull))
         return loss - 0.5 * gain, step
 
     def evidence(self, members: Members, fit: Fit) -> float:
@@ -270,11 +264,9 @@ class TwinSwims:
             x = fit.x
         return self._linearised(nothing, x)
 
-    def _linearised(
-        self, members: Members, x: Array, nearby: Slope | None = None
-    ) -> Hypothesis[Fit]:
+    def _linearised(self, members: Members, x: Array, old: Slope | None = None) -> Hypothesis[Fit]:
         """The fit at a point, linearised there."""
-        rows, near = self.slope(x, nearby, members)
+        rows, near = self.slope(x, old, members)
         fit = Fit(x, rows, self.loss_and_step(members, x, rows, near)[0], near, looked=True)
         return Hypothesis(members, fit, self.evidence(members, fit))
 
