@@ -33,21 +33,21 @@ _AHEAD, _BEHIND, _SIDE = 5, 8, 5
 def stream(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32]]:
     """Walls, their normals and velocities: in at x = 0, out at the end, free-slip sides.
 
-    Two of the sides are planes of symmetry through the sphere's centre. Boxes wrap, and bodies do
-    too: behind the far side in y is solid room for the sphere's other half.
+    Two of the sides are planes of symmetry through the sphere's centre. Boxes and bodies are
+    periodic: beyond the far side in y there are solid cells for the sphere's other half.
     """
-    beside, room = _SIDE * diameter, diameter // 2 + 4
-    size = ((_AHEAD + _BEHIND) * diameter + 2, beside + 2 + room, beside + 2)
+    width, room = _SIDE * diameter, diameter // 2 + 4
+    size = ((_AHEAD + _BEHIND) * diameter + 2, width + 2 + room, width + 2)
     walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
     walls[0], normals[0] = INLET, 1
     walls[-1], normals[-1] = OUTLET, 0
     for axis in (1, 2):
-        for end, normal in ((0, 2 * axis + 1), (beside + 1, 2 * axis)):
+        for end, normal in ((0, 2 * axis + 1), (width + 1, 2 * axis)):
             np.moveaxis(walls, axis, 0)[end] = SLIP
             np.moveaxis(normals, axis, 0)[end] = normal
-    edges = [0, beside + 1]
-    walls[:, np.repeat(edges, 2), edges * 2] = SOLID  # two mirrors send back what meets their edge
-    walls[:, beside + 2 :] = SOLID
+    edges = [0, width + 1]
+    walls[:, np.repeat(edges, 2), edges * 2] = SOLID  # bounce-back at edges of two free-slip sides
+    walls[:, width + 2 :] = SOLID
     velocity = np.zeros((*size, 3), np.float32)
     velocity[..., 0] = _SPEED
     return walls, normals, velocity

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 _PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 _VISCOSITY = 0.1
 _SPEED, _COARSEST = 0.04, 16
-"""Largest speed in cells a step in the coarsest box; it falls as the cells, so that the
-compressibility's error falls as their square too."""
+"""Largest speed in cells per step in the coarsest box; proportional to the size of the cells, so
+that the compressibility error falls with its square too."""
 _LOOKS = 40
 
 
@@ -27,9 +27,9 @@ def vortices(size: int, t: float, plane: tuple[int, int]) -> tuple[Array, Array,
     """Density, velocity and strain rate at t steps, one vortex pair each way: axes as in ``Fluid``.
 
     Args:
-        size: Cells a side.
+        size: Cells per side.
         t: Steps since the start.
-        plane: The two axes that the velocity lies in; nothing changes along the third.
+        plane: The two axes of the velocity; the flow is uniform along the third.
     """
     first, second = plane
     k = 2 * np.pi / size

@@ -59,7 +59,7 @@ def diagnose_swims(
     resimulate: Callable[[Model], tuple[Swum, Model] | None] = lambda result: None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
-    """Find what the body's simulator leaves out.
+    """Find the effects of body and camera that the simulator leaves out.
 
     Args:
         swims: Pool recordings of one robot in one pool.

@@ -96,7 +96,7 @@ class TwinSwims:
                 weight[:, 3:] = 0.0
 
     def _doubt(self) -> None:
-        """Add parameters, with a prior, for the error of the twin in what effects change."""
+        """Add parameters, with a prior, for the error of the twin in the changes by effects."""
         joints = len(self.coordinates.model.joints)
         sizes = discrepancy.of_changes(joints)
         self.coordinates = self.coordinates.doubting()

@@ -54,7 +54,7 @@ def _triple(x: list[int]) -> tuple[int, int, int]:
 
 @cache
 def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
-    """Kernels for walls, and for what flows through inlets and outlets."""
+    """Kernels for walls, and for the flow through inlets and outlets."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     pop = populations(lattice, storage, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
