@@ -85,7 +85,7 @@ class Blocks:
         transformed = spectrum(signals, edges)
         power = _local_power(transformed, edges)
         rng = np.random.default_rng(0)
-        pose_noise = swim.shaken or PoseNoise(np.zeros(3))
+        pose_noise = swim.pose_noise or PoseNoise(np.zeros(3))
         samples = pose_noise.drawn(rng, (_DRAWS, swim.t.size), period)
         velocity_noise = body_velocity(swim.t, samples)
         noise = np.empty_like(transformed)

@@ -282,9 +282,8 @@ def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim
         if error_sizes:
             shapes = discrepancy.shapes(out[e])
             out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
-    u, v = np.array([[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT])[
-        ..., None
-    ]
+    current = [[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT]
+    u, v = np.array(current)[..., None]
     out[..., 0] += c * u + s * v
     out[..., 1] += c * v - s * u
     return out

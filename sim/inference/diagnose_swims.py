@@ -39,11 +39,11 @@ _REPEATED = 0.005
 _OUT_OF_PLANE = 3.0
 """Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
 SHAPES = {
-    "wave": "a flow to and fro in the pool's frame, as of waves",
-    "gust": "a head that is shaken for a while, as by another swimmer's wake",
-    "bend": "poses that follow a joint, as of a marker that is not on the head",
-    "mount": "a heading that drifts, as of a camera that turns",
-    "change": "a robot that becomes another one on its way",
+    "wave": "an oscillating flow in the pool's frame, e.g. waves",
+    "gust": "a disturbance of the head for a few seconds, e.g. the wake of another swimmer",
+    "bend": "poses that follow a joint, e.g. a marker that is not on the head",
+    "mount": "a heading that drifts, e.g. a camera that turns",
+    "change": "a change of the robot during the swim",
 }
 """Possible causes of each unnamed shape."""
 
@@ -119,30 +119,30 @@ def diagnosis_of(
     chosen = next(h for h in result.found if frozenset(names_of(h.members)) == decided.offered)
     fitted = next(
         h for h in result.found
-        if frozenset(names_of(h.members)) >= {one.name for one in decided.named}
+        if frozenset(names_of(h.members)) >= {entry.name for entry in decided.named}
     )  # fmt: skip
     pair = (result.plain, chosen)
-    held_out = [result.held[one.members] for one in pair]
-    errors = [_errors(problem, one.fit) for one in held_out]
-    before, after = (one.speed for one in held_out)
+    held_out = [result.held[entry.members] for entry in pair]
+    errors = [_errors(problem, entry.fit) for entry in held_out]
+    before, after = (entry.speed for entry in held_out)
     named = []
-    for one in decided.named:
-        effect = next(e for e in c.effects if (e.name, e.component) == one.name)
+    for entry in decided.named:
+        effect = next(e for e in c.effects if (e.name, e.component) == entry.name)
         parameters = _estimates(result, fitted, effect, law_error.decisions["relative"])
         sizes = ", ".join(
             f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
         )
         described = body_effect(effect.name)
         where = f" ({effect.component})" if described.by_material else ""
-        others = ", ".join(f"{name} ({of})" for name, of in one.group[1:])
+        others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
         or_else = f" These swims do not distinguish it from {others}." if others else ""
         title = f"{described.title[0].upper()}{described.title[1:]}"
         named.append(
             NamedEffect(
                 effect=effect.name,
                 component=effect.component,
-                probability=one.probability,
-                group=tuple(dict.fromkeys(name for name, _ in one.group)),
+                probability=entry.probability,
+                group=tuple(dict.fromkeys(name for name, _ in entry.group)),
                 parameters=parameters,
                 heldout={
                     "rmse_before": before, "rmse_after": after, "recoverable_removed": None,
@@ -186,7 +186,7 @@ def diagnosis_of(
         )
     train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))
     noise = np.mean([np.broadcast_to(s.noise, s.signals.shape[1]) for s in problem.swims], axis=0)
-    plain_model, model = (c.model_at(one.fit.x) for one in pair)
+    plain_model, model = (c.model_at(entry.fit.x) for entry in pair)
     diagnosis = findings(
         robot, decided.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
     )

@@ -33,9 +33,9 @@ SUBSTEPS = 4
 its error."""
 
 
-def by_followed_twin(robot: Robot, **given: Any) -> Swum:  # noqa: ANN401 - options of Twin
+def by_followed_twin(robot: Robot, **settings: Any) -> Swum:  # noqa: ANN401 - options of Twin
     """The twin as a simulator for swims with measured poses."""
-    options = {"substeps": SUBSTEPS, **given}
+    options = {"substeps": SUBSTEPS, **settings}
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)

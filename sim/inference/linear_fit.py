@@ -71,14 +71,14 @@ class Fit:
         rows: Weighted errors there, shape (n,).
         loss: Negative logarithm of likelihood times prior.
         near: Linear model that the fit used.
-        looked: Whether the linear model was computed at this point.
+        local: Whether the linear model was computed at this point.
     """
 
     x: Array
     rows: Array
     loss: float
     near: Slope
-    looked: bool = False
+    local: bool = False
 
 
 def together(

@@ -76,8 +76,8 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str
     t: Array = CONTROL_S * np.arange(round(SECONDS / CONTROL_S), dtype=np.float64)
     joints = before.command.shape[1]
     candidates = []
-    for name, sent in MENU.items():
-        command = sent(t, joints)
+    for name, commands_of in MENU.items():
+        command = commands_of(t, joints)
         empty = np.zeros((t.size, 3 + joints))
         swim = replace(before, t=t, command=command, signals=empty, pose=None, repeated=0.0)
         signals = swum(problem.coordinates, swim, np.stack([best.x, rival.x]), problem.simulate)

@@ -30,7 +30,9 @@ def counted(swims: Sequence[Swim], *, lost: bool) -> float:
 def coloured(swims: Sequence[Swim], lag_s: float) -> float:
     """Log-evidence of a filter of the poses from the spectrum of their noise."""
     return sum(
-        swim.shaken.log_ratio(lag_s) for swim in swims if swim.shaken is not None and lag_s > 0
+        swim.pose_noise.log_ratio(lag_s)
+        for swim in swims
+        if swim.pose_noise is not None and lag_s > 0
     )
 
 

@@ -107,9 +107,7 @@ class Searched:
         """The results of all sets."""
         zero = self.plain.evidence
         return [
-            TriedSet(
-                names_of(hypothesis.members), hypothesis.evidence - zero, hypothesis.fit.looked
-            )
+            TriedSet(names_of(hypothesis.members), hypothesis.evidence - zero, hypothesis.fit.local)
             for hypothesis in self.found
         ]
 
@@ -267,8 +265,8 @@ def _search(
         subsets = [tried[smaller] for smaller in _without_one(order[0].members) if smaller in tried]
         for hypothesis in {h.members: h for h in [*rivals, *subsets] if h.members}.values():
             if hypothesis.members not in finished:
-                tried[hypothesis.members] = _marked_looked(
-                    problem.converged(hypothesis, 1 if hypothesis.fit.looked else 2)
+                tried[hypothesis.members] = _marked(
+                    problem.converged(hypothesis, 1 if hypothesis.fit.local else 2)
                 )
                 finished.add(hypothesis.members)
     progress(1.0)
@@ -292,8 +290,8 @@ def changed(problem: TwinSwims, x: Array, simulated: Model | None = None) -> lis
     return [pair[0] - pair[1] for pair in signals]
 
 
-def _marked_looked(hypothesis: Hypothesis[Fit]) -> Hypothesis[Fit]:
-    return replace(hypothesis, fit=replace(hypothesis.fit, looked=True))
+def _marked(hypothesis: Hypothesis[Fit]) -> Hypothesis[Fit]:
+    return replace(hypothesis, fit=replace(hypothesis.fit, local=True))
 
 
 def _subsets(members: Members) -> list[Members]:

@@ -96,7 +96,7 @@ class Swim:
             it is not known.
         pose: Measured poses, shape (T, 3); None if they are not known.
         repeated: Share of the poses that are identical to those of the sample before.
-        shaken: Noise of the poses; None where it is not known.
+        pose_noise: Noise of the poses; None where it is not known.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Swim:
     noise: Array | float = 0.0
     pose: Array | None = None
     repeated: float = 0.0
-    shaken: PoseNoise | None = None
+    pose_noise: PoseNoise | None = None
 
     @property
     def heading(self) -> Array:
@@ -157,17 +157,17 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     repeated = float(same.mean()) if same.size else 0.0
     whole = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
     whole = whole and bool(np.isfinite(pose).all()) and repeated == 0.0
-    shaken = _noise_of_poses(grid, whole)
+    noise = _noise_of_poses(grid, whole)
     return Swim(
         name=recording.name,
         t=t - t[0],
         command=command,
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=_noise(t, shaken, joints),
+        noise=_noise(t, noise, joints),
         pose=grid,
         repeated=repeated,
-        shaken=shaken,
+        pose_noise=noise,
     )
 
 

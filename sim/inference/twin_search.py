@@ -267,7 +267,7 @@ class TwinSwims:
     def _linearised(self, members: Members, x: Array, old: Slope | None = None) -> Hypothesis[Fit]:
         """The fit at a point, linearised there."""
         rows, near = self.slope(x, old, members)
-        fit = Fit(x, rows, self.loss_and_step(members, x, rows, near)[0], near, looked=True)
+        fit = Fit(x, rows, self.loss_and_step(members, x, rows, near)[0], near, local=True)
         return Hypothesis(members, fit, self.evidence(members, fit))
 
     def refined(self, members: Members, fit: Fit, nearby: Slope | None = None) -> Hypothesis[Fit]:
@@ -330,9 +330,9 @@ class TwinSwims:
         """Linearise the fits of these sets, and continue them."""
         for ledger, members in places:
             hypothesis = ledger.tried[members]
-            if not hypothesis.fit.looked:
+            if not hypothesis.fit.local:
                 refined = self.refined(members, hypothesis.fit)
-                ledger.tried[members] = replace(refined, fit=replace(refined.fit, looked=True))
+                ledger.tried[members] = replace(refined, fit=replace(refined.fit, local=True))
 
     def additions(
         self, ledger: Ledger[Fit], members: Members, most: int | None
