@@ -1,1 +1,1 @@
-"""The fluid and the swimming robot; see the README for what exists so far."""
+"""The fluid, swimming robots, their calibration and diagnosis."""

@@ -32,21 +32,21 @@ POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 THREADS = 2
 """CPU threads of the fluid."""
 _KEPT_STATES = 16
-"""States before a breakdown that the error carries."""
+"""Number of states before a breakdown that the error stores."""
 
 
 class SupersonicFlow(FloatingPointError):
-    """The lattice's flow reached its speed of sound, and the robot was stopped.
+    """The flow became supersonic in the lattice, and the robot was stopped.
 
     Attributes:
-        time_s: When, from the start.
+        time_s: Time since the start.
         step: Step of the lattice.
         cell: Indices of the first cell that broke down.
         states: The last states before it.
     """
 
     def __init__(self, name: str, swimmer: Swimmer, states: list[State]) -> None:
-        """The breakdown of a swimmer, found in the last of its states."""
+        """The breakdown of a swimmer, from the last of its states."""
         cell, (nx, ny, _) = int(states[-1].stopped[0]), swimmer.tank.size
         self.time_s = float(states[-1].time[0])
         self.step = round(self.time_s / swimmer.units.step_s)
@@ -141,8 +141,8 @@ def simulate_recording(
     with ExitStack() as stack:
         watch = _filmed(stack, swimmer, video)
         states = [swimmer.state()]
-        for sent in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
-            swimmer.step(sent)
+        for set_points in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
+            swimmer.step(set_points)
             states.append(swimmer.state())
             if states[-1].stopped[0] >= 0:
                 raise SupersonicFlow(recording.name, swimmer, states)
@@ -156,7 +156,7 @@ def simulate_recording(
 
 
 def every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
-    """Times and set-points of every control period: each holds until the next one was sent.
+    """Times and set-points of every control period; a set-point holds until the next one.
 
     Raises:
         InputError: If a joint of the robot has no set-points, or one is missing.
@@ -169,11 +169,11 @@ def every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
         if joint.name not in recording.joints:
             known = ", ".join(recording.joints)
             raise InputError(recording.file, field, f"set-points of {known}", "its set-points too")
-        sent = recording.command[row, recording.joints.index(joint.name)]
-        if not np.all(np.isfinite(sent)):
-            line = int(row[np.flatnonzero(~np.isfinite(sent))[0]]) + 2
+        set_points = recording.command[row, recording.joints.index(joint.name)]
+        if not np.all(np.isfinite(set_points)):
+            line = int(row[np.flatnonzero(~np.isfinite(set_points))[0]]) + 2
             raise InputError(recording.file, f"row {line}, {field}", "no number", "a set-point")
-        columns.append(sent)
+        columns.append(set_points)
     return t, np.stack(columns, axis=1)
 
 

@@ -1,6 +1,6 @@
 """The verbs of ``sim2real.verbs`` that need the fluid: ``diagnose``, ``calibrate``, ``simulate``.
 
-They are called like the others; ``import sim2real`` offers them too, and loads them when used.
+They are called like the others; ``import sim2real`` has them too, and loads them when used.
 Like ``sim2real.verbs``, this module imports nothing heavy.
 """
 
@@ -53,7 +53,7 @@ def diagnose(
         InputError: If recordings, robot and model do not agree.
     """
     check_whole("diagnose", "seed", seed)
-    read, known = recordings_of(recordings), robot_of(robot)
+    read, machine = recordings_of(recordings), robot_of(robot)
     earlier = recordings_of(references) if references else []
     start = None if model is None else model_of(model)
     swims = [recording for recording in read if recording.is_swim]
@@ -67,7 +67,7 @@ def diagnose(
         with progress_bar("diagnose") as progress:
             return diagnose_servos.diagnose(
                 read,
-                known,
+                machine,
                 model=start,
                 references=earlier,
                 negligible=negligible,
@@ -75,15 +75,17 @@ def diagnose(
                 progress=progress,
             )
     if len(swims) < len(read):
-        other = next(recording for recording in read if recording not in swims)
-        raise InputError(other.file, "kind", "a recording of a bench", "swims alone, or none")
+        bench_recording = next(recording for recording in read if recording not in swims)
+        raise InputError(
+            bench_recording.file, "kind", "a recording of a bench", "swims alone, or none"
+        )
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
     from sim.inference.recorded_swims import diagnose_recorded_swims
 
-    kept = None if in_water is None else Path(in_water)
+    water_file = None if in_water is None else Path(in_water)
     return diagnose_recorded_swims(
-        swims, start, known, references=earlier, in_water=kept, device=device
+        swims, start, machine, references=earlier, in_water=water_file, device=device
     )
 
 
@@ -123,20 +125,20 @@ def calibrate(
     from sim.inference.swims import swim_of
     from sim2real.output import provenance_of
 
-    known, start = robot_of(robot), model_of(model)
-    check_joints(start, known)
+    machine, start = robot_of(robot), model_of(model)
+    check_joints(start, machine)
     read = recordings_of(recordings)
-    found = calibrate_body(
-        [swim_of(recording, known) for recording in read],
+    calibration = calibrate_body(
+        [swim_of(recording, machine) for recording in read],
         start,
-        known,
+        machine,
         fit_gains=fit_gains,
         held_out=held_out,
         fluid=FluidSettings(cell_m, device, rollouts) if fluid else None,
         seed=seed,
     )
-    origin = provenance_of([*read, known, model], seed)
-    return replace(found, model=replace(found.model, provenance=origin))
+    origin = provenance_of([*read, machine, model], seed)
+    return replace(calibration, model=replace(calibration.model, provenance=origin))
 
 
 def simulate(
@@ -183,15 +185,15 @@ def simulate(
         check_video(video)
     if fidelity == "twin" and (plot is not None or video is not None):
         raise InputError("simulate", "fidelity", "'twin'", "'fluid', for a picture of the flow")
-    read, known, fitted = recordings_or_commands(recordings), robot_of(robot), model_of(model)
+    read, machine, fitted = recordings_or_commands(recordings), robot_of(robot), model_of(model)
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
-    check_joints(fitted, known)
+    check_joints(fitted, machine)
     return Simulated(
         tuple(
             simulate_recording(
                 recording,
-                known,
+                machine,
                 fitted,
                 fidelity=fidelity,
                 cell_m=cell_m,
@@ -207,7 +209,7 @@ def simulate(
 
 
 def check_joints(model: Model, robot: Robot) -> None:
-    """Make sure that the model has a servo for each of the robot's joints.
+    """Check that the model has a servo for each of the robot's joints.
 
     Raises:
         InputError: If it lacks one.

@@ -20,7 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
-from sim.inference.in_water import beside, by_twin_in_water, read_water_swims, robot_in_water
+from sim.inference.in_water import (
+    by_twin_in_water,
+    read_water_swims,
+    robot_in_water,
+    with_fluid_effects,
+)
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
 from sim.inference.swims import swim_of
@@ -75,14 +80,14 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
         other = read_water_swims(again / f"{place.name}.npz")
         simulate = by_twin_in_water(robot, begun, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    found = searched(swims, model, robot, simulate, belief, begun=begun)
+    found = searched(swims, model, robot, simulate, belief, simulated=begun)
     said = diagnosis_of(found, robot, known, referred=referred)
     target.mkdir(parents=True, exist_ok=True)
     write_diagnosis(said, target / "diagnosis.json", "enriched.json")
     assert said.baseline is not None
     if not again:
         write_model(said.baseline, target / "baseline.json")
-        there = beside(model, likely_model(found, known, referred=referred))
+        there = with_fluid_effects(model, likely_model(found, known, referred=referred))
         if values(there):
             write_model(there, target / BESIDE)
     offered = said.model if values(said.model) else read_model(target / "baseline.json")

@@ -47,7 +47,7 @@ class Calibration(NotebookDisplay):
         robot: The robot.
         swims: The fitted swims, whose last parts were held out.
         twin: Parameters, standard deviations and errors of the fit in the twin.
-        in_fluid: The same of the fit in the fluid, if there was one.
+        in_fluid: Likewise for the fit in the fluid, if there was one.
         fluid: Settings of the fluid.
     """
 
@@ -122,7 +122,7 @@ def calibrate_body(
     start = with_values(model, latencies)
     start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
     with progress_bar("calibrate, fluid") as progress:
-        found = calibrate_in_fluid(
+        in_fluid = calibrate_in_fluid(
             swims,
             start,
             robot,
@@ -136,35 +136,35 @@ def calibrate_body(
             seed=seed,
             progress=progress,
         )
-    calibrated = _with_errors(found, robot, fluid.cell_m)
-    return replace(result, model=calibrated, in_fluid=found, fluid=fluid)
+    calibrated = _with_errors(in_fluid, robot, fluid.cell_m)
+    return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
 
 
 def _by_fluid(robot: Robot, fluid: FluidSettings) -> Simulator:
     return by_fluid(robot, cell_m=fluid.cell_m, device=fluid.device, threads=THREADS)
 
 
-def _table(found: Calibrated | InFluid, where: str, robot: Robot) -> str:
+def _table(fit: Calibrated | InFluid, where: str, robot: Robot) -> str:
     """Parameters with intervals, and held-out errors before and after.
 
     Where the noise of the recordings is known, the change of the error beyond it is shown as well.
     """
     lines = [f"in the {where}:"]
-    ends = found.interval()
-    for p, best, (low, high) in zip(found.free, found.best, ends, strict=True):
+    intervals = fit.interval()
+    for p, best, (low, high) in zip(fit.free, fit.best, intervals, strict=True):
         lines.append(f"  {p.name:34s} {best:10.4g}   90 % {low:.4g} to {high:.4g}")
-    if isinstance(found, InFluid) and found.grid is None:
+    if isinstance(fit, InFluid) and fit.grid is None:
         lines.append(
             "  the intervals do not include the discretisation error: cells of twice the size stop "
             "the robot"
         )
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
-    noise = found.noise if isinstance(found, InFluid) else np.zeros(len(names))
-    beyond = np.sqrt(np.maximum(found.rmse**2 - noise**2, 0.0))
+    noise = fit.noise if isinstance(fit, InFluid) else np.zeros(len(names))
+    beyond = np.sqrt(np.maximum(fit.rmse**2 - noise**2, 0.0))
     lines.append("  held-out error            before     after")
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        before, after = found.rmse[:, k]
+        before, after = fit.rmse[:, k]
         line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {change_text(before, after)}"
         if noise[k] > 0:
             line += f"; beyond the noise of {noise[k]:.4f} {change_text(*beyond[:, k])}"
@@ -192,33 +192,33 @@ def _calibration(calibration: Calibration) -> Section:
     return Section("Calibration", "", blocks)
 
 
-def _with_errors(found: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:
+def _with_errors(fit: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:
     """The calibrated model with the intervals of its parameters and its errors."""
     names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
     names += [f"{joint.name}.position_rad" for joint in robot.joints]
     errors = {
         name: {
-            "train": float(found.train[1, k]),
-            "heldout": float(found.rmse[1, k]),
-            "heldout_before": float(found.rmse[0, k]),
+            "train": float(fit.train[1, k]),
+            "heldout": float(fit.rmse[1, k]),
+            "heldout_before": float(fit.rmse[0, k]),
         }
         for k, name in enumerate(names)
     }
     interval = {
         p.name: [float(low), float(high)]
-        for p, (low, high) in zip(found.free, found.interval(), strict=True)
+        for p, (low, high) in zip(fit.free, fit.interval(), strict=True)
     }
-    body = {**found.model.body, "interval": interval}
-    if isinstance(found, InFluid):
+    body = {**fit.model.body, "interval": interval}
+    if isinstance(fit, InFluid):
         body["posterior"] = {
             "cell_m": cell_m,
             "names": list(interval),
-            "mean": [float(x) for x in found.best],
-            "covariance": [[float(x) for x in row] for row in found.fitted.covariance],
+            "mean": [float(x) for x in fit.best],
+            "covariance": [[float(x) for x in row] for row in fit.fitted.covariance],
         }
-    if not np.all(np.isfinite(found.best)):
+    if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
-    return replace(found.model, body=body, fit={**found.model.fit, **errors})
+    return replace(fit.model, body=body, fit={**fit.model.fit, **errors})
 
 
 __all__ = ["Calibration", "FluidSettings", "calibrate_body"]

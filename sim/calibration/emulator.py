@@ -1,12 +1,12 @@
-"""A simulator near a model, from one batch of its rollouts.
+"""An emulator: a linear model of a simulator near a model, from one batch of rollouts.
 
 The fluid takes a second of a GPU for half a minute of swimming, and its wake is turbulent: two
-rollouts of nearly the same robot differ by as much as a small change of a parameter moves them. A
-slope from two of them would be noise. So a batch swims with all parameters varied at once (a Sobol
-sequence, as in the design of computer experiments: Santner, Williams, Notz, Springer 2003), and
-every moment of the swim is regressed on all of them: each slope rests on the whole batch, and the
-turbulence averages out. What is regressed is how far the head goes forward, to the left and round
-in each control period, and the joints' angles; the path is put together from these.
+rollouts of nearly the same robot differ by as much as a small change of a parameter causes, so that
+finite differences of two rollouts would be noise. So a batch is simulated with all parameters
+varied at once (a Sobol sequence, as in the design of computer experiments: Santner, Williams, Notz,
+Springer 2003), and every sample is regressed on all of them: each slope uses the whole batch, which
+averages the turbulence. The regressed quantities are the displacements of the head forward, to the
+left and in heading in each control period, and the joints' angles; the path is their integral.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from sim2real.model import Model
 Array = NDArray[np.float64]
 
 ROLLOUTS = 48
-"""Rollouts of a batch: 42 s of an H200 in cells of 1 cm."""
+"""Rollouts of a batch: 42 s on an H200 in cells of 1 cm."""
 REACH = 0.75
-"""How far a batch goes to each side of its centre, in the parameters' sizes."""
+"""Half-width of a batch about its centre, in the parameters' typical sizes."""
 _RIDGE = 1.0
 """Ridge penalty of the slopes, against a weight of one per rollout."""
 
@@ -38,7 +38,7 @@ class Batch:
     """Rollouts of one swim.
 
     Attributes:
-        swim: Whose commands were sent.
+        swim: The swim whose commands were simulated.
         names: Parameters that were varied.
         values: Their values, shape (E, F); the first row is the centre.
         track: Poses and measured joint angles, shape (E, T, 3 + J).
@@ -59,10 +59,10 @@ def rollouts(
     count: int = ROLLOUTS,
     seed: int = 0,
 ) -> Batch:
-    """Swim a batch about a model; the first is the model itself.
+    """Simulate a batch about a model; the first rollout is of the model itself.
 
     Raises:
-        InputError: If there are too few to regress on all parameters.
+        InputError: If there are too few rollouts to regress on all parameters.
     """
     if count < len(free) + 2:
         expected = f"at least {len(free) + 2}, for {len(free)} parameters"
@@ -79,51 +79,51 @@ def rollouts(
 
 
 class Emulator:
-    """A ``Simulator`` that knows a few swims, near the models that its batches swam with.
+    """A ``Simulator`` of the swims of its batches, near the models of these batches.
 
-    Parameters that no batch varied do not matter to it.
+    Parameters that no batch varied have no influence.
     """
 
     def __init__(self, batches: Sequence[Batch]) -> None:
-        """Regress every moment of each swim on the parameters.
+        """Regress every sample of each swim on the parameters.
 
         Args:
-            batches: One for each swim. Rollouts that were stopped are left out.
+            batches: One for each swim. Rollouts that were stopped are excluded.
 
         Raises:
             InputError: If most of a batch was stopped.
         """
-        self._known: dict[bytes, dict[bytes, _Regression]] = {}
-        for one in batches:
-            alike = self._known.setdefault(one.swim.command.tobytes(), {})
-            alike[one.swim.start.tobytes()] = _Regression(one)
+        self._regressions: dict[bytes, dict[bytes, _Regression]] = {}
+        for batch in batches:
+            same_commands = self._regressions.setdefault(batch.swim.command.tobytes(), {})
+            same_commands[batch.swim.start.tobytes()] = _Regression(batch)
 
     def __call__(self, models: Sequence[Model], command: Array, start: Array) -> Array:
         """Tracks of models, shape (E, T, 3 + J); ``Simulator``.
 
-        Of swims with the same commands each is known by where it began; a lone one is taken from
-        anywhere.
+        Swims with the same commands are distinguished by their first pose; a single one is used for
+        every first pose.
 
         Raises:
-            KeyError: If no batch swam with this command, or several from elsewhere.
+            KeyError: If no batch has these commands, or several have, none with this first pose.
         """
-        alike = self._known[command.tobytes()]
-        lone = next(iter(alike.values())) if len(alike) == 1 else None
-        found = alike.get(start.tobytes(), lone)
-        if found is None:
-            raise KeyError(f"{len(alike)} swims with these commands, none from {start}")
-        return found.track(models, start)
+        same_commands = self._regressions[command.tobytes()]
+        single = next(iter(same_commands.values())) if len(same_commands) == 1 else None
+        regression = same_commands.get(start.tobytes(), single)
+        if regression is None:
+            raise KeyError(f"{len(same_commands)} swims with these commands, none from {start}")
+        return regression.track(models, start)
 
 
 class _Regression:
     def __init__(self, batch: Batch) -> None:
-        well = np.asarray(np.isfinite(batch.track).all(axis=(1, 2)))
-        if well.mean() < 0.5:
-            found = f"{np.sum(~well)} of {well.size} rollouts stopped"
+        finite = np.asarray(np.isfinite(batch.track).all(axis=(1, 2)))
+        if finite.mean() < 0.5:
+            found = f"{np.sum(~finite)} of {finite.size} rollouts stopped"
             raise InputError(batch.swim.name, "simulator", found, "most of them whole")
-        steps = steps_of(batch.track[well])
+        steps = steps_of(batch.track[finite])
         places = [
-            coordinates_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[well]
+            coordinates_of(dict(zip(batch.names, row, strict=True))) for row in batch.values[finite]
         ]
         self.names = batch.names
         x = np.array([list(place.values()) for place in places])
@@ -135,7 +135,7 @@ class _Regression:
         flat = steps.reshape(len(steps), -1)
         self._weights = np.linalg.solve(normal, terms.T @ flat)
         self._shape = steps.shape[1:]
-        self._joint = batch.track[well][0, 0, 3:]
+        self._joint = batch.track[finite][0, 0, 3:]
 
     def _terms(self, x: Array) -> Array:
         z = (x - self._centre) / self._size
@@ -158,22 +158,27 @@ def coordinates_of(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def steps_of(track: Array) -> Array:
-    """Ways forward, to the left and round in each period, and joint angles: (E, T - 1, 3 + J)."""
-    way = np.diff(track[..., :3], axis=1)
+    """Displacements forward, to the left, of the heading, and joint angles: (E, T - 1, 3 + J)."""
+    change = np.diff(track[..., :3], axis=1)
     heading = track[:, :-1, 2]
     c, s = np.cos(heading), np.sin(heading)
-    ahead, left = c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]
-    return np.concatenate([np.stack([ahead, left, way[..., 2]], axis=2), track[:, 1:, 3:]], axis=2)
+    forward, aside = (
+        c * change[..., 0] + s * change[..., 1],
+        c * change[..., 1] - s * change[..., 0],
+    )
+    return np.concatenate(
+        [np.stack([forward, aside, change[..., 2]], axis=2), track[:, 1:, 3:]], axis=2
+    )
 
 
 def path_of(steps: Array, start: Array, joint: Array) -> Array:
-    """The inverse of ``steps_of``, from a first pose."""
-    still = np.zeros((len(steps), 1))
-    heading = start[2] + np.concatenate([still, np.cumsum(steps[..., 2], axis=1)], axis=1)
+    """The path from a first pose, the inverse of ``steps_of``."""
+    zero = np.zeros((len(steps), 1))
+    heading = start[2] + np.concatenate([zero, np.cumsum(steps[..., 2], axis=1)], axis=1)
     c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
     x = np.cumsum(c * steps[..., 0] - s * steps[..., 1], axis=1)
     y = np.cumsum(s * steps[..., 0] + c * steps[..., 1], axis=1)
-    x, y = (a + np.concatenate([still, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
+    x, y = (a + np.concatenate([zero, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
     first = np.broadcast_to(joint, (len(steps), joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
     return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)

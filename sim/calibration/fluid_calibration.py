@@ -1,10 +1,9 @@
-"""Calibration in the fluid: fitted on an emulator, checked where it lands, with the cells' share.
+"""Calibration in the fluid: fit with an emulator, errors in the fluid, discretisation error.
 
-Another fit, in cells of twice the size, is what fluid dynamics calls a grid study: were errors of
-the first order in the size of a cell, a parameter would move as far from coarse to fine as it still
-is from where no cells would put it (Roache, J. Fluids Eng. 116 (1994) 405). The order cannot be
-read off here (``reports/resolution``), so the whole shift goes into the intervals, beside the fit's
-own spread.
+A second fit in cells of twice the size is a grid-convergence study: for errors of first order in
+the size of a cell, the shift of a parameter from coarse to fine cells equals its remaining error
+(Roache, J. Fluids Eng. 116 (1994) 405). The order cannot be determined here
+(``reports/resolution``), so the whole shift is added to the intervals in quadrature.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ _ROUNDS = 2
 
 @dataclass(frozen=True)
 class InFluid:
-    """What a calibration in the fluid found.
+    """Result of a calibration in the fluid.
 
     Attributes:
         fitted: The fit.
-        grid: How far each parameter moves from cells of twice the size, shape (F,); None where
-            that was not asked, or the robot does not hold in such cells.
-        rmse: Root mean square errors of the fluid's own rollouts on what was held out, before and
-            after, shape (2, 3 + J).
-        train: Likewise on what was fitted.
-        noise: Of the recordings, shape (3 + J,).
+        grid: Shift of each parameter relative to cells of twice the size, shape (F,); None if that
+            was not requested, or such cells stop the robot.
+        rmse: Held-out root mean square errors of simulations in the fluid, before and after, shape
+            (2, 3 + J).
+        train: Likewise on the fitted part.
+        noise: Standard deviation of the recordings' noise, shape (3 + J,).
     """
 
     fitted: Fitted
@@ -59,16 +58,16 @@ class InFluid:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """What was fitted."""
+        """The fitted parameters."""
         return self.fitted.free
 
     @property
     def best(self) -> Array:
-        """Its values, shape (F,)."""
+        """Their values, shape (F,)."""
         return self.fitted.best
 
     def interval(self, level: float = 0.9) -> Array:
-        """Central intervals of fit and cells together, shape (F, 2)."""
+        """Central intervals with the errors of the fit and of the cells, shape (F, 2)."""
         sd = self.fitted.sd if self.grid is None else np.hypot(self.fitted.sd, self.grid)
         reach = float(norm.ppf(0.5 + level / 2)) * sd
         return np.stack([self.best - reach, self.best + reach], axis=1)
@@ -93,16 +92,16 @@ def calibrate_in_fluid(
 
     Args:
         swims: Recordings.
-        model: Where to start.
+        model: Model to start from.
         robot: The robot.
         fluid: The fluid.
         cell_m: Side of its cells.
         coarser: The fluid in cells of twice the size.
-        gains: Fit the servos' gains, and not their latencies alone.
+        gains: Whether to fit the servos' gains too, and not only their latencies.
         count: Rollouts of a batch.
-        held_out: Share of each swim at its end that the fit does not see.
-        uncalibrated: What errors are compared with; ``model`` where None.
-        seed: Of the batches' designs.
+        held_out: Share of each swim, at its end, that the fit does not use.
+        uncalibrated: Model whose errors are those before; ``model`` where None.
+        seed: Seed of the batches' designs.
         progress: Called with the share that is done.
 
     Raises:
@@ -114,29 +113,29 @@ def calibrate_in_fluid(
     offset = [p for p in body_parameters(robot) if p.name.startswith("com_offset")]
     free = [*servo_parameters(model, robot, gains=gains), *water, *offset]
 
-    def fitted(by: Simulator, start: Model, seed: int) -> Fitted:
-        batches = [rollouts(by, swim, start, free, count=count, seed=seed) for swim in swims]
+    def fitted(simulator: Simulator, start: Model, seed: int) -> Fitted:
+        batches = [rollouts(simulator, swim, start, free, count=count, seed=seed) for swim in swims]
         return fit(swims, start, free, Emulator(batches), held_out=held_out)
 
-    found = fitted(fluid, model, seed)
+    result = fitted(fluid, model, seed)
     for done in range(1, _ROUNDS):
         progress(done / (_ROUNDS + 1))
-        found = fitted(fluid, found.model, seed + done)
+        result = fitted(fluid, result.model, seed + done)
     progress(_ROUNDS / (_ROUNDS + 1))
     grid = None
     if coarser is not None:
         with suppress(InputError):
-            grid = np.abs(fitted(coarser, found.model, seed).best - found.best)
+            grid = np.abs(fitted(coarser, result.model, seed).best - result.best)
     errors, noise = [], []
     for swim in swims:
-        said = simulated(swim, [uncalibrated or model, found.model], fluid)
-        errors.append(rmse(swim, said, held_out=held_out) ** 2)
+        signals = simulated(swim, [uncalibrated or model, result.model], fluid)
+        errors.append(rmse(swim, signals, held_out=held_out) ** 2)
         noise.append(np.broadcast_to(swim.noise, swim.signals.shape[1]) ** 2)
     train, held = np.sqrt(np.mean(errors, axis=0))
     if not np.isfinite(held).all():
         raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
     progress(1.0)
-    return InFluid(found, grid, held, train, np.sqrt(np.mean(noise, axis=0)))
+    return InFluid(result, grid, held, train, np.sqrt(np.mean(noise, axis=0)))
 
 
 __all__ = ["InFluid", "calibrate_in_fluid"]

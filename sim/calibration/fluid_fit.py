@@ -33,11 +33,11 @@ _EVALUATIONS = 14
 _STEP = 0.02
 """Step of the derivatives, in the priors' standard deviations."""
 _INSIDE = 0.3
-"""How far from its bounds a search begins, in sizes: at a bound it would not leave it."""
+"""Least distance of the start from the bounds, in typical sizes: a search would stay at a bound."""
 _LONGEST = 200.0
-"""Longest autocorrelation time in samples that a third of a minute can show."""
+"""Longest autocorrelation time in samples that twenty seconds of a swim can show."""
 _SLOW_NOISE = 0.25
-"""Noise of a mean over two seconds against that of the velocity itself, or less."""
+"""Upper bound of the noise of a mean over two seconds, relative to that of the velocity."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +96,13 @@ def fit(
             _weight(swim, error[0], end)
             for swim, error, end in zip(swims, problem.errors(best[None]), problem.cut, strict=True)
         ]
-        found = problem.minimise(best, weights, unit=scale, step=_STEP, evaluations=_EVALUATIONS)
-        best = found.values
+        minimum = problem.minimise(best, weights, unit=scale, step=_STEP, evaluations=_EVALUATIONS)
+        best = minimum.values
     return Fitted(
         model=problem.with_values(best),
         free=free,
         best=best,
-        covariance=np.asarray(np.linalg.inv(found.curvature), dtype=np.float64),
+        covariance=np.asarray(np.linalg.inv(minimum.curvature), dtype=np.float64),
     )
 
 
@@ -122,9 +122,9 @@ def _weight(swim: Swim, error: Array, end: int) -> Array:
     size = np.concatenate([size, size[:, :3]], axis=1)
     least = 1e-3 * np.sqrt((size**2).mean(axis=0)) + 1e-9
     sd = np.sqrt(noise**2 + (SHARE * size) ** 2 + least**2)
-    left = (error / sd)[:end]
-    left = left - left.mean(axis=0)
-    times = [float(autocorrelation_times(column)[0]) for column in left.T]
+    residual = (error / sd)[:end]
+    residual = residual - residual.mean(axis=0)
+    times = [float(autocorrelation_times(column)[0]) for column in residual.T]
     return np.asarray(1 / (sd * np.sqrt(np.minimum(times, _LONGEST))))
 
 

@@ -1,4 +1,4 @@
-"""What swims may tell: the twin's law, the servos, the water, the body's and camera's effects."""
+"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera."""
 
 from __future__ import annotations
 
@@ -28,15 +28,14 @@ class Candidate(NamedTuple):
 
 
 _LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
-"""What counts as a usual value of a coefficient where the fitted one is smaller."""
+"""Least usual values of coefficients, for those whose fitted values are smaller."""
 
 
 def law_parameters() -> list[Parameter]:
-    """The twin's own law, each within a factor of a few of what the fluid gave.
+    """Coefficients of the twin's law, within a small factor of those fitted to the fluid.
 
-    The wake differs most from one water to another. The others (``slender``, ``head`` and so on)
-    stay as the fluid gave them: a few swims cannot tell them from these, and would hide an effect
-    behind them.
+    The other coefficients (``slender``, ``head`` and so on) keep the values fitted to the fluid: a
+    few swims do not distinguish them from these, and they could conceal a missing effect.
     """
     out = []
     for name, least in _LEAST.items():
@@ -56,8 +55,8 @@ def law_parameters() -> list[Parameter]:
 def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
     """Latencies of all joints, and their gains if asked.
 
-    The bench gives gains better than a swim does, where the water that goes along hides them; the
-    latency may be another by radio.
+    Gains are determined better on a bench than in a swim, where the added mass conceals them; the
+    latency can differ, e.g. with a radio link.
     """
     out = []
     names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s") if gains else ("latency_s",)
@@ -73,7 +72,7 @@ def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list
 
 
 def body_parameters(robot: Robot) -> list[Parameter]:
-    """What a plain simulator may have wrong about the body; nothing that a diagnosis would name."""
+    """Parameters of the body for a calibration: drag, friction, added mass and centre of mass."""
     out = effect_parameters("form_drag") + effect_parameters("linear_drag")
     for material in sorted({link.material or "" for link in robot.links}):
         out += effect_parameters("surface_friction", material)
@@ -82,10 +81,10 @@ def body_parameters(robot: Robot) -> list[Parameter]:
 
 def effect_parameters(effect: str, material: str | None = None) -> list[Parameter]:
     """Parameters of a body or camera effect."""
-    known = body_effect(effect)
-    prefix = f"{effect}.{material}" if known.by_material else effect
+    described = body_effect(effect)
+    prefix = f"{effect}.{material}" if described.by_material else effect
     out = []
-    for k, p in enumerate(known.parameters):
+    for k, p in enumerate(described.parameters):
         start = 0.0 if k == 0 or p.low < 0 else p.typical
         start = max(start, p.low)
         name, sd = f"{prefix}.{p.name}", 4 * p.typical
@@ -94,7 +93,7 @@ def effect_parameters(effect: str, material: str | None = None) -> list[Paramete
 
 
 def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
-    """What cells of a size may have wrong about the water."""
+    """Parameters of the water for cells of a size."""
     free = [p for p in body_parameters(robot) if not p.name.startswith("com_offset")]
     least = least_viscosity(cell_m)
     bounds = (least, 20 * least)
@@ -104,15 +103,15 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
 def candidates(robot: Robot) -> list[Candidate]:
     """Every effect of the catalogue's body and camera that this robot may have."""
     out = []
-    every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
-    for effect in every:
+    effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in effects:
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))
                 out.append(Candidate(effect.name, material or "body", free))
         else:
-            where = "camera" if effect.camera else "body"
-            out.append(Candidate(effect.name, where, tuple(effect_parameters(effect.name))))
+            component = "camera" if effect.camera else "body"
+            out.append(Candidate(effect.name, component, tuple(effect_parameters(effect.name))))
     return out
 
 

@@ -1,4 +1,4 @@
-"""Swims as a problem of the shared inference: what parameters make of every signal, weighted."""
+"""Swims as a least-squares problem: weighted errors of all signals as a function of parameters."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from sim2real.model import Model
 Array = NDArray[np.float64]
 
 HELD_OUT_SHARE = 1 / 3
-"""Share of a swim, at its end, that the fit does not see."""
+"""Share of a swim, at its end, that the fit does not use."""
 BLOCK = 100
-"""Samples of a block: two seconds, a beat or more."""
+"""Samples of a block: two seconds, at least one tail beat."""
 _LOST = 1e3
-"""Error of a signal of a robot that was stopped."""
+"""Error of the signals of a robot that was stopped."""
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where a fit of swims ended.
+    """Result of a minimisation.
 
     Attributes:
-        values: Of the parameters, shape (F,).
-        loss: Half the sum of squares, the prior's included.
+        values: Values of the parameters, shape (F,).
+        loss: Half the sum of squares, with that of the prior.
         curvature: Its second derivatives, shape (F, F).
-        error: Weighted errors of what was fitted, swim by swim, sample by sample, shape (n,).
+        error: Weighted errors of the fitted part, swim by swim, sample by sample, shape (n,).
         slope: Their derivatives, shape (n, F).
     """
 
@@ -46,16 +46,16 @@ class Minimum:
 
 @dataclass(frozen=True)
 class SwimProblem:
-    """Parameters that are to explain the first part of some swims.
+    """Fit of parameters to the first part of swims.
 
     Attributes:
         swims: The recordings.
-        model: What has the parameters.
-        free: What is fitted, F of them.
+        model: The model with the parameters.
+        free: The F fitted parameters.
         simulator: The twin, the fluid or its emulator.
-        prior: Of the parameters.
-        view: What of the signals (..., T, 3 + J) is compared, shape (..., T, K).
-        held_out: Share of each swim at its end that is not fitted.
+        prior: Prior of the parameters.
+        view: Function of signals (..., T, 3 + J) to those that are compared, shape (..., T, K).
+        held_out: Share of each swim, at its end, that is not fitted.
     """
 
     swims: Sequence[Swim]
@@ -68,7 +68,7 @@ class SwimProblem:
 
     @property
     def cut(self) -> list[int]:
-        """Samples of each swim that are fitted."""
+        """Number of fitted samples of each swim."""
         return [round(swim.t.size * (1 - self.held_out)) for swim in self.swims]
 
     def with_values(self, values: Array) -> Model:
@@ -103,33 +103,33 @@ class SwimProblem:
             start: Values to start from, shape (F,).
             weights: One over the standard deviation of each error, (T, K) or (K,) a swim.
             unit: Natural sizes of the parameters, shape (F,).
-            step: Step of the central differences, in them.
-            evaluations: Most evaluations.
+            step: Step of the central differences, in these sizes.
+            evaluations: Largest number of evaluations.
         """
         low, high = (column(self.free, end) / unit for end in ("low", "high"))
         root = self.prior.root
 
         def rows(x: Array) -> Array:
             values = x * unit
-            beyond = (values - self.prior.mean) @ root.T
-            return np.concatenate([self.fitted_rows(values, weights), beyond], axis=1)
+            prior_errors = (values - self.prior.mean) @ root.T
+            return np.concatenate([self.fitted_rows(values, weights), prior_errors], axis=1)
 
         def expand(x: Array, _: NDArray[np.intp]) -> Expansion:
             error, slope = central(rows, x[0], np.full(x.shape[1], step), low, high)
-            found = expansion(error, slope)
-            found.aside.update(error=error[None], slope=slope[None])
-            return found
+            result = expansion(error, slope)
+            result.aside.update(error=error[None], slope=slope[None])
+            return result
 
-        found = least_squares.minimise(
+        result = least_squares.minimise(
             expand, (start / unit)[None], low[None], high[None], evaluations=evaluations
         )
-        at, F = found.expansion, len(self.free)
+        final, F = result.expansion, len(self.free)
         return Minimum(
-            values=found.x[0] * unit,
-            loss=float(at.loss[0]),
-            curvature=at.curvature[0] / np.outer(unit, unit),
-            error=at.aside["error"][0, :-F],
-            slope=at.aside["slope"][0, :-F] / unit,
+            values=result.x[0] * unit,
+            loss=float(final.loss[0]),
+            curvature=final.curvature[0] / np.outer(unit, unit),
+            error=final.aside["error"][0, :-F],
+            slope=final.aside["slope"][0, :-F] / unit,
         )
 
     def rmse(self, errors: Sequence[Array], *, held: bool) -> Array:
@@ -139,6 +139,6 @@ class SwimProblem:
 
 
 def seen(signals: Array) -> Array:
-    """Signals (..., T, 3 + J) with the means of the first three over two seconds beside them."""
+    """Signals (..., T, 3 + J) and moving means of the first three over two seconds."""
     slow = uniform_filter1d(signals[..., :3], BLOCK, axis=-2, mode="nearest")
     return np.concatenate([signals, slow], axis=-1)

@@ -1,9 +1,9 @@
 """Fit the body, and the servos with it, to swims in a pool.
 
-Least squares on surge, sway, yaw rate and joint angles, each weighted by what is left of it after a
-first fit. Its residuals are correlated in time and hold what the simulator lacks, so the intervals
-come from the scores' own scatter over two seconds (the sandwich of White, Econometrica 48 (1980)
-817, with a long-run covariance), not from a likelihood that would count each sample as news.
+Least squares on surge, sway, yaw rate and joint angles, each weighted by its residual after a first
+fit. The residuals are correlated in time and contain errors of the simulator, so the intervals use
+the covariance of the scores over two seconds (the sandwich of White, Econometrica 48 (1980) 817,
+with a long-run covariance), not a likelihood of independent samples.
 Derivatives are central differences, all simulations of a step in one launch.
 """
 
@@ -25,7 +25,7 @@ from sim2real.model import Model
 Array = NDArray[np.float64]
 
 _FINEST = 1e-6
-"""Error of a signal, in its own unit, below which it has no more weight: it may be exact."""
+"""Least error of a signal in its unit, which limits its weight: the fit may be exact."""
 _ROUNDS = 2
 _LEVEL = 0.9
 _STEP = 0.05
@@ -35,16 +35,16 @@ _INSIDE = 1e-9
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What a calibration found.
+    """Result of a calibration.
 
     Attributes:
         model: The calibrated model.
-        free: What was fitted.
-        best: Its values, shape (F,).
+        free: The F fitted parameters.
+        best: Their values, shape (F,).
         sd: Their standard deviations, shape (F,).
-        rmse: Root mean square error of each signal on what was held out, before and after, shape
-            (2, 3 + J), or (2, K) of another view.
-        train: Likewise on what was fitted.
+        rmse: Held-out root mean square error of each signal, before and after, shape (2, 3 + J), or
+            (2, K) of another view.
+        train: Likewise on the fitted part.
     """
 
     model: Model
@@ -75,12 +75,12 @@ def calibrate(
 
     Args:
         swims: Recordings.
-        model: Where to start.
-        free: What to fit.
+        model: Model to start from.
+        free: Parameters to fit.
         simulator: The twin or the fluid.
-        held_out: Share of each swim at its end that is held out.
-        evaluations: Most steps of each round.
-        view: What of the signals (..., T, 3 + J) is compared, shape (..., T, K).
+        held_out: Share of each swim, at its end, that is held out.
+        evaluations: Largest number of steps of each round.
+        view: Function of signals (..., T, 3 + J) to those that are compared, shape (..., T, K).
         progress: Called with the share that is done.
     """
     free = tuple(free)
@@ -90,33 +90,33 @@ def calibrate(
     weight = 1 / np.maximum(problem.rmse(before, held=False)[0], _FINEST)
     best, after = nominal, before
     for done in range(_ROUNDS):
-        found = problem.minimise(
+        minimum = problem.minimise(
             best, [weight] * len(swims), unit=unit, step=_STEP, evaluations=evaluations
         )
-        best = found.values
+        best = minimum.values
         after = problem.errors(best[None])
         progress((done + 1) / _ROUNDS)
         if done < _ROUNDS - 1:
             weight = 1 / np.maximum(problem.rmse(after, held=False)[0], _FINEST)
-    both = (before, after)
+    pair = (before, after)
     return Calibrated(
         model=problem.with_values(best),
         free=free,
         best=best,
-        sd=_sandwich(found, problem, weight.size),
-        rmse=np.concatenate([problem.rmse(e, held=True) for e in both]),
-        train=np.concatenate([problem.rmse(e, held=False) for e in both]),
+        sd=_sandwich(minimum, problem, weight.size),
+        rmse=np.concatenate([problem.rmse(e, held=True) for e in pair]),
+        train=np.concatenate([problem.rmse(e, held=False) for e in pair]),
     )
 
 
-def _sandwich(found: Minimum, problem: SwimProblem, signals: int) -> Array:
+def _sandwich(minimum: Minimum, problem: SwimProblem, signals: int) -> Array:
     """Standard deviations from the scatter of the scores over two seconds, shape (F,)."""
-    bread = np.linalg.inv(found.curvature)
-    score = (found.slope * found.error[:, None]).reshape(-1, signals, len(found.values))
+    bread = np.linalg.inv(minimum.curvature)
+    score = (minimum.slope * minimum.error[:, None]).reshape(-1, signals, len(minimum.values))
     ends = np.cumsum(problem.cut)[:-1]
     parts = np.split(score.sum(axis=1), ends)
     meat = np.linalg.inv(problem.prior.covariance)
-    meat = meat + np.sum([long_run(one, min(BLOCK, len(one))) for one in parts], axis=0)
+    meat = meat + np.sum([long_run(scores, min(BLOCK, len(scores))) for scores in parts], axis=0)
     return np.asarray(np.sqrt(np.diag(bread @ meat @ bread)))
 
 

@@ -1,1 +1,1 @@
-"""Published cases that the fluid is measured against, one file each."""
+"""Published cases for validation of the fluid, one file each."""

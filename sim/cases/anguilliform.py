@@ -1,4 +1,4 @@
-"""An eel swims: Carling's midline, a free body, the speed it reaches by itself.
+"""Self-propelled eel with Carling's midline: its swimming speed.
 
 Source: Kern and Koumoutsakos, J. Exp. Biol. 209 (2006) 4841, two-dimensional case: 0.54 body
 lengths a cycle at a viscosity of 1.4e-4 body lengths squared a cycle. That is Re 5609 with the
@@ -29,7 +29,7 @@ _BOX = (6.0, 3.0)
 
 @dataclass(frozen=True)
 class Eel:
-    """Carling's midline, cut into links of equal length."""
+    """Carling's midline, divided into links of equal length."""
 
     heading: float = 0.0
 
@@ -49,7 +49,7 @@ def radii() -> Array:
 
 
 def eel(cells: int, cycles: int, *, device: str = "cpu", threads: int = 2) -> Swum:
-    """Swim with so many cells a body length."""
+    """Simulate the eel with a number of cells per body length."""
     return swim(
         [Eel()],
         cells,
@@ -64,10 +64,10 @@ def eel(cells: int, cycles: int, *, device: str = "cpu", threads: int = 2) -> Sw
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """As fine as the machine can: 96 cells a body length on a CPU, 384 on a GPU.
+    """Up to 96 cells per body length on a CPU, 384 on a GPU.
 
-    The boundary layer of this eel is a cell thick at 96 cells, so the speed is still rising with
-    resolution there; only the GPU's is held to the bar.
+    The boundary layer of this eel is one cell thick at 96 cells, where the speed still increases
+    with resolution; only the result on a GPU has a bar.
     """
     fine = device.startswith("cuda")
     sizes = (32,) if quick else ((96, 192, 384) if fine else (48, 96))

@@ -1,4 +1,4 @@
-"""What a case gives back: our figures beside the published ones, and curves to look at."""
+"""Result of a case: computed and published figures, and curves."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Figure:
-    """One number beside its reference.
+    """One computed number and its reference.
 
     Attributes:
-        quantity: What it is, with its unit.
-        ours: Our value.
+        quantity: Name with unit.
+        ours: Computed value.
         reference: The published value.
-        bar: Largest error that passes; None where it is only reported.
-        scale: What the error is relative to; the reference itself where None.
+        bar: Largest error that passes; None for figures without a bar.
+        scale: Value that the error is relative to; the reference where None.
     """
 
     quantity: str
@@ -41,7 +41,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of ours and, where there is one, the published one; labels have their units."""
+    """A computed curve and, if there is one, the published curve; labels have their units."""
 
     title: str
     x_label: str
@@ -54,15 +54,15 @@ class Curve:
 
 @dataclass(frozen=True)
 class Case:
-    """A case that was run.
+    """Result of a case.
 
     Attributes:
         name: Its module's name.
-        title: What flows round what.
-        source: Where the reference is from.
+        title: Title.
+        source: Source of the reference.
         setup: Resolution, steps, boundary conditions, in one line.
-        figures: Our numbers beside the published ones.
-        curves: Lines to look at.
+        figures: Computed and published numbers.
+        curves: Curves to plot.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A lid slides over a square cavity: velocities on the centre lines in the steady state.
+"""Lid-driven square cavity: velocities on the centre lines in the steady state.
 
 Source of the reference: Ghia, Ghia and Shin, J. Comput. Phys. 48 (1982) 387, tables I and II.
 """
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _LID = 0.1
 """Speed of the lid in cells a step."""
 _STEADY = 2e-5
-"""Largest change, in lid speeds over the time in which the lid moves its length, that is steady."""
+"""Change, in lid speeds while the lid moves its length, below which the flow is steady."""
 _LONGEST = 120
 
 
@@ -32,7 +32,7 @@ class CentreLines:
         place: Cell centres along either line, shape (N,).
         u: Along the lid, on the vertical line, shape (N,).
         v: Upwards, on the horizontal line, shape (N,).
-        turnovers: Times in which the lid moved its length until steady.
+        turnovers: Lengths that the lid moved until the flow was steady.
     """
 
     place: Array
@@ -42,7 +42,7 @@ class CentreLines:
 
 
 def slide(reynolds: float, cells: int, *, device: str = "cpu", threads: int = 2) -> CentreLines:
-    """Slide the lid until nothing changes; ``cells`` a side is odd, one is in the middle."""
+    """Simulate until steady; ``cells`` per side is odd, so that one is in the middle."""
     walls = np.zeros((cells + 1, cells + 2), np.uint8)
     walls[0] = walls[:, 0] = SOLID  # cells wrap: the first column is the wall on either side
     walls[1:, -1] = MOVING
@@ -78,7 +78,7 @@ def slide(reynolds: float, cells: int, *, device: str = "cpu", threads: int = 2)
 
 @dataclass(frozen=True)
 class Published:
-    """Ghia's extremes, and the lines of the tables at ``Y`` and ``X``."""
+    """Ghia's extrema, and the lines of the tables at ``Y`` and ``X``."""
 
     u_min: float
     v_max: float
@@ -120,22 +120,22 @@ GHIA = {
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """Three Reynolds numbers; only the smallest, coarser, where ``quick``."""
+    """Three Reynolds numbers; with ``quick`` only the smallest, in coarser cells."""
     cells = {100.0: 33} if quick else {100.0: 65, 400.0: 97, 1000.0: 97}
     figures, curves = [], []
     for reynolds, n in cells.items():
-        ours, known = slide(reynolds, n, device=device, threads=threads), GHIA[reynolds]
+        ours, published = slide(reynolds, n, device=device, threads=threads), GHIA[reynolds]
         at = f"at Re {reynolds:g}, in lid speeds"
         figures += [
-            Figure(f"least u {at}", float(ours.u.min()), known.u_min, 0.01, 1.0),
-            Figure(f"largest v {at}", float(ours.v.max()), known.v_max, 0.01, 1.0),
-            Figure(f"least v {at}", float(ours.v.min()), known.v_min, 0.01, 1.0),
+            Figure(f"least u {at}", float(ours.u.min()), published.u_min, 0.01, 1.0),
+            Figure(f"largest v {at}", float(ours.v.max()), published.v_max, 0.01, 1.0),
+            Figure(f"least v {at}", float(ours.v.min()), published.v_min, 0.01, 1.0),
         ]
         for name, line, where, lines in (
-            ("u, vertical line", ours.u, Y, known.u),
-            ("v, horizontal line", ours.v, X, known.v),
+            ("u, vertical line", ours.u, Y, published.u),
+            ("v, horizontal line", ours.v, X, published.v),
         ):
-            there = np.isfinite(lines)
+            finite = np.isfinite(lines)
             curves.append(
                 Curve(
                     f"{name}, Re {reynolds:g}",
@@ -143,8 +143,8 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
                     "velocity in lid speeds",
                     ours.place,
                     line,
-                    np.asarray(where)[there],
-                    np.asarray(lines)[there],
+                    np.asarray(where)[finite],
+                    np.asarray(lines)[finite],
                 )
             )
     return Case(

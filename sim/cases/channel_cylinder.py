@@ -1,7 +1,7 @@
 """A cylinder held in a channel: the steady and the periodic case of the DFG benchmark.
 
 Source of the references: Schaefer and Turek, Notes Numer. Fluid Mech. 52 (1996) 547 (cases 2D-1 and
-2D-2); the figures in full are those of the FeatFlow project's benchmark pages. Lengths here are in
+2D-2); precise figures are those of the FeatFlow project's benchmark pages. Lengths here are in
 diameters, speeds in mean speeds of the stream.
 """
 
@@ -39,13 +39,13 @@ _LOOKS = 100
 
 @dataclass(frozen=True)
 class FixedCylinder:
-    """What a held cylinder felt.
+    """Forces on a held cylinder.
 
     Attributes:
         time: In diameters over the mean speed, shape (T,).
         drag: Coefficient, shape (T,).
         lift: Likewise.
-        pressure: Between front and back at the end, over density and mean speed squared.
+        pressure: Difference of front and back at the end, over density and mean speed squared.
     """
 
     time: Array
@@ -70,7 +70,7 @@ def channel(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArra
 def hold(
     reynolds: float, diameter: int, time: float, *, device: str = "cpu", threads: int = 2
 ) -> FixedCylinder:
-    """Hold the cylinder in the stream for so many diameters over the mean speed."""
+    """Simulate the held cylinder for ``time`` diameters over the mean speed."""
     walls, normals, velocity = channel(diameter)
     viscosity = _MEAN * diameter / reynolds
     fluid = Fluid(
@@ -118,7 +118,7 @@ def strouhal(time: Array, lift: Array) -> float:
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """Case 2D-1, and unless ``quick`` 2D-2."""
+    """Case 2D-1, and without ``quick`` also 2D-2."""
     diameter = 10 if quick else (60 if device.startswith("cuda") else 30)
     where = {"device": device, "threads": threads}
     steady = hold(20.0, diameter, 14.0 if quick else 20.0, **where)  # type: ignore[arg-type]

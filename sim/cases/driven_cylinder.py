@@ -1,4 +1,4 @@
-"""A free cylinder that a force shakes in still water, at density ratios from 0.5 to 10.
+"""A free cylinder driven by an oscillating force in still water, at density ratios from 0.5 to 10.
 
 The force on the cylinder is Stokes' of 1851, corrected for its images in the periodic box.
 """
@@ -28,7 +28,7 @@ _SIDE = 6
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """Shake a cylinder 32 cells wide (16 if quick) at each ratio, all in one batch."""
+    """Drive a cylinder 32 cells wide (16 if quick) at each ratio, all in one batch."""
     diameter, ratios = (16, (1.0,)) if quick else (32, RATIOS)
     side = _SIDE * diameter
     speed = shaken(diameter, side, ratios, device=device, threads=threads)
@@ -53,7 +53,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
 
 
 def force(radius: float) -> float:
-    """Force per depth, in lattice units, that moves water of the cylinder's volume fast enough."""
+    """Amplitude of the force per depth in lattice units, which sets the speed."""
     return float(2 * np.pi * radius**2 * _SPEED * 2 * np.pi / _PERIOD)
 
 
@@ -89,7 +89,7 @@ def shaken(
     masses = Masses(mass, mass * radius**2 / 2, np.zeros_like(mass))
     bodies = Bodies(fluid, hull, masses, Units(1.0, 1.0, 1.0, 1.0), inset=inset_at(_VISCOSITY))
     start = np.zeros((len(ratios), 3))
-    start[:, :2] = side / 2 + 0.3  # nowhere special on the grid
+    start[:, :2] = side / 2 + 0.3  # a generic position on the grid
     bodies.place(start)
     push = np.zeros_like(start)
     speed: list[Array] = []

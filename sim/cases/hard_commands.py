@@ -1,7 +1,7 @@
-"""Commands no robot should be given, for a minute: no blow-up, and no energy from nowhere.
+"""Extreme commands for a minute: the simulation must be stable and must not create energy.
 
-A body as light as the water it displaces is where explicit coupling fails. The servos' work must
-cover the kinetic energy of body and water at every moment; the rest has become heat.
+Explicit coupling fails for a body as light as the water that it displaces. The servos' work must be
+at least the kinetic energy of body and water at all times; the rest has become heat.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Shaken:
 
     Attributes:
         time: In s, shape (T,).
-        work: Done by the servos since the start, shape (T, E).
-        kinetic: Of body and water, and of the water's compression, shape (T, E).
-        stopped: Cell at which the guard stopped a box, -1 where it did not, shape (E,).
+        work: Work of the servos since the start, shape (T, E).
+        kinetic: Energy of body and water, with that of compression, shape (T, E).
+        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
         fastest: Largest joint rate in rad/s, shape (E,).
     """
 
@@ -51,7 +51,7 @@ class Shaken:
 
 
 def commands(seconds: float, joints: int, rng: np.random.Generator) -> Array:
-    """Set-points in rad, shape (T, 3, J): square waves in phase, in turns, random jumps."""
+    """Set-points in rad, shape (T, 3, J): square waves in phase, in antiphase, random jumps."""
     periods = round(seconds / CONTROL_S)
     phase = FREQUENCY_HZ * CONTROL_S * np.arange(periods)
     together = np.sign(np.sin(2 * np.pi * (phase + 1e-9)))[:, None] * np.ones(joints)
@@ -61,7 +61,7 @@ def commands(seconds: float, joints: int, rng: np.random.Generator) -> Array:
 
 
 def robot(joints: int, boxes: int, *, device: str, threads: int) -> Bodies:
-    """A robot at density ratio 1, 26 cells long, in boxes of the thinnest water that is allowed."""
+    """A robot at density ratio 1, 26 cells long, in boxes with the smallest default viscosity."""
     r = LENGTH_M * np.array(_RADII[joints])
     half = np.stack([r[:-1], (r[:-1] + r[1:]) / 2, r[1:]], axis=1)
     links = joints + 1
@@ -91,7 +91,7 @@ def robot(joints: int, boxes: int, *, device: str, threads: int) -> Bodies:
 
 
 def kinetic_energy(bodies: Bodies) -> Array:
-    """Of water and robot, in J, shape (E,).
+    """Kinetic energy of water and robot in J, shape (E,).
 
     The water inside the robot moves with it and is counted with the water.
     """
@@ -112,21 +112,21 @@ def shake(
     device: str = "cpu",
     threads: int = 2,
 ) -> Shaken:
-    """Shake one robot in three ways at once, and keep the books at every step of the lattice.
+    """Simulate one robot with three kinds of commands, with energies at every step of the lattice.
 
-    A servo's work in a step is its mean torque, that at the middle of the step, times the turn.
+    A servo's work in a step is the torque at the middle of the step times the rotation.
     """
-    wanted = commands(seconds, joints, rng)
-    bodies = robot(joints, wanted.shape[1], device=device, threads=threads)
+    set_points = commands(seconds, joints, rng)
+    bodies = robot(joints, set_points.shape[1], device=device, threads=threads)
     s = bodies.motion
-    work = np.zeros(wanted.shape[1])
-    fastest = np.zeros(wanted.shape[1])
-    sent = s.sent.numpy().copy()
+    work = np.zeros(set_points.shape[1])
+    fastest = np.zeros(set_points.shape[1])
+    stored = s.sent.numpy().copy()
     rows = []
     q, v = s.q.numpy()[:, 3:].copy(), s.v.numpy()[:, 3:].copy()
-    for k, target in enumerate(wanted):
-        sent[:, :, 0] = target
-        s.sent.assign(sent)
+    for k, target in enumerate(set_points):
+        stored[:, :, 0] = target
+        s.sent.assign(stored)
         for _ in range(_SUBSTEPS):
             bodies.step()
             after, rate = s.q.numpy()[:, 3:].copy(), s.v.numpy()[:, 3:].copy()
@@ -144,33 +144,33 @@ def shake(
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """One joint and three, each under square waves in phase and in turns and random jumps."""
+    """One joint and three, each with square waves in phase, in antiphase and random jumps."""
     seconds = 3.0 if quick else 60.0
     rng = np.random.default_rng(5)
     figures, curves = [], []
     for joints in (1, 3):
-        found = shake(seconds, joints, rng, device=device, threads=threads)
+        result = shake(seconds, joints, rng, device=device, threads=threads)
         name = f"{joints} joint{'s' if joints > 1 else ''}"
-        unpaid = np.max((found.kinetic - found.work) / found.work.max(axis=0))
-        share = float((found.kinetic / np.maximum(found.work, 1e-12)).max())
-        lost = found.work - found.kinetic
-        back = np.max((np.maximum.accumulate(lost) - lost) / found.work.max(axis=0))
+        excess = np.max((result.kinetic - result.work) / result.work.max(axis=0))
+        share = float((result.kinetic / np.maximum(result.work, 1e-12)).max())
+        heat = result.work - result.kinetic
+        returned = np.max((np.maximum.accumulate(heat) - heat) / result.work.max(axis=0))
         figures += [
-            Figure(f"{name}: boxes stopped", float((found.stopped >= 0).sum()), 0.0, 0.0, 1.0),
+            Figure(f"{name}: boxes stopped", float((result.stopped >= 0).sum()), 0.0, 0.0, 1.0),
             Figure(
                 f"{name}: kinetic energy beyond the servos' work, share of all work",
-                max(0.0, float(unpaid)), 0.0, 1e-4, 1.0,
+                max(0.0, float(excess)), 0.0, 1e-4, 1.0,
             ),
             Figure(
                 f"{name}: heat that turned to motion again, share of all work",
-                float(back), 0.0, 0.01, 1.0,
+                float(returned), 0.0, 0.01, 1.0,
             ),
             Figure(f"{name}: largest kinetic energy over work", share, 1.0),
         ]  # fmt: skip
         curves.append(
             Curve(
                 f"{name}, random: kinetic energy; reference: servos' work", "time (s)",
-                "energy (J)", found.time, found.kinetic[:, 2], found.time, found.work[:, 2],
+                "energy (J)", result.time, result.kinetic[:, 2], result.time, result.work[:, 2],
             )
         )  # fmt: skip
     return Case(

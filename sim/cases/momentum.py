@@ -1,4 +1,4 @@
-"""Where does the momentum go? What a robot's servos give the links, the water must take."""
+"""Conservation of momentum of a robot and its water."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 RADII = np.array([0.085, 0.115, 0.06, 0.03, 0.02])
 """Half-widths at the nose, the joints and the tail's tip, in body lengths."""
 SET_POINTS = (0.4, -0.5, 0.6)
-"""Angles in rad that the servos are sent to from a straight body at rest."""
+"""Set-points in rad, from a straight body at rest."""
 _VISCOSITY, _SMAGORINSKY = 0.005, 0.1
 _KP, _KD = 0.006, 0.6
 """Gains over the body length to the fourth (fifth in three dimensions), in lattice units."""
@@ -44,7 +44,7 @@ class Audit:
 
 
 def robot(fluid: Fluid, length: float) -> Bodies:
-    """Four links with three servos at density ratio 1, in lattice units, askew on the grid."""
+    """Four links with three servos at density ratio 1, in lattice units, oblique to the grid."""
     half = length * np.stack([RADII[:-1], (RADII[:-1] + RADII[1:]) / 2, RADII[1:]], axis=1)
     hull = Hull(np.full(4, length * (1 - RADII[0] - RADII[-1]) / 4), half, 1.5 * half)
     flat = fluid.lattice.dimensions == 2
@@ -77,7 +77,7 @@ def momentum(fluid: Fluid, bodies: Bodies) -> Array:
 def audit(
     lattice: Lattice, length: int, side: int, steps: int, *, device: str = "cpu", threads: int = 2
 ) -> Audit:
-    """Let the servos jump to their set-points in a periodic box; look twenty times."""
+    """Move the servos to their set-points in a periodic box; evaluate twenty times."""
     size = (side,) * lattice.dimensions
     fluid = Fluid(
         lattice,
@@ -100,26 +100,26 @@ def audit(
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """In two dimensions long; about an axis only until sound has crossed the box.
+    """In two dimensions for long times, and shorter in three.
 
-    A periodic box keeps linear momentum for ever, angular momentum only while nothing passes its
-    edge. In three dimensions the same, shorter. Single precision loses 4e-9 of the impulses a step.
+    A periodic box conserves linear momentum, but angular momentum only until sound has crossed its
+    edge. Single precision loses 4e-9 of the impulses per step.
     """
     where = {"device": device, "threads": threads}
     side = 160 if quick else 320
     near = audit(D2Q9, 32, side, side // 2, **where)  # type: ignore[arg-type]
     figures = [
-        _nothing("linear, 2D", np.abs(near.linear).max()),
-        _nothing("angular, 2D", np.abs(near.angular).max()),
+        _residual("linear, 2D", np.abs(near.linear).max()),
+        _residual("angular, 2D", np.abs(near.angular).max()),
     ]
     curves = [_curve("2D, until sound has crossed the box", near)]
     if not quick:
         long = audit(D2Q9, 32, 128, 2000, **where)  # type: ignore[arg-type]
         solid = audit(D3Q19, 24, 64, 60, **where)  # type: ignore[arg-type]
         figures += [
-            _nothing("linear, 2D, 2000 steps", np.abs(long.linear).max()),
-            _nothing("linear, 3D", np.abs(solid.linear).max()),
-            _nothing("angular, 3D", np.abs(solid.angular).max()),
+            _residual("linear, 2D, 2000 steps", np.abs(long.linear).max()),
+            _residual("linear, 3D", np.abs(solid.linear).max()),
+            _residual("angular, 3D", np.abs(solid.angular).max()),
         ]
         curves.append(_curve("2D, long", long))
     return Case(
@@ -133,11 +133,11 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     )
 
 
-def _nothing(which: str, ours: float) -> Figure:
-    return Figure(f"momentum left over, {which}", float(ours), 0.0, 1e-5, scale=1.0)
+def _residual(name: str, ours: float) -> Figure:
+    return Figure(f"momentum left over, {name}", float(ours), 0.0, 1e-5, scale=1.0)
 
 
-def _curve(label: str, found: Audit) -> Curve:
-    largest = np.maximum(np.abs(found.linear).max(axis=1), np.abs(found.angular))
+def _curve(label: str, result: Audit) -> Curve:
+    largest = np.maximum(np.abs(result.linear).max(axis=1), np.abs(result.angular))
     name = f"Momentum left over, {label}"
-    return Curve(name, "step", "share of the impulses", found.step, largest)
+    return Curve(name, "step", "share of the impulses", result.step, largest)

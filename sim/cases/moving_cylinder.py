@@ -1,6 +1,7 @@
 """A cylinder towed through still water, and the same cylinder held in a stream, at Re 100.
 
-Both see the same flow, so both must feel the same force: plain momentum exchange fails this. The
+Both flows are the same by Galilean invariance, and so must be the forces, which fails with simple
+momentum exchange. The
 free stream's drag and Strouhal number: Williamson, Annu. Rev. Fluid Mech. 28 (1996) 477; Park,
 Kwon, Choi, KSME Int. J. 12 (1998) 1200.
 """
@@ -28,7 +29,7 @@ _TOW, _STREAM = 0.06, 0.1
 _LENGTH, _WIDTH = 16, 10
 _AHEAD, _BEHIND, _ACROSS = 12, 20, 28
 _MAGIC = 0.02
-"""No wall here wants 3/16, at which the odd part lives long enough to upset the inlet."""
+"""There is no wall that needs 3/16, at which the slowly decaying odd part disturbs the inlet."""
 
 
 def _cylinder(fluid: Fluid, diameter: int, x: float, y: float) -> Bodies:
@@ -44,7 +45,7 @@ def towed_and_held(
 ) -> tuple[Array, Array]:
     """Times in diameters over the speed, and drag coefficients, towed and held: shape (T, 2).
 
-    Two periodic boxes, one at rest, one a stream, both set going at once.
+    Two periodic boxes, one at rest, one a stream, both started impulsively.
     """
     size = (_LENGTH * diameter, _WIDTH * diameter)
     viscosity = _TOW * diameter / REYNOLDS
@@ -93,7 +94,7 @@ def free_stream(
     for k in range(force.shape[0]):
         t = k / 10
         shake = 0.3 * _STREAM * np.sin(2 * np.pi * t / 6) if t < 6 else 0.0
-        bodies.prescribe(np.array([0.0, shake, 0.0]))  # so that the street sets in early
+        bodies.prescribe(np.array([0.0, shake, 0.0]))  # to start vortex shedding early
         for _ in range(every):
             bodies.step(HELD)
         force[k] = bodies.motion.force.numpy()[0, 0, :2]
@@ -102,7 +103,7 @@ def free_stream(
 
 
 def frequency(times: Array, lift: Array) -> float:
-    """From where the lift rises through its mean; NaN where it hardly does."""
+    """Frequency of upward crossings of the mean; NaN for less than two."""
     c = lift - lift.mean()
     before = np.flatnonzero((c[:-1] < 0) & (c[1:] >= 0))
     if before.size < 2:
@@ -112,7 +113,7 @@ def frequency(times: Array, lift: Array) -> float:
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """Towed against held; unless ``quick`` also the vortex street in a free stream."""
+    """Towed against held; without ``quick`` also the vortex street in a free stream."""
     where = {"device": device, "threads": threads}
     diameter = 12 if quick else 20
     times, drag = towed_and_held(diameter, 5.0 if quick else 12.0, **where)  # type: ignore[arg-type]

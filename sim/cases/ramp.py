@@ -1,4 +1,4 @@
-"""A gentle start: a stream that sets in at once rings for long in a box with walls."""
+"""A gradual start: after a sudden one pressure waves persist in a box with walls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.fluid.fluid import Fluid
 
 
 class Ramp:
-    """Brings a fluid's inlets and moving walls from rest to their velocity, along a cosine."""
+    """Raises a fluid's inlets and moving walls from rest to their velocity, along a cosine."""
 
     def __init__(self, fluid: Fluid, steps: int) -> None:
         """Stop the walls of ``fluid``; they have their velocity after ``steps`` steps."""
@@ -19,7 +19,7 @@ class Ramp:
         self.at(0)
 
     def at(self, step: int) -> None:
-        """Set the velocity that the walls have at this step; cheap once the ramp is over."""
+        """Set the velocity of the walls at this step; does nothing after the ramp."""
         if step <= self._steps:
             share = 0.5 - 0.5 * np.cos(np.pi * step / self._steps)
             self._fluid.wall_velocity.assign((share * self._velocity).astype(np.float32))

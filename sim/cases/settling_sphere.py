@@ -1,4 +1,4 @@
-"""A sphere a little denser than the liquid sinks in a tank: how fast it gets.
+"""A sphere slightly denser than the liquid sinks in a tank: its largest speed.
 
 Source of the references: ten Cate, Nieuwstad, Derksen, Van den Akker, Phys. Fluids 14 (2002) 4012,
 cases E1 to E4 (measured by particle image velocimetry).
@@ -25,7 +25,7 @@ DIAMETER_M, DENSITY = 0.015, 1120.0
 TANK_M = (0.16, 0.1, 0.1)
 """Height, width, width."""
 GAP_M = 0.12
-"""From the tank's bottom to the sphere's lowest point at the start."""
+"""Distance of the tank's bottom and the sphere's lowest point at the start."""
 GRAVITY = 9.81
 _WALL, _HALVES = 1, 2.0
 
@@ -35,11 +35,11 @@ class Liquid:
     """One of the experiments.
 
     Attributes:
-        name: As in the paper.
+        name: Name in the paper.
         density: In kg/m3.
         viscosity: Dynamic, in Pa s.
         speed: Largest speed measured, in m/s.
-        fastest: Speed in cells a step that the step is chosen for: slow where viscous.
+        fastest: Largest speed in cells per step, which sets the step: less for viscous liquids.
     """
 
     name: str
@@ -62,8 +62,8 @@ def settle(
 ) -> tuple[Array, Array]:
     """Times in s and speeds in m/s until the sphere slows down before the bottom.
 
-    It falls along x. A mirror through its centre leaves half the tank; so that half the water bears
-    the whole sphere, water is given twice its density, and the sphere the mass of that water more.
+    It falls along x. By symmetry only half the tank is simulated. For half the water to carry the
+    whole sphere, water has twice its density, and the sphere has additional mass to compensate.
     """
     cell = DIAMETER_M / diameter
     units = Units(cell, liquid.fastest * cell / liquid.speed, cell, _HALVES * liquid.density)
@@ -102,7 +102,7 @@ def settle(
 
 
 def _sphere(fluid: Fluid, hull: Hull, units: Units, inset: float) -> Bodies:
-    """The whole sphere in half the water: net and virtual mass as in the whole of it."""
+    """The whole sphere in half the water, with the net and virtual mass of the whole tank."""
     true = DENSITY * np.pi / 6 * DIAMETER_M**3
     light = Masses(np.array([true]), np.array([0.1 * true * DIAMETER_M**2]), np.zeros(1))
     twice = Bodies(fluid, hull, light, units, inset=inset).displaced[0]
@@ -120,7 +120,7 @@ def _sphere(fluid: Fluid, hull: Hull, units: Units, inset: float) -> Bodies:
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """All four liquids, or the thinnest alone with a coarse sphere if ``quick``."""
+    """All four liquids; with ``quick`` only the least viscous, with a coarse sphere."""
     diameter = 6 if quick else (24 if device.startswith("cuda") else 13)
     liquids = LIQUIDS[-1:] if quick else LIQUIDS
     figures, curves = [], []

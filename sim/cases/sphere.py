@@ -24,30 +24,30 @@ REYNOLDS = 100.0
 DRAG = 1.087
 _SPEED = 0.1
 _MAGIC = 0.02
-"""No wall here wants 3/16, at which the odd part lives long enough to upset the inlet."""
+"""There is no wall that needs 3/16, at which the slowly decaying odd part disturbs the inlet."""
 _RAMP = 6.0
-_AHEAD, _BEHIND, _BESIDE = 5, 8, 5
-"""Water before, behind and beside the centre, in diameters."""
+_AHEAD, _BEHIND, _SIDE = 5, 8, 5
+"""Extent of the water upstream, downstream and to the side of the centre, in diameters."""
 
 
 def stream(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32]]:
     """Walls, their normals and velocities: in at x = 0, out at the end, free-slip sides.
 
-    Two of the sides are planes of symmetry through the sphere's centre. Boxes wrap, and bodies do
-    too: behind the far side in y is solid room for the sphere's other half.
+    Two of the sides are planes of symmetry through the sphere's centre. Boxes and bodies are
+    periodic: beyond the far side in y there are solid cells for the sphere's other half.
     """
-    beside, room = _BESIDE * diameter, diameter // 2 + 4
-    size = ((_AHEAD + _BEHIND) * diameter + 2, beside + 2 + room, beside + 2)
+    width, room = _SIDE * diameter, diameter // 2 + 4
+    size = ((_AHEAD + _BEHIND) * diameter + 2, width + 2 + room, width + 2)
     walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
     walls[0], normals[0] = INLET, 1
     walls[-1], normals[-1] = OUTLET, 0
     for axis in (1, 2):
-        for end, normal in ((0, 2 * axis + 1), (beside + 1, 2 * axis)):
+        for end, normal in ((0, 2 * axis + 1), (width + 1, 2 * axis)):
             np.moveaxis(walls, axis, 0)[end] = SLIP
             np.moveaxis(normals, axis, 0)[end] = normal
-    edges = [0, beside + 1]
-    walls[:, np.repeat(edges, 2), edges * 2] = SOLID  # two mirrors send back what meets their edge
-    walls[:, beside + 2 :] = SOLID
+    edges = [0, width + 1]
+    walls[:, np.repeat(edges, 2), edges * 2] = SOLID  # bounce-back at edges of two free-slip sides
+    walls[:, width + 2 :] = SOLID
     velocity = np.zeros((*size, 3), np.float32)
     velocity[..., 0] = _SPEED
     return walls, normals, velocity
@@ -82,34 +82,34 @@ def drag(
     ramp = Ramp(fluid, round(_RAMP * diameter / _SPEED))
     unit = 0.5 * _SPEED**2 * np.pi / 4 * diameter**2
     steps = round(diameter / _SPEED / 4)
-    found = np.zeros(round(4 * time))
-    for k in range(found.size):
+    coefficient = np.zeros(round(4 * time))
+    for k in range(coefficient.size):
         for step in range(steps):
             ramp.at(k * steps + step)
             sphere.step(HELD)
-        found[k] = 4 * sphere.motion.force.numpy()[0, 0, 0] / unit
-    return (np.arange(found.size) + 1) / 4, found
+        coefficient[k] = 4 * sphere.motion.force.numpy()[0, 0, 0] / unit
+    return (np.arange(coefficient.size) + 1) / 4, coefficient
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """On a CPU as small as meets the bar; on a GPU finer."""
+    """On a CPU the coarsest resolution that meets the bar; finer on a GPU."""
     diameter, time = (32 if device.startswith("cuda") else 14), 14.0
     if quick:
         diameter, time = 6, 9.0
-    times, found = drag(diameter, time, device=device, threads=threads)
-    last = float(found[-4:].mean())
+    times, coefficient = drag(diameter, time, device=device, threads=threads)
+    last = float(coefficient[-4:].mean())
     figures = (Figure("drag coefficient", last, DRAG, 0.1 if quick else 0.04),)
     return Case(
         name="sphere",
         title="Sphere in a stream at Re 100",
         source="Clift, Grace and Weber, Bubbles, Drops and Particles (1978)",
-        setup=f"D3Q19, {diameter} cells a diameter, {2 * _BESIDE} diameters between free-slip "
+        setup=f"D3Q19, {diameter} cells a diameter, {2 * _SIDE} diameters between free-slip "
         f"sides, a quarter of the flow, {time:g} diameters long, stream at {_SPEED:g} cells a step",
         figures=figures,
         curves=(
             Curve(
                 "Drag of the sphere; reference: steady", "time in diameters over the speed",
-                "drag coefficient", times, found, times[[0, -1]], np.full(2, DRAG),
+                "drag coefficient", times, coefficient, times[[0, -1]], np.full(2, DRAG),
             ),
         ),
     )  # fmt: skip

@@ -1,8 +1,8 @@
-"""A prolate spheroid along which the water slips: the water that it carries, and its friction.
+"""A prolate spheroid with slip along its surface: its added mass and its friction.
 
 Sources: Lamb, The inertia-coefficients of an ellipsoid moving in fluid, ARC R&M 623 (1918), and
-Hydrodynamics (1932), art. 105 and 114: ideal fluid, which slips. Six times as long as thick, the
-spheroid carries 0.045 end-on and 0.918 broadside of the water that it displaces. The friction line:
+Hydrodynamics (1932), art. 105 and 114: ideal fluid, which slips. For a length of six thicknesses
+the added mass is 0.045 end-on and 0.918 broadside of the displaced water. The friction line:
 International Towing Tank Conference, 1957.
 """
 
@@ -28,20 +28,20 @@ LENGTH_M, SPEED_M_S = 0.4, 0.5
 REYNOLDS = LENGTH_M * SPEED_M_S / WATER_M2_S
 _LINKS = 6
 _VISCOSITY, _SMAGORINSKY = 1e-3, 0.1
-"""Of the lattice: as thin as it bears. The friction line takes water's own."""
+"""Of the lattice: the smallest that is stable. The friction line uses that of water."""
 _PERIOD, _PERIODS = 800, 2
 _SWAY = 0.2
-"""Amplitude of the shaking in cells."""
+"""Amplitude of the oscillation in cells."""
 _SHAKEN, _TOWED = (2.0, 1.25, 1.25), (2.5, 1.25, 1.25)
 """Periodic boxes in lengths."""
 _SPEED = 0.05
-"""Of the tow in cells a step."""
+"""Towing speed in cells per step."""
 _LENGTHS = 1.0
-"""Towed, short of its own wake round the box; the second half counts."""
+"""Towed lengths, before it meets its wake in the periodic box; the second half is evaluated."""
 
 
 def carried(fineness: float = FINENESS) -> tuple[float, float]:
-    """Mass of the water carried end-on and broadside over the displaced: Lamb's k1 and k2.
+    """Added mass end-on and broadside over the displaced mass: Lamb's k1 and k2.
 
     With the eccentricity e, alpha = 2 (1 - e^2) / e^3 (artanh e - e) and beta = 1 - alpha / 2:
     k1 = alpha / (2 - alpha), k2 = beta / (2 - beta).
@@ -80,7 +80,7 @@ def slipping(fineness: float = FINENESS) -> float:
 def prolate(length: float, fineness: float = FINENESS) -> Hull:
     """The spheroid as a chain with its radius at the links' ends and middles.
 
-    The round ends touch the poles and meet the spheroid where its radius is theirs.
+    The round ends touch the poles and join the spheroid where the radii are equal.
     """
     end = (1 - 1 / fineness**2) / (1 + 1 / fineness**2)
     x = end * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 2 * _LINKS + 1))  # closer at the ends
@@ -91,10 +91,10 @@ def prolate(length: float, fineness: float = FINENESS) -> Hull:
 
 
 def masses(length: int, *, device: str = "cpu", threads: int = 2) -> Array:
-    """Mass of body and carried water over the displaced water's, end-on and broadside.
+    """Mass of body and added mass over the displaced mass, end-on and broadside.
 
-    A force shakes the free body, which weighs what it displaces: one box for each direction. Units
-    are those of the lattice.
+    An oscillating force drives the free, neutrally buoyant body, in one box for each direction.
+    Units are those of the lattice.
     """
     cells = tuple(round(side * length) for side in _SHAKEN)
     fluid = Fluid(D3Q19, cells, viscosity=_VISCOSITY, boxes=2, device=device, threads=threads)

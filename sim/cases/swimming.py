@@ -1,4 +1,4 @@
-"""Does it swim? A three-joint robot under a travelling wave, and what must not swim."""
+"""A three-joint robot with a travelling wave, and gaits that must not propel it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim.robot.shape import Hull, displaced
 Array = NDArray[np.float64]
 
 RADII = (0.085, 0.115, 0.06, 0.025, 0.01)
-"""Half-widths at the nose, the joints and the tail's tip, in body lengths: fat head, thin tail."""
+"""Half-widths at the nose, the joints and the tail's tip, in body lengths."""
 AMPLITUDE = (0.45, 0.60, 0.75)
 LAG = 1.2 * np.arange(3)
 REYNOLDS = 1000.0
@@ -32,7 +32,7 @@ _CYCLES, _COUNTED = 7, 3
 
 
 class Bending(Protocol):
-    """How a robot bends as time goes on, and where it looks at the start."""
+    """Joint angles of a robot over time, and its initial heading."""
 
     @property
     def heading(self) -> float:
@@ -44,14 +44,14 @@ class Bending(Protocol):
 
 @dataclass(frozen=True)
 class Gait:
-    """How one robot bends, and where it looks at the start.
+    """Joint angles of one robot over time, and its initial heading.
 
     Attributes:
         heading: In rad.
-        wave: 1 for a wave that runs tailwards, -1 for one that runs headwards, 0 in phase.
+        wave: 1 for a wave towards the tail, -1 towards the head, 0 in phase.
         side: -1 for the mirror image.
         turn: Offset of all joints in rad.
-        amplitude: Of each joint in rad.
+        amplitude: Amplitude of each joint in rad.
     """
 
     heading: float = 0.0
@@ -68,7 +68,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Swum:
-    """Where robots went: cycles (T,), x, y and heading of the head (T, E, 3), in body lengths."""
+    """Paths of robots: cycles (T,), x, y and heading of the head (T, E, 3), in body lengths."""
 
     cycles: Array
     path: Array
@@ -100,18 +100,18 @@ def swim(
     device: str = "cpu",
     threads: int = 2,
 ) -> Swum:
-    """Swim robots of one shape with prescribed joints, each in its own box of still water.
+    """Simulate robots of one shape with prescribed joints, each in a box of still water.
 
     Args:
         gaits: One for each robot.
         cells: Cells a body length.
         radii: Half-widths at nose, joints and tip in body lengths.
-        reynolds: One or one for each robot.
-        inset: How far the surface is set in, in cells.
+        reynolds: Reynolds number, one or one for each robot.
+        inset: Distance in cells by which the surface is moved inwards.
         smagorinsky: Constant of the sub-grid viscosity.
         box: Sides of a box in body lengths.
-        steps: Of a cycle; ``_STEPS`` for each cell where None.
-        cycles: How long.
+        steps: Steps per cycle; ``_STEPS`` for each cell where None.
+        cycles: Number of cycles.
         device: Warp device.
         threads: CPU threads.
     """
@@ -138,7 +138,7 @@ def swim(
     start = np.zeros((len(gaits), 2 + links))
     start[:, 2] = [gait.heading for gait in gaits]
     ahead = hull.length.sum() / 2 - true[0, 1]
-    for axis, side in enumerate(size):  # the middle between cells: the grid is its mirror image
+    for axis, side in enumerate(size):  # between cells, about which the grid is symmetric
         start[:, axis] = (side // 2 - 0.5) * cell + ahead * np.cos(start[:, 2] - axis * np.pi / 2)
     start[:, 3:] = [gait.joints(0.0) for gait in gaits]
     bodies.place(start)
@@ -157,14 +157,14 @@ def swim(
 
 
 SYMMETRIC = (0.06, 0.06, 0.06, 0.06, 0.06)
-"""Half-widths of a body that is its own image front to back."""
+"""Half-widths of a body that is symmetric front to back."""
 _FLAP = Gait(wave=0.0, amplitude=(0.6, 0.6, 0.6))
 
 
 def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
-    """Swim at all headings and two resolutions, and what must not swim; three on CUDA.
+    """All headings at two resolutions, three on CUDA, and gaits that must not propel the robot.
 
-    The refinement from 52 to 104 cells takes minutes on a GPU's batch of one; a CPU leaves it out.
+    The refinement from 52 to 104 cells takes minutes on a GPU, and is omitted on a CPU.
     """
     fine = 26 if quick else 52
     cycles = 4 if quick else _CYCLES
@@ -187,9 +187,9 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     forward = float(main.advance()[: len(straight)].mean())
     figures += [
         Figure("swims head first: advance over speed", forward / mean, 1.0, 0.15),
-        _nothing("reversed wave, share of the speed", float(speed[reverse]) / mean, 1 / 3),
-        _nothing("in-phase flap of a symmetric body", drift, 0.1 if quick else 0.05),
-        _nothing("turn of the mirror image, rad", float(turned[right] + turned[left]), 0.02),
+        _residual("reversed wave, share of the speed", float(speed[reverse]) / mean, 1 / 3),
+        _residual("in-phase flap of a symmetric body", drift, 0.1 if quick else 0.05),
+        _residual("turn of the mirror image, rad", float(turned[right] + turned[left]), 0.02),
     ]
     curves = [_speeds(f"{fine} cells", np.array(HEADINGS), speed[: len(straight)])]
     if not quick:
@@ -212,7 +212,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     )
 
 
-def _nothing(quantity: str, ours: float, bar: float) -> Figure:
+def _residual(quantity: str, ours: float, bar: float) -> Figure:
     return Figure(quantity, ours, 0.0, bar, scale=1.0)
 
 

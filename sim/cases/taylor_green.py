@@ -1,4 +1,4 @@
-"""Decaying vortices in a periodic box: order of convergence, and the viscosity that comes out.
+"""Decaying vortices in a periodic box: order of convergence, and effective viscosity.
 
 Source of the solution: Taylor and Green, Proc. R. Soc. Lond. A 158 (1937) 499, in two dimensions
 an exact solution of the Navier-Stokes equations.
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 _PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 _VISCOSITY = 0.1
 _SPEED, _COARSEST = 0.04, 16
-"""Largest speed in cells a step in the coarsest box; it falls as the cells, so that the
-compressibility's error falls as their square too."""
+"""Largest speed in cells per step in the coarsest box; proportional to the size of the cells, so
+that the compressibility error falls with its square too."""
 _LOOKS = 40
 
 
@@ -27,21 +27,21 @@ def vortices(size: int, t: float, plane: tuple[int, int]) -> tuple[Array, Array,
     """Density, velocity and strain rate at t steps, one vortex pair each way: axes as in ``Fluid``.
 
     Args:
-        size: Cells a side.
+        size: Cells per side.
         t: Steps since the start.
-        plane: The two axes that the velocity lies in; nothing changes along the third.
+        plane: The two axes of the velocity; the flow is uniform along the third.
     """
-    one, two = plane
+    first, second = plane
     k = 2 * np.pi / size
     shape = [1, 1, 1, 1]
-    shape[1 + one] = shape[1 + two] = size
+    shape[1 + first] = shape[1 + second] = size
     grid = np.indices(shape)
-    x, y = k * grid[1 + one], k * grid[1 + two]
+    x, y = k * grid[1 + first], k * grid[1 + second]
     U = _SPEED * _COARSEST / size * np.exp(-2 * _VISCOSITY * k * k * t)
     u, strain = np.zeros((*shape, 3)), np.zeros((*shape, 6))
-    u[..., one], u[..., two] = U * np.sin(x) * np.cos(y), -U * np.cos(x) * np.sin(y)
-    strain[..., one] = k * U * np.cos(x) * np.cos(y)
-    strain[..., two] = -strain[..., one]  # the shear strain of this flow is zero
+    u[..., first], u[..., second] = U * np.sin(x) * np.cos(y), -U * np.cos(x) * np.sin(y)
+    strain[..., first] = k * U * np.cos(x) * np.cos(y)
+    strain[..., second] = -strain[..., first]  # the shear strain of this flow is zero
     density = 1 + U * U / 4 / CS2 * (np.cos(2 * x) + np.cos(2 * y))
     return density, u, strain
 

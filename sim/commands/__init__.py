@@ -1,1 +1,1 @@
-"""Commands that swim; ``sim2real.cli`` imports them when they run."""
+"""Commands that simulate swimming robots; ``sim2real.cli`` imports them when they run."""

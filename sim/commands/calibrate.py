@@ -14,12 +14,12 @@ from sim2real.report.drawing import save_png
 def run(options: argparse.Namespace) -> int:
     """Calibrate, print the parameters and errors, write the model and a plot of each swim."""
     out = check_writable(options.out)
-    found = verbs.calibrate(**arguments_of(verbs.calibrate, options))
-    print(found)
-    write_model(found.model, out)
+    calibration = verbs.calibrate(**arguments_of(verbs.calibrate, options))
+    print(calibration)
+    write_model(calibration.model, out)
     print(f"\nmodel: {out}")
     if not options.no_plots:
-        for k, swim in enumerate(found.swims):
-            plot = save_png(found.plot(k), out.with_name(f"{out.stem}.{swim.name}.png"))
+        for k, swim in enumerate(calibration.swims):
+            plot = save_png(calibration.plot(k), out.with_name(f"{out.stem}.{swim.name}.png"))
             print(f"plot: {plot}")
     return 0

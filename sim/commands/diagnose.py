@@ -1,4 +1,4 @@
-"""``sim2real diagnose``: of servos, or of the body where the recordings are of a pool."""
+"""``sim2real diagnose``: servos, or the body if the recordings are swims in a pool."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ from sim2real.verbs import recordings_of
 
 
 def run(options: argparse.Namespace) -> int:
-    """Diagnose, print what was found, write it, the enriched model and a page."""
+    """Diagnose, print the diagnosis, write it, the enriched model and a page."""
     out = check_writable(options.out)
     robot, recordings = read_robot(options.robot), recordings_of(options.recordings)
     parsed = {"recordings": recordings, "robot": robot, "in_water": options.in_water}
-    found = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
-    print(found)
-    write_all(found, out)
+    diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
+    print(diagnosis)
+    write_all(diagnosis, out)
     if not options.no_page:
         page, count = out.with_suffix(".html"), len(recordings)
-        what = "1 recording" if count == 1 else f"{count} recordings"
-        subtitle = f"{what}, verdict: {found.verdict.replace('_', ' ')}"
-        section = _section(found, recordings, robot, options)
-        write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], found.provenance)
+        counted = "1 recording" if count == 1 else f"{count} recordings"
+        subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
+        section = _section(diagnosis, recordings, robot, options)
+        write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], diagnosis.provenance)
         print(f"\npage: {page}")
     return 0
 
 
-def write_all(found: Diagnosis, out: Path) -> None:
+def write_all(diagnosis: Diagnosis, out: Path) -> None:
     """Write the diagnosis, the enriched model and the commands of the next experiment."""
     enriched = out.with_name(f"{out.stem}.enriched.json")
-    write_model(found.model, enriched)
-    write_diagnosis(write_commands(found, out), out, enriched.name)
+    write_model(diagnosis.model, enriched)
+    write_diagnosis(write_commands(diagnosis, out), out, enriched.name)
 
 
 def _section(
-    found: Diagnosis, recordings: list[Recording], robot: Robot, options: argparse.Namespace
+    diagnosis: Diagnosis, recordings: list[Recording], robot: Robot, options: argparse.Namespace
 ) -> Section:
     if not recordings[0].is_swim:
-        return diagnosis_section(found)
+        return diagnosis_section(diagnosis)
     from sim.inference.recorded_swims import simulator_of
     from sim.inference.swims import swim_of
     from sim.view.diagnosis_page import swims_section
 
     swims = [swim_of(recording, robot) for recording in recordings]
     simulate = simulator_of(robot, read_model(options.model), options.in_water, options.device)
-    return swims_section(found, swims, simulate, robot)
+    return swims_section(diagnosis, swims, simulate, robot)

@@ -15,17 +15,17 @@ from sim2real.recording import write_recording
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate, and write what a camera and the servos would have measured, as a recording."""
+    """Simulate, and write the measurements of a camera and the servos as a recording."""
     check_writable(options.out)
-    others = (options.recordings, options.model, options.robot, options.plot, options.video)
-    if options.out.resolve() in {other.resolve() for other in others if other}:
+    inputs = (options.recordings, options.model, options.robot, options.plot, options.video)
+    if options.out.resolve() in {path.resolve() for path in inputs if path}:
         raise InputError(options.out, "--out", "a file that is named twice", "a file of its own")
     try:
         (swim,) = verbs.simulate(**arguments_of(verbs.simulate, options)).swims
     except SupersonicFlow as error:
-        kept = options.out.with_suffix(".stopped.json")
-        _write_states(error, kept)
-        print(f"sim2real simulate: {error}; last states in {kept}")
+        states = options.out.with_suffix(".stopped.json")
+        _write_states(error, states)
+        print(f"sim2real simulate: {error}; last states in {states}")
         return 1
     if options.plot:
         print(f"{options.plot}: the flow at the end")
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _write_states(error: SupersonicFlow, kept: object) -> None:
+def _write_states(error: SupersonicFlow, path: object) -> None:
     write_json(
-        str(kept),
+        str(path),
         {
             "time_s": error.time_s,
             "step": error.step,

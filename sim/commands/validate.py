@@ -1,4 +1,4 @@
-"""``sim2real validate``: the published cases, our figures beside theirs."""
+"""``sim2real validate``: published cases, with computed and published figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim2real.report.page import write_page
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the cases, print a line for each figure, write a page and its numbers."""
+    """Run the cases, print a line for each figure, write a page and a JSON file."""
     page = check_writable(options.out)
     device = str(find_device(options.device))
     done: list[tuple[Case, float]] = []
@@ -37,7 +37,9 @@ def run(options: argparse.Namespace) -> int:
         del case["curves"]
     write_json(page.with_suffix(".json"), {"device": device, "cases": content})
     lead = f"{sum(len(c.figures) for c, _ in done)} figures on {device}, {missed} bars missed"
-    write_page(page, "Validation", lead, [cases_section(*one) for one in done], provenance([], 0))
+    write_page(
+        page, "Validation", lead, [cases_section(*result) for result in done], provenance([], 0)
+    )
     print(f"\n{lead}\nreport: {page}")
     return 1 if missed else 0
 
@@ -57,9 +59,9 @@ def chosen(only: Sequence[str]) -> list[str]:
 
 
 def line(figure: Figure) -> str:
-    """One figure in one line."""
-    said = f"{figure.quantity}: {figure.ours:.5g}, reference {figure.reference:.5g}"
-    said += f", error {100 * figure.error:.2f} %"
+    """The printed line of a figure."""
+    text = f"{figure.quantity}: {figure.ours:.5g}, reference {figure.reference:.5g}"
+    text += f", error {100 * figure.error:.2f} %"
     if figure.bar is None:
-        return said
-    return f"{said}, bar {100 * figure.bar:g} %: {'met' if figure.met else 'MISSED'}"
+        return text
+    return f"{text}, bar {100 * figure.bar:g} %: {'met' if figure.met else 'MISSED'}"

@@ -1,1 +1,1 @@
-"""Boxes of water, and how bodies touch them."""
+"""Boxes of water, and their coupling to bodies."""

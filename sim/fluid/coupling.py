@@ -1,19 +1,19 @@
-"""Bodies into the fluid, and the fluid's answer out of it, by the share of each cell that is solid.
+"""Coupling of bodies and fluid by the solid share of each cell.
 
-Direct forcing of the volume: within a step the fluid in a cell is brought to the body's velocity by
-the solid share of the cell, or, next to a surface along which it slips, to the body's velocity
-across that surface. Before that, each link learns what that would cost: the sums that
-``multibody.advance`` needs to find the velocity at which body and fluid agree, so that the exchange
-is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209
+Direct forcing of the volume: within a step the velocity of the fluid in a cell is set to the body's
+in proportion to the solid share of the cell; next to a surface with slip only the component across
+the surface. Before that, the impulses of this forcing are summed for each link;
+``multibody.advance`` solves for the velocity at which body and fluid agree, so that the exchange is
+implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209
 (2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
 
-Where the water slips, what a body feels is the change of the momentum of the water outside it: that
-of all the forcing less that of the water inside, summed over the cells by their solid share (Kempe
-and Froehlich, J. Comput. Phys. 231 (2012) 3663). However the inner water flows then, it does not
-load the body. It still takes momentum along the surface from the water outside, as no wall may that
-the water slips along. How much is seen in the inner water that moves with the body, by what its
-velocity has lost since the last step; it is given back to the cells beside the surface, evenly over
-each link, as a mean over ``wall.MEMORY`` steps.
+Where the water slips, the force on a body is the change of the momentum of the water outside it:
+that of all the forcing minus that of the water inside, summed over the cells by their solid share
+(Kempe and Froehlich, J. Comput. Phys. 231 (2012) 3663), so that the inner water does not load the
+body. But the inner water takes momentum along the surface from the water outside, which a wall with
+slip must not do. This momentum is measured by the velocity that inner water moving with the body
+has lost since the last step, and given back to the cells at the surface, uniformly over each link,
+as a mean over ``wall.MEMORY`` steps.
 """
 
 from functools import cache
@@ -32,19 +32,19 @@ SUMS = 20
 velocity N v + a, where v is the body's there and N a symmetric matrix; G leads from the link's
 twist to v. Sums of (1 - c) rho G' N G and of c rho G' N G (xx, xy, yy, xw, yw, ww each), of
 rho G' a and of c rho G' (u + a) (x, y, w each); of the momentum along the axis that the inner water
-is given, and of the mass beside the surface that it is taken from. Without slip c counts as 0."""
+is given, and of the mass at the surface that it is taken from. Without slip c counts as 0."""
 FIXED_POINT = float(2**32)
-"""Sums are kept as integers, so that their order makes no difference."""
+"""Scale of the sums, which are integers so that their order makes no difference."""
 _MOST_SHARE = 0.99999
 _NEAR = 3.0
-"""Cells from a link's outline within which a column is looked at."""
+"""Distance in cells from a link's outline within which a column of cells is processed."""
 
 
 @cache
 def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
-    made = populations(lattice, storage, wide)
-    Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
+    pop = populations(lattice, storage, wide)
+    Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.func
     def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> int:
@@ -99,7 +99,7 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells; ``kept`` is what the cells beside each link get back, a speed."""
+        """One column of cells; ``kept`` is the velocity that the cells at each surface get back."""
         e, column = wp.tid()
         count = covered.side
         corner = covered.corner[e]
@@ -125,13 +125,13 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         v = twist[e, link]
         body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
         axis = wp.vec3(pose[e, link][2], pose[e, link][3], 0.0)
-        any = bool(False)
+        touched = bool(False)
         outer = wp.vec3()
         inner = wp.vec3()
-        given = wp.vec2()
+        forcing = wp.vec2()
         held_in = wp.vec2()
         taken = float(0.0)
-        beside = float(0.0)
+        surface_mass = float(0.0)
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
@@ -180,10 +180,12 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
                         else:
                             even = 0.0
                         if slips > 0.0:
-                            past = lack - wp.dot(lack, o) * o
-                            even = slips * friction(wp.length(past), float(rough[e, link]), touch)
+                            sliding = lack - wp.dot(lack, o) * o
+                            even = slips * friction(
+                                wp.length(sliding), float(rough[e, link]), touch
+                            )
                             ahead = axis - wp.dot(axis, o) * o
-                            beside += rho * slips * wp.dot(ahead, axis)
+                            surface_mass += rho * slips * wp.dot(ahead, axis)
                             more = -slips * kept[e, link] * ahead
                     slot = (e * count * count + column) * covered.tall + layer
                     covered.share[slot] = held
@@ -199,19 +201,19 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
                     outer += (1.0 - inside) * pull
                     inner += inside * pull
                     gain = rho * more - even * u - across * wp.dot(o, u) * o
-                    given += wp.vec2(gain[0], gain[1])
+                    forcing += wp.vec2(gain[0], gain[1])
                     gain += rho * u
                     held_in += inside * wp.vec2(gain[0], gain[1])
-                    any = bool(True)
+                    touched = bool(True)
                 elif (flag & wp.static(BODY)) != 0:
                     flags[n] = wp.uint8(flag - wp.static(BODY))
-        if any:
+        if touched:
             add_matrix(sums, e, link, 0, r, outer)
-            add_vector(sums, e, link, 12, r, given)
+            add_vector(sums, e, link, 12, r, forcing)
             if touch.slip != 0:
                 add_matrix(sums, e, link, 6, r, inner)
                 add_vector(sums, e, link, 15, r, held_in)
                 add(sums, e, link, 18, wp.float64(taken))
-                add(sums, e, link, 19, wp.float64(beside))
+                add(sums, e, link, 19, wp.float64(surface_mass))
 
     return cover

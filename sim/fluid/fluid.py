@@ -37,7 +37,7 @@ class Fluid:
         size: Cells (nx, ny, nz) of one box, walls included.
         boxes: Number of boxes E.
         device: Warp device.
-        wide: Whether there are too many populations to number them in 32 bits.
+        wide: Whether there are too many populations for 32-bit indices.
         t: Parity of the next step.
     """
 
@@ -63,14 +63,14 @@ class Fluid:
             lattice: ``D2Q9`` or ``D3Q19``.
             size: Cells of one box (nx, ny) or (nx, ny, nz), walls included.
             viscosity: Kinematic viscosity, one or one for each box.
-            boxes: How many.
-            walls: What each cell is (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``INLET``,
+            boxes: Number of boxes.
+            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``INLET``,
                 ``OUTLET``), shape ``size``; all fluid where None.
             normals: For free-slip cells, inlets and outlets the direction out of the fluid: 0 to 5
                 for +x, -x, +y, -y, +z, -z; shape ``size``.
             wall_velocity: Velocity of moving cells and inlets, shape (*size, 3).
-            magic: Product of the two relaxation times less a half; 3/16 puts a straight no-slip
-                wall exactly half-way between cells.
+            magic: Product of the two relaxation times, each minus a half; 3/16 puts a straight
+                no-slip wall exactly half-way between cells.
             smagorinsky: Constant of the sub-grid viscosity; 0 for none.
             storage: ``float32``, or ``float16`` for half the memory and traffic.
             device: Warp device.
@@ -149,14 +149,14 @@ class Fluid:
         openings = np.isin(kind[active], (INLET, OUTLET))
         self._has_openings = bool(np.any(openings))
         self._inside = self._put(np.where(openings, before, -1).astype(np.int32), wp.int32)
-        room, device = (self.boxes, active.size), self.device
-        self._through: Any = wp.zeros(room, dtype=wp.vec4, device=device)
+        shape, device = (self.boxes, active.size), self.device
+        self._through: Any = wp.zeros(shape, dtype=wp.vec4, device=device)
         self._outlets = int(np.count_nonzero(kind == OUTLET))
         self._excess: Any = wp.zeros(self.boxes, dtype=wp.float32, device=device)
         self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=device)
 
     def accelerate(self, acceleration: NDArray[Any]) -> None:
-        """Let a body force act on all fluid from now on: shape (E, 3) or (3,), a step squared."""
+        """Set a body force on all fluid: shape (E, 3) or (3,), in cells per step squared."""
         values = np.broadcast_to(np.asarray(acceleration, dtype=np.float32), (self.boxes, 3))
         self.drive.assign(np.ascontiguousarray(values))
         self._driven = bool(np.any(values))
@@ -226,7 +226,7 @@ class Fluid:
             density: Density, shape (E, nx, ny, nz) or what broadcasts to it; 1 where None.
             velocity: Velocity, shape (E, nx, ny, nz, 3) or what broadcasts to it; 0 where None.
             strain_rate: Rates of strain xx, yy, zz, xy, yz, zx of that velocity, one axis of 6;
-                they set the part out of equilibrium, without which the start rings.
+                they set the non-equilibrium part, without which pressure waves arise at the start.
         """
         shape = (self.boxes, *self.size)
         rest = np.zeros(shape) if density is None else np.broadcast_to(density, shape) - 1.0
@@ -245,7 +245,7 @@ class Fluid:
         self.stopped.fill_(-1)
 
     def _flat(self, field: NDArray[Any]) -> Array:
-        return np.concatenate([flatten(one) for one in field]).astype(np.float32)
+        return np.concatenate([flatten(box) for box in field]).astype(np.float32)
 
     def moments(self) -> tuple[Array, Array]:
         """Density (E, nx, ny, nz) and velocity (E, nx, ny, nz, 3), copied from the device."""
@@ -263,7 +263,7 @@ class Fluid:
 
 
 def flatten(field: NDArray[Any]) -> NDArray[Any]:
-    """A field of one box, shape (nx, ny, nz, ...), as its cells are counted: x fastest."""
+    """A field of one box, shape (nx, ny, nz, ...), in the order of its cells: x fastest."""
     return np.ascontiguousarray(
         field.swapaxes(0, 2).reshape(
             field.shape[0] * field.shape[1] * field.shape[2], *field.shape[3:]

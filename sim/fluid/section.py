@@ -1,4 +1,4 @@
-"""A link's cross-sections as the grid sees them: how far a point is from its surface."""
+"""A link's cross-sections on the grid: distance of a point from its surface."""
 
 import warp as wp
 
@@ -79,40 +79,40 @@ def side(
 
     The area is that over one cell of its height and one of its outline seen from above.
 
-    At each height the link reaches half its thickness there to either side of its axis. What is
-    thinner than the grid can show is a sheet with the normals of its two sides: it has no round
-    edge for the water to push against, and ends where the link ends.
+    At each height the link extends half its thickness there to either side of its axis. Parts
+    thinner than the grid resolves are a sheet with the normals of its two sides, without the
+    pressure on a round edge, which ends where the link ends.
     """
     dx = x - pose[0]
     dy = y - pose[1]
     back = -(dx * pose[2] + dy * pose[3])
-    beside = dy * pose[2] - dx * pose[3]
-    held = wp.clamp(back, 0.0, length)
+    lateral = dy * pose[2] - dx * pose[3]
+    clamped = wp.clamp(back, 0.0, length)
     s = float(0.0)
     if length > 0.0:
-        s = held / length
+        s = clamped / length
     w = along(width, s)
     h = along(height, s)
     up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
     root = wp.sqrt(1.0 - up * up / (h * h))
     blunt = wp.clamp(w - touch.thin, 0.0, 1.0)
-    over = back - held
-    off = wp.sqrt(beside * beside + blunt * over * over)
+    over = back - clamped
+    off = wp.sqrt(lateral * lateral + blunt * over * over)
     edge = blunt * touch.inset + (1.0 - blunt) * touch.edge
     gap = off - wp.max(w * root - touch.inset, touch.thin)
     within = wp.clamp(0.5 - (wp.abs(z) - h + edge), 0.0, 1.0)
     within *= wp.clamp(0.5 - (wp.max(back - length, -back) - w + edge), 0.0, 1.0)
     ahead = float(0.0)
-    aside = float(1.0)
+    sideways = float(1.0)
     if off > 1.0e-4:
         ahead = -blunt * over / off
-        aside = beside / off
+        sideways = lateral / off
     if over == 0.0 and length > 0.0:
         narrows = taper(width, s) * root + w * up * up * taper(height, s) / (h * h * h * root)
         ahead += narrows / length
     n = wp.vec3(
-        ahead * pose[2] - aside * pose[3],
-        ahead * pose[3] + aside * pose[2],
+        ahead * pose[2] - sideways * pose[3],
+        ahead * pose[3] + sideways * pose[2],
         w * up / (h * h * root),
     )
     return gap, within, wp.length(n), wp.normalize(n)

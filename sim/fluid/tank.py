@@ -1,4 +1,4 @@
-"""The water a robot swims in: a window that goes with it, or the whole pool with its walls."""
+"""The water of a robot: a window that moves with it, or the whole pool with its walls."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _UP = 4
 
 @dataclass(frozen=True)
 class Tank:
-    """Cells of one box and what closes it.
+    """Cells and walls of one box.
 
     Attributes:
         size: Cells (nx, ny, nz), walls included; nz is 1 in two dimensions.
-        walls: What each cell is, shape ``size``.
+        walls: Kind of each cell, shape ``size``.
         normals: Direction out of the fluid at the free surface, shape ``size``.
-        sponge: Width in cells of the layer that lets nothing back; 0 where walls close the box.
+        sponge: Width in cells of the absorbing layer; 0 where walls close the box.
     """
 
     size: tuple[int, int, int]
@@ -33,7 +33,7 @@ class Tank:
 
 
 def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """A box that follows the robot: without sides, the water at rest far from the robot.
+    """A box that follows the robot: periodic sides, water at rest far from the robot.
 
     Its bottom is the pool's floor (no slip), its top the surface (free slip).
     """
@@ -50,9 +50,9 @@ def pool(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False
 
 
 def _tank(nx: int, ny: int, depth_m: float, cell_m: float, flat: bool, sponge: int) -> Tank:
-    """One layer of wall closes two sides of a box: its cells wrap round."""
+    """A box; one layer of wall cells closes two opposite sides, as the box is periodic."""
     nz = 1 if flat else round(depth_m / cell_m) + 1
     walls, normals = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.int32)
     if not flat:
-        walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # below it the surface, above it the floor
+        walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # the surface for cells below, the floor above
     return Tank((nx, ny, nz), walls, normals, sponge)

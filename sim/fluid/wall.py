@@ -1,10 +1,10 @@
-"""How a body touches the water: with all of its velocity, or with the component across its surface.
+"""Wall models: water at a surface takes the body's velocity, or only its component across it.
 
-At the Reynolds numbers at which robots swim, 1e4 to 1e6, the boundary layer is millimetres thick,
-thinner than any cell that one can afford. A wall that holds the whole velocity (``NO_SLIP``) smears
-it over a cell: drag is then several times too large. ``SLIP`` holds the velocity across the surface
-only and puts the layer's friction back as a stress along it, by a plate's friction line: a wall
-model in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is
+At the Reynolds numbers of swimming robots, 1e4 to 1e6, the boundary layer is millimetres thick,
+thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``) smears the layer
+over a cell: drag is then several times too large. ``SLIP`` sets only the velocity across the
+surface and adds the layer's friction as a stress along it, by a plate's friction line: a wall model
+in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is
 thicker than the cells, in creeping flow and the published cases at low Reynolds numbers, the water
 does not slip.
 """
@@ -22,22 +22,22 @@ from sim2real.errors import InputError
 LINES = ("none", "laminar", "turbulent")
 """Friction lines: 1.328 / sqrt(Re) is Blasius's, 0.075 / (log10 Re - 2)^2 that of ITTC 1957."""
 DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
-"""In cells: the depth below the surface from where the inner water moves with the body; how far
-thick sides are set in; the least half-thickness of a fin; how far its edges are set in. A cell that
-is solid to a small part stops the water across it almost whole: with these a disc seems 0.1 cells
-too large, and a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
+"""In cells: depth below the surface from which the inner water moves with the body; distance by
+which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
+moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
+disc acts 0.1 cells too large, a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
 MEMORY = 40.0
-"""Steps over which the water's momentum that the inner water takes away is averaged."""
+"""Steps over which the momentum that the inner water takes from the outer is averaged."""
 
 
 @wp.struct
 class Touch:
-    """A wall as the kernels take it; lengths in cells.
+    """Parameters of a wall model for the kernels; lengths in cells.
 
     Attributes:
-        slip: 1 where only the velocity across the surface is held, 0 where all of it is.
+        slip: 1 where only the velocity across the surface is set, 0 where all of it is.
         line: Number of the friction line in ``LINES``.
-        reynolds: Reynolds number of one cell a step over the body's length, in water.
+        reynolds: Reynolds number of one cell per step over the body's length, in water.
         deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
     """
 
@@ -52,10 +52,10 @@ class Touch:
 
 @dataclass(frozen=True)
 class Wall:
-    """How bodies touch the water.
+    """Wall model of bodies.
 
     Attributes:
-        slip: Whether the water slips along them.
+        slip: Whether the water slips along the surface.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
 
@@ -71,7 +71,7 @@ class Wall:
             raise InputError("wall", "line", repr(self.line), f"one of {', '.join(LINES)}")
 
     def touch(self, length_m: float, units: Units) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """The same for the kernels, for bodies of this length."""
+        """The wall model for the kernels, for bodies of this length."""
         touch = Touch()
         touch.slip, touch.line = int(self.slip), LINES.index(self.line)
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
@@ -80,14 +80,14 @@ class Wall:
 
 
 NO_SLIP = Wall(slip=False)
-"""Holds the whole velocity: for flows whose boundary layers the cells resolve."""
+"""Sets the whole velocity: for flows whose boundary layers the cells resolve."""
 SLIP = Wall(slip=True, line="turbulent")
-"""For robots: what ``Swimmer`` takes."""
+"""For robots: the default of ``Swimmer``."""
 
 
 @wp.func
 def friction(slip: float, rough: float, touch: Touch) -> float:
-    """Share of the velocity along a wall that friction takes from a cell beside it in a step.
+    """Share of the velocity along a wall that friction takes from a cell at the wall in a step.
 
     The stress is rho / 2 (c + rough) times the square of the slip velocity, c of the friction line
     at the Reynolds number of the slip velocity and the body's length. Sources: Schlichting and

@@ -1,9 +1,9 @@
-"""Coordinates of what swims may tell, in which a swim is nearly linear, and their swims.
+"""Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
 One column for each number: gains and latencies, the twin's law, every effect of the body and the
-camera. A tether acts by its stiffness and by stiffness times anchor; a skin that gives way as a
-mixture of a quick and a slow one. A current is added to what was swum in still water, with the
-heading that was seen: a body goes along with even water.
+camera. The coordinates of a tether are its stiffness and stiffness times anchor, those of a
+viscoelastic skin a fast and a slow stiffness. A current is added to a simulation in still water,
+with the measured heading: a uniform current carries the body with it.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from sim2real.velocity import body_velocity
 Array = NDArray[np.float64]
 
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
-"""Coefficients of the twin's law that swims may move."""
+"""Coefficients of the twin's law that are fitted to swims."""
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 WATER = ("cells", "viscosity", "eddies", "friction", "box")
-"""What may be otherwise of a water in which the fluid has swum (``in_water``)."""
+"""Variants of the fluid's settings (``in_water``)."""
 ERROR = "error"
-"""What columns are called that are shapes of the simulator's own error (``discrepancy``)."""
+"""Prefix of columns that are shapes of the simulator's error (``discrepancy``)."""
 DOUBT = "error.doubt"
-"""And those of such shapes in what effects change."""
-RESISTS = ("linear_drag", "form_drag", "surface_friction", "added_mass")
-"""Effects of water that resists. What is missing of them can only add: where a law has too much of
-one its own coefficients say so, and a friction below zero would drive a robot. By them, too, a law
-that is wrong somewhere else helps itself."""
+"""Prefix of columns that are shapes of the error in the changes that effects make."""
+WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass")
+"""Effects of drag and added mass. They are not negative: negative friction would drive a robot, and
+too much drag of a law is corrected by its own coefficients. Other errors of a law can look like
+them."""
 QUICK_S, SLOW_S = 0.12, 0.9
-"""Relaxation times whose mixture a skin that gives way is."""
+"""Relaxation times of the fast and the slow part of a viscoelastic skin."""
 _FOLLOWS = 1e4
-"""Gain from which a servo only follows what was filmed (``sim.twin.prescribed``)."""
+"""Gain from which a servo prescribes the joint's angle (``sim.twin.prescribed``)."""
 _TETHER_STEP = 0.05
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
@@ -54,12 +54,12 @@ class Column:
     """One coordinate.
 
     Attributes:
-        name: Of the parameter it stands for.
+        name: Name of its parameter.
         effect: The effect it belongs to, as ``(name, component)``; None for servos and law.
-        nominal: Its value where nothing is missing.
+        nominal: Its value without missing effects.
         low, high: Its bounds.
-        step: Of a derivative.
-        prior_sd: Of an effect that is there.
+        step: Step of derivatives.
+        prior_sd: Standard deviation of the prior of an effect that is present.
     """
 
     name: str
@@ -72,13 +72,13 @@ class Column:
 
     @property
     def shown(self) -> bool:
-        """Whether it is added to a rollout, which it leaves as it is: the camera's, a current."""
+        """Whether it is added to a finished simulation: camera effects and the current."""
         of_camera = self.effect is not None and self.effect[1] == "camera"
         return of_camera or self.name in _CURRENT
 
     @property
     def kind(self) -> str:
-        """What stands in ``law_error.json``: the name without joint or material."""
+        """Key in ``law_error.json``: the name without joint or material."""
         parts = self.name.split(".")
         if self.effect is None:
             return ".".join((parts[0] if parts[0] in ("twin", "water") else "servo", parts[-1]))
@@ -92,9 +92,10 @@ class Coordinates:
     Attributes:
         model: The servos, and the law where the model has one.
         columns: F of them.
-        effects: Those that may be missing.
-        seems: What swims of this robot in which nothing is missing seem to have of them, shape
-            (F,): the simulator's own error (``learned``), on top of which a swim is simulated.
+        effects: Effects that may be missing.
+        place: Index of each column by name.
+        seems: Apparent values in reference swims in which nothing is missing, shape (F,): the
+            simulator's error (``learned``), which is added in simulations.
     """
 
     model: Model
@@ -127,27 +128,29 @@ class Coordinates:
             if name in model.body.get("water", {}):
                 columns.append(Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5, np.inf))
         listed = tuple(candidates(robot))
-        for one in listed:
-            for p in one.free:
-                low, high = 0.0 if one.name in RESISTS else p.low, p.high
+        for effect in listed:
+            for p in effect.free:
+                low, high = 0.0 if effect.name in WATER_FORCES else p.low, p.high
                 if p.name in (*_PULL[1:], _RELAX):
                     low, high = (0.0, 10.0) if p.name == _RELAX else (-10.0, 10.0)
-                sd = p.prior_sd if p.name != _RELAX else 4 * one.free[0].typical
+                sd = p.prior_sd if p.name != _RELAX else 4 * effect.free[0].typical
                 step = _TETHER_STEP if p.name in _PULL else 0.5 * p.typical
-                step = one.free[0].typical / 2 if p.name == _RELAX else step
+                step = effect.free[0].typical / 2 if p.name == _RELAX else step
                 sd = 0.4 if p.name in _PULL else sd
-                columns.append(Column(p.name, (one.name, one.component), 0.0, low, high, step, sd))
+                columns.append(
+                    Column(p.name, (effect.name, effect.component), 0.0, low, high, step, sd)
+                )
         for name in discrepancy.names(len(robot.joints)):
             columns.append(Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0))
         place = {column.name: k for k, column in enumerate(columns)}
         return cls(model, tuple(columns), listed, place)
 
     def doubting(self) -> Coordinates:
-        """With columns for what is wrong of what effects change, which no rollout moves."""
-        known = discrepancy.of_changes(len(self.model.joints))
-        more = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in known]
-        columns = (*self.columns, *more)
-        seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(more)))
+        """With columns for the error of the changes that effects make, which need no simulation."""
+        sizes = discrepancy.of_changes(len(self.model.joints))
+        added = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in sizes]
+        columns = (*self.columns, *added)
+        seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(added)))
         place = {column.name: k for k, column in enumerate(columns)}
         return replace(self, columns=columns, place=place, seems=seems)
 
@@ -162,7 +165,7 @@ class Coordinates:
 
     @property
     def nominal(self) -> Array:
-        """Shape (F,)."""
+        """Nominal values, shape (F,)."""
         return np.array([column.nominal for column in self.columns])
 
     def clipped(self, x: Array) -> Array:
@@ -171,12 +174,12 @@ class Coordinates:
         return np.clip(x, low, [column.high for column in self.columns])
 
     def room(self, x: Array) -> Array:
-        """How far each column may go down and up from a point (F,), shape (2, F)."""
+        """Distances from a point (F,) to the lower and upper bounds, shape (2, F)."""
         low, high = (np.array([getattr(c, end) for c in self.columns]) for end in ("low", "high"))
         return np.stack([low - x, high - x])
 
     def parameters(self, x: Array) -> dict[str, float]:
-        """Parameters by name at a point (F,); those of effects that are off are left out."""
+        """Parameters by name at a point (F,), without those of effects whose columns are all 0."""
         out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
         if _STIFF in out:
             quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
@@ -199,33 +202,33 @@ class Coordinates:
         }
 
     def model_at(self, x: Array) -> Model:
-        """The model at a point (F,); ``seems`` stands apart in it, as ``body.seems``."""
+        """The model at a point (F,); ``seems`` is stored separately, as ``body.seems``."""
         model = with_values(self.model, self.parameters(x))
-        apart = np.broadcast_to(self.seems, x.shape)
-        seems = {self.columns[k].name: float(apart[k]) for k in np.flatnonzero(apart)}
+        error = np.broadcast_to(self.seems, x.shape)
+        seems = {self.columns[k].name: float(error[k]) for k in np.flatnonzero(error)}
         return replace(model, body={**model.body, "seems": seems}) if seems else model
 
     def steps(self, x: Array) -> Array:
-        """Steps of one-sided derivatives about a point (F,): into what is allowed."""
+        """Steps of one-sided derivatives about a point (F,), within the bounds."""
         step = np.array([column.step for column in self.columns])
         high = np.array([column.high for column in self.columns])
         return np.where(x + step > high, -step, step)
 
     def about(self, x: Array) -> tuple[Array, Array]:
-        """Points (F + 1, F) from which derivatives about x are taken, the base of each, (F,).
+        """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
-        Row 0 is x, row k + 1 what column k is moved to; its base is row 0, but for a tether's
-        anchor, which no tether of no stiffness has: there it is the tether's own row.
+        Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The anchor of a
+        tether without stiffness has no influence: its base is the row with a step in the stiffness.
         """
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
         if _PULL[0] in self.place and x[self.place[_PULL[0]]] < 1e-3:
-            own = self.place[_PULL[0]]
+            stiffness = self.place[_PULL[0]]
             for name in _PULL[1:]:
                 k = self.place[name]
-                points[k + 1, own] = points[own + 1, own]
-                base[k] = own + 1
+                points[k + 1, stiffness] = points[stiffness + 1, stiffness]
+                base[k] = stiffness + 1
         return points, np.asarray(base, dtype=np.float64)
 
 
@@ -236,56 +239,57 @@ Swum = Callable[[Sequence[Model], Swim], Array]
 def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) -> Array:
     """Signals of a swim at points (E, F), shape (E, T, 3 + J).
 
-    Points that differ in the camera and the current alone share a rollout.
+    Points that differ only in camera effects and the current share a simulation.
     """
     outer = [k for k, c in enumerate(coordinates.columns) if c.shown]
     points = points + coordinates.seems
     inner = points.copy()
     inner[:, outer] = 0.0
-    unique, which = np.unique(inner, axis=0, return_inverse=True)
-    given = [with_values(coordinates.model, coordinates.parameters(x)) for x in unique]
-    track = simulate(given, swim)[which.reshape(-1)]
-    return _seen(track, [coordinates.parameters(x) for x in points], swim)
+    unique, inverse = np.unique(inner, axis=0, return_inverse=True)
+    models = [with_values(coordinates.model, coordinates.parameters(x)) for x in unique]
+    track = simulate(models, swim)[inverse.reshape(-1)]
+    return _signals(track, [coordinates.parameters(x) for x in points], swim)
 
 
 def seen_as(models: Sequence[Model], swim: Swim, simulate: Swum) -> Array:
-    """Signals of a swim by models, current and camera as in ``swum``, shape (E, T, 3 + J)."""
-    given = []
+    """Signals of a swim by models; current and camera as in ``swum``, shape (E, T, 3 + J)."""
+    parameters = []
     for model in models:
-        there = values(model)
+        effects = values(model)
         seems: Mapping[str, float] = model.body.get("seems", {})
-        given.append(there | {name: there.get(name, 0.0) + v for name, v in seems.items()})
-    still = [
+        parameters.append(effects | {name: effects.get(name, 0.0) + v for name, v in seems.items()})
+    in_still_water = [
         with_values(
             model,
-            {n: 0.0 if n in _CURRENT else v for n, v in one.items() if not n.startswith(ERROR)},
+            {n: 0.0 if n in _CURRENT else v for n, v in by_name.items() if not n.startswith(ERROR)},
         )
-        for model, one in zip(models, given, strict=True)
+        for model, by_name in zip(models, parameters, strict=True)
     ]
-    return _seen(simulate(still, swim), given, swim)
+    return _signals(simulate(in_still_water, swim), parameters, swim)
 
 
-def _seen(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
-    """What camera and joints show of tracks (E, T, 3 + J) swum in still water."""
+def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
+    """Signals of tracks (E, T, 3 + J) simulated in still water: with current, camera and error."""
     out = np.full((len(track), swim.t.size, track.shape[2]), np.nan)
     heading = swim.heading
     c, s = np.cos(heading), np.sin(heading)
-    whole = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
-    shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in whole])
-    out[whole, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
-    out[whole, :, 3:] = track[whole, :, 3:]
-    for e, one in enumerate(parameters):
-        wrong = {n: v for n, v in one.items() if n.startswith(ERROR)}
-        if wrong:
-            every = discrepancy.shapes(out[e])
-            out[e] += sum(v * every[name] for name, v in wrong.items())
-    u, v = np.array([[one.get(name, 0.0) for one in parameters] for name in _CURRENT])[..., None]
+    finite = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
+    shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in finite])
+    out[finite, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
+    out[finite, :, 3:] = track[finite, :, 3:]
+    for e, by_name in enumerate(parameters):
+        error_sizes = {n: v for n, v in by_name.items() if n.startswith(ERROR)}
+        if error_sizes:
+            shapes = discrepancy.shapes(out[e])
+            out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
+    current = [[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT]
+    u, v = np.array(current)[..., None]
     out[..., 0] += c * u + s * v
     out[..., 1] += c * v - s * u
     return out
 
 
 def in_fit(columns: Sequence[Column], members: frozenset[Candidate]) -> NDArray[np.bool_]:
-    """Which columns a fit with these effects moves, shape (F,)."""
+    """Whether a fit with these effects varies each column, shape (F,)."""
     on = {(e.name, e.component) for e in members}
     return np.array([c.effect is None or c.effect in on for c in columns])

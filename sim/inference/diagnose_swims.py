@@ -1,10 +1,10 @@
-"""Which physics of the body or the camera do swims in a pool show that the twin leaves out?
+"""Diagnosis of swims in a pool: which effects of the body or the camera does the twin leave out?
 
-The search is that of ``sim2real.inference.selection`` on swims as ``twin_search`` has them: every
-effect of the catalogue beside servos and law, in which the twin's error is a part of the noise.
-What is named has to predict the end of each swim better when fitted to its beginning; what others
-can imitate is a group; and where a shape without a name (``unlisted``) does better than all, the
-diagnosis abstains. Thresholds are in ``law_error.json``.
+The search (``searched``) fits every effect of the catalogue together with servos and force law, and
+the error of the twin counts as noise. An effect is reported if it predicts the end of each swim
+better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
+shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
+``law_error.json``.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from sim2real.units import readable, readable_name
 
 Array = NDArray[np.float64]
 
-_DRAWN = 400
+_SAMPLES = 400
 _REPEATED = 0.005
-_ROLLS = 3.0
-"""Surge or sway at the beat, in squares of what the twin usually leaves, that no plane explains."""
+_OUT_OF_PLANE = 3.0
+"""Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
 SHAPES = {
-    "wave": "a flow to and fro in the pool's frame, as of waves",
-    "gust": "a head that is shaken for a while, as by another swimmer's wake",
-    "bend": "poses that follow a joint, as of a marker that is not on the head",
-    "mount": "a heading that drifts, as of a camera that turns",
-    "change": "a robot that becomes another one on its way",
+    "wave": "an oscillating flow in the pool's frame, e.g. waves",
+    "gust": "a disturbance of the head for a few seconds, e.g. the wake of another swimmer",
+    "bend": "poses that follow a joint, e.g. a marker that is not on the head",
+    "mount": "a heading that drifts, e.g. a camera that turns",
+    "change": "a change of the robot during the swim",
 }
-"""What shapes without a name would look like; guesses."""
+"""Possible causes of each unnamed shape."""
 
 
 def diagnose_swims(
@@ -55,99 +55,107 @@ def diagnose_swims(
     simulate: Swum,
     *,
     references: Sequence[Swim] = (),
-    known: LawError = LAW_ERROR,
-    again: Callable[[Model], tuple[Swum, Model] | None] = lambda found: None,
+    law_error: LawError = LAW_ERROR,
+    resimulate: Callable[[Model], tuple[Swum, Model] | None] = lambda result: None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
-    """Find what the body's simulator leaves out.
+    """Find the effects of body and camera that the simulator leaves out.
 
     Args:
         swims: Pool recordings of one robot in one pool.
         model: The servos.
         robot: The robot.
-        simulate: The twin (``sim.twin.followed.by_followed_twin``).
-        references: Swims of the same robot in which nothing is thought to be missing.
-        known: The twin's error and the thresholds.
-        again: From what was found to a simulator that is right beside it, and with what it is, to
-            search with once more (``in_water.swims_again``).
+        simulate: The twin (``sim.inference.followed.by_followed_twin``).
+        references: Swims of the same robot in which nothing is known to be missing.
+        law_error: The twin's error and the thresholds.
+        resimulate: Function from the likely model of the first search to a simulator for a second
+            one and the model that it is exact for, or None (``in_water.resimulation``).
         progress: Called with the share that is done.
 
     Returns:
-        The diagnosis; its errors are those of the speed over ground, in m/s, on what was held out.
+        The diagnosis; its errors are held-out errors of the speed over ground, in m/s.
     """
-    before = learned(references, model, robot, simulate, known)
-    found = searched(swims, model, robot, simulate, before, progress)
-    beside = again(likely_model(found, known, referred=bool(references)))
-    if beside is not None:
-        found = searched(swims, model, robot, beside[0], before, begun=beside[1])
-    return diagnosis_of(found, robot, known, referred=bool(references))
+    prior = learned(references, model, robot, simulate, law_error)
+    result = searched(swims, model, robot, simulate, prior, progress)
+    resimulated = resimulate(likely_model(result, law_error, referred=bool(references)))
+    if resimulated is not None:
+        result = searched(swims, model, robot, resimulated[0], prior, simulated=resimulated[1])
+    return diagnosis_of(result, robot, law_error, referred=bool(references))
 
 
-def likely_model(found: Searched, known: LawError, *, referred: bool) -> Model:
-    """The model with what is likely, whether it is offered or not: the fluid swims again with it.
+def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:
+    """The fitted model with the likely effects, for another simulation in the fluid.
 
     Args:
-        found: The search.
-        known: The twin's error and the thresholds.
-        referred: Whether swims in which nothing is missing were known.
+        result: The result of the search.
+        law_error: The twin's error and the thresholds.
+        referred: Whether there were reference swims.
     """
-    said = decide(raw(found, referred=referred), known.decisions)
-    likely = {one.name for one in said.named if one.probability >= known.decisions["likely"]}
-    fit = next(h.fit for h in found.found if set(names_of(h.members)) == likely)
-    return found.problem.coordinates.model_at(fit.x)
+    decided = decide(raw(result, referred=referred), law_error.decisions)
+    likely = {
+        effect.name
+        for effect in decided.named
+        if effect.probability >= law_error.decisions["likely"]
+    }
+    fit = next(
+        hypothesis.fit for hypothesis in result.found if set(names_of(hypothesis.members)) == likely
+    )
+    return result.problem.coordinates.model_at(fit.x)
 
 
-def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bool) -> Diagnosis:
-    """What a search in the twin found, decided and put into words.
+def diagnosis_of(
+    result: Searched, robot: Robot, law_error: LawError, *, referred: bool
+) -> Diagnosis:
+    """The diagnosis from the result of a search: probabilities, verdict and statements.
 
     Args:
-        found: The search.
+        result: The result of the search.
         robot: The robot.
-        known: The twin's error and the thresholds.
-        referred: Whether swims in which nothing is missing were known.
+        law_error: The twin's error and the thresholds.
+        referred: Whether there were reference swims.
     """
-    said = decide(raw(found, referred=referred), known.decisions)
-    problem, c = found.problem, found.problem.coordinates
-    chosen = next(h for h in found.found if frozenset(names_of(h.members)) == said.offered)
+    decided = decide(raw(result, referred=referred), law_error.decisions)
+    problem, c = result.problem, result.problem.coordinates
+    chosen = next(h for h in result.found if frozenset(names_of(h.members)) == decided.offered)
     fitted = next(
-        h for h in found.found
-        if frozenset(names_of(h.members)) >= {one.name for one in said.named}
+        h for h in result.found
+        if frozenset(names_of(h.members)) >= {entry.name for entry in decided.named}
     )  # fmt: skip
-    both = (found.plain, chosen)
-    ahead = [found.held[one.members] for one in both]
-    errors = [_errors(problem, one.fit) for one in ahead]
-    before, after = (one.speed for one in ahead)
+    pair = (result.plain, chosen)
+    held_out = [result.held[entry.members] for entry in pair]
+    errors = [_errors(problem, entry.fit) for entry in held_out]
+    before, after = (entry.speed for entry in held_out)
     named = []
-    for one in said.named:
-        effect = next(e for e in c.effects if (e.name, e.component) == one.name)
-        parameters = _estimates(found, fitted, effect, known.decisions["relative"])
+    for entry in decided.named:
+        effect = next(e for e in c.effects if (e.name, e.component) == entry.name)
+        parameters = _estimates(result, fitted, effect, law_error.decisions["relative"])
         sizes = ", ".join(
             f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
         )
-        known_as = body_effect(effect.name)
-        where = f" ({effect.component})" if known_as.by_material else ""
-        others = ", ".join(f"{name} ({of})" for name, of in one.group[1:])
+        described = body_effect(effect.name)
+        where = f" ({effect.component})" if described.by_material else ""
+        others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
         or_else = f" These swims do not distinguish it from {others}." if others else ""
-        title = f"{known_as.title[0].upper()}{known_as.title[1:]}"
+        title = f"{described.title[0].upper()}{described.title[1:]}"
         named.append(
             NamedEffect(
                 effect=effect.name,
                 component=effect.component,
-                probability=one.probability,
-                group=tuple(dict.fromkeys(name for name, _ in one.group)),
+                probability=entry.probability,
+                group=tuple(dict.fromkeys(name for name, _ in entry.group)),
                 parameters=parameters,
                 heldout={
                     "rmse_before": before, "rmse_after": after, "recoverable_removed": None,
                 },
                 baseline_shift={
-                    c.columns[k].name: float(chosen.fit.x[k] - found.plain.fit.x[k])
+                    c.columns[k].name: float(chosen.fit.x[k] - result.plain.fit.x[k])
                     for k in c.base
                 },
                 stability=1.0,
                 statement=f"{title}{where}: {sizes}.{or_else}",
             )
         )  # fmt: skip
-    rivals = [Rival(name, of, p) for (name, of), p in said.rivals[:5]]
+    rivals = [Rival(name, of, p) for (name, of), p in decided.rivals[:5]]
     corrected = "" if "water" not in c.model.body else ", corrected by simulations in the fluid"
     gate = [
         f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
@@ -159,15 +167,15 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
             "mass that this robot always has, and errors of the twin for its shape, cannot be "
             "distinguished from missing effects."
         )
-    likely = known.decisions["likely"]
-    if said.unlisted >= likely:
+    likely = law_error.decisions["likely"]
+    if decided.unlisted >= likely:
         gate.append(
-            f"An effect is likely that the catalogue lacks: {SHAPES[said.shape.split()[0]]}."
+            f"An effect is likely that the catalogue lacks: {SHAPES[decided.shape.split()[0]]}."
         )
-    moved, turn = float(found.misfit[:2, 1].max()), float(found.misfit[2, 1])
-    if said.unlisted >= likely and moved > _ROLLS and moved > 1.5 * turn:
+    sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
+    if decided.unlisted >= likely and sideways > _OUT_OF_PLANE and sideways > 1.5 * turn:
         gate.append(
-            f"The residual is mainly the head's sideways motion at the tail beat ({moved:.0f} "
+            f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
             f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
             "heaves looks like this to an overhead camera; a planar model cannot follow it."
         )
@@ -178,40 +186,40 @@ def diagnosis_of(found: Searched, robot: Robot, known: LawError, *, referred: bo
         )
     train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))
     noise = np.mean([np.broadcast_to(s.noise, s.signals.shape[1]) for s in problem.swims], axis=0)
-    plain_model, model = (c.model_at(one.fit.x) for one in both)
-    made = findings(
-        robot, said.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
+    plain_model, model = (c.model_at(entry.fit.x) for entry in pair)
+    diagnosis = findings(
+        robot, decided.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
     )
     return replace(
-        made,
+        diagnosis,
         gate=tuple(gate),
-        unknown={"body": said.unlisted},
-        next_experiment=_experiment(found, fitted, said, likely),
+        unknown={"body": decided.unlisted},
+        next_experiment=_experiment(result, fitted, decided, likely),
     )
 
 
 def _experiment(
-    found: Searched, fitted: Hypothesis[Fit], said: Decided, likely: float
+    result: Searched, fitted: Hypothesis[Fit], decided: Decided, likely: float
 ) -> Experiment | None:
-    """What to record next, where the first group that is likely has several members."""
-    for one in said.named:
-        if one.probability >= likely and len(one.group) > 1:
-            rest = frozenset(names_of(fitted.members)) - {one.name}
-            instead = rest | {one.group[1]}
-            for other in found.found:
-                if frozenset(names_of(other.members)) == instead:
-                    names = (one.name[0], one.group[1][0])
-                    return next_swim(found.problem, fitted.fit, other.fit, names)
+    """The next recording, where a likely group has several members."""
+    for effect in decided.named:
+        if effect.probability >= likely and len(effect.group) > 1:
+            others = frozenset(names_of(fitted.members)) - {effect.name}
+            replaced = others | {effect.group[1]}
+            for hypothesis in result.found:
+                if frozenset(names_of(hypothesis.members)) == replaced:
+                    names = (effect.name[0], effect.group[1][0])
+                    return next_swim(result.problem, fitted.fit, hypothesis.fit, names)
     return None
 
 
 def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
-    """Errors of each signal in the first part of the swims and the last."""
+    """Root mean square errors of each signal in the first and the last part of the swims."""
     parts: tuple[list[Array], list[Array]] = ([], [])
     for swim in problem.swims:
-        (said,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)
+        (signals,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)
         cut = round(swim.t.size * (1 - HELD_OUT))
-        error = said - swim.signals
+        error = signals - swim.signals
         parts[0].append(error[:cut])
         parts[1].append(error[cut:])
     train, held = (np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts)
@@ -219,26 +227,26 @@ def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
 
 
 def _estimates(
-    found: Searched, chosen: Hypothesis[Fit], effect: Candidate, relative: float
+    result: Searched, chosen: Hypothesis[Fit], effect: Candidate, relative: float
 ) -> dict[str, Estimate]:
-    """What the fit says of an effect, by draws: its parameters bend with its coordinates.
+    """Estimates of an effect's parameters, by sampling: they are nonlinear in the coordinates.
 
-    ``relative``: what the twin is wrong of an effect's size, of that size (one sd).
+    ``relative`` is the relative standard deviation of an effect's size due to the twin's error.
     """
-    problem, c = found.problem, found.problem.coordinates
-    own = c.of_effect(effect)
-    spread = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(own, own)]
-    spread = spread + np.diag(np.square(problem.prior.imitation[own]))
-    spread = spread + np.diag(np.square(relative * chosen.fit.x[own]))
+    problem, c = result.problem, result.problem.coordinates
+    columns = c.of_effect(effect)
+    covariance = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(columns, columns)]
+    covariance = covariance + np.diag(np.square(problem.prior.imitation[columns]))
+    covariance = covariance + np.diag(np.square(relative * chosen.fit.x[columns]))
     rng = np.random.default_rng(0)
-    drawn = np.tile(chosen.fit.x, (_DRAWN, 1))
-    drawn[:, own] = rng.multivariate_normal(chosen.fit.x[own], spread, _DRAWN)
-    drawn = c.clipped(drawn)
-    drawn[0] = chosen.fit.x
-    told = [c.parameters(x) for x in drawn]
+    samples = np.tile(chosen.fit.x, (_SAMPLES, 1))
+    samples[:, columns] = rng.multivariate_normal(chosen.fit.x[columns], covariance, _SAMPLES)
+    samples = c.clipped(samples)
+    samples[0] = chosen.fit.x
+    parameters = [c.parameters(x) for x in samples]
     out = {}
     for p in effect.free:
-        values = np.array([one.get(p.name, 0.0) for one in told])
+        values = np.array([by_name.get(p.name, 0.0) for by_name in parameters])
         low, high = np.quantile(values, (0.05, 0.95))
         mean, sd = float(values[0]), float(values.std())
         out[p.name.rpartition(".")[2]] = Estimate(mean, sd, float(low), float(high))

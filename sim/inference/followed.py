@@ -1,8 +1,9 @@
-"""The twin beside a robot that was filmed: carried to where it was seen, time and again.
+"""The twin, reset to the measured pose of a robot every few seconds.
 
-Water does not mind where a robot is or where it heads, but a cable and a wall do, and a twin that
-swims on its own is soon elsewhere. So it is put to the pose that was seen every few seconds, moving
-as it moved; the track goes on without a jump, put together from the ways between.
+Forces of the water do not depend on position or heading, but those of a cable and a wall do, and
+the path of a free simulation soon differs from the measured one. So every few seconds the twin is
+moved to the measured pose, with its velocity in the body frame kept. The track is integrated from
+the displacements of all periods and has no jumps.
 """
 
 from __future__ import annotations
@@ -28,28 +29,31 @@ Array = NDArray[np.float64]
 
 
 SUBSTEPS = 4
-"""Of a control period: half the twin's own moves a swim by a percent, far below its error."""
+"""Sub-steps of a control period, half the twin's default: this changes a swim by 1 %, far less than
+its error."""
 
 
-def by_followed_twin(robot: Robot, **given: Any) -> Swum:  # noqa: ANN401 - options of Twin
-    """The twin for swims whose poses are known."""
-    options = {"substeps": SUBSTEPS, **given}
+def by_followed_twin(robot: Robot, **settings: Any) -> Swum:  # noqa: ANN401 - options of Twin
+    """The twin as a simulator for swims with measured poses."""
+    options = {"substeps": SUBSTEPS, **settings}
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
         twin.reset(pose=np.tile(swim.start, (len(models), 1)))
-        seen = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
+        measured = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
         state = twin.state()
-        now = np.concatenate([state.pose, state.measured], axis=1)
-        joint, ways = state.measured, []
-        sent = swim.command[:-1]
-        for a, b in bounds(len(sent), CONTROL_S):
+        signals = np.concatenate([state.pose, state.measured], axis=1)
+        angles, displacements = state.measured, []
+        commands = swim.command[:-1]
+        for a, b in bounds(len(commands), CONTROL_S):
             if a and swim.pose is not None:
-                carry(twin, seen[a])
-                now = np.concatenate([np.tile(seen[a], (len(models), 1)), now[:, 3:]], axis=1)
-            track = np.concatenate([now[:, None], twin.swim(sent[a:b])], axis=1)
-            ways.append(steps_of(track))
-            now = track[:, -1]
-        return path_of(np.concatenate(ways, axis=1), swim.start, joint)
+                carry(twin, measured[a])
+                signals = np.concatenate(
+                    [np.tile(measured[a], (len(models), 1)), signals[:, 3:]], axis=1
+                )
+            track = np.concatenate([signals[:, None], twin.swim(commands[a:b])], axis=1)
+            displacements.append(steps_of(track))
+            signals = track[:, -1]
+        return path_of(np.concatenate(displacements, axis=1), swim.start, angles)
 
     return run

@@ -1,12 +1,12 @@
-"""Swims that the fluid has swum, beside which the twin says only what changes.
+"""Simulations of swims in the fluid, which the twin corrects for changes of parameters.
 
-The twin is a force law and some three noises of a camera away from a robot; the fluid is one or
-two, and slow. So the fluid swims what was sent to the robot once, as the bench has it, and the
-twin is asked for differences alone: of an effect, of a gain (a control variate; Peherstorfer,
-Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). What cells of one size, one viscosity and one
-sub-grid constant get wrong, one friction line and one size of box, is a difference too: the fluid
-swims with others as well, and how far a robot's water lies along each is fitted
-(``water.viscosity`` and so on), as a gain is.
+The error of the twin is about three standard deviations of a camera's noise; that of the fluid is
+one or two, but the fluid is slow. So the fluid simulates the recorded commands once, with the
+identified servos, and the twin predicts only differences, e.g. those made by an effect or a gain (a
+control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). The error due to
+the size of the cells, the viscosity, the sub-grid constant, the friction line and the size of the
+box is treated as a difference as well: the fluid is also simulated with other settings, and the
+share of each change is fitted (``water.viscosity`` and so on), as a gain is.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ Array = NDArray[np.float64]
 CELL_M = 0.016
 """Side of a cell."""
 BOX_M = (1.25, 0.9, 0.4)
-"""Length, width and depth of a box, which goes with its robot."""
+"""Length, width and depth of a box, which moves with its robot."""
 VISCOSITY_M2_S = 5e-5
-"""Away from the wall: what such cells bear."""
+"""Viscosity away from the wall: the smallest that is stable with these cells."""
 SUBSTEPS = 20
-"""Steps of the lattice in a control period: with half as many a servo lags by another 5 %."""
+"""Steps of the lattice per control period: with half as many the lag of a servo grows by 5 %."""
 COARSE = 1.25
-"""Side of a cell of the other waters, over that of the first."""
+"""Side of a cell in the variants, relative to that of the first simulation."""
 VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
     zip(
         WATER,
@@ -53,26 +53,27 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
         strict=True,
     )
 )
-"""Other waters, in larger cells: their viscosity, sub-grid constant and box over those of the
-first, and the friction line of a boundary layer that stays laminar: where it turns nobody knows."""
+"""Variants of the fluid, in larger cells: viscosity, sub-grid constant and box relative to those of
+the first, and the friction line of a laminar boundary layer: the place of transition is unknown."""
 
 SWUM = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry",
 )  # fmt: skip
-"""Effects with which the fluid swims again: those that act wherever a robot is."""
+"""Effects with which the fluid is simulated again: those that do not depend on the position."""
 
 
 @dataclass(frozen=True)
 class InWater:
-    """What the fluid swam.
+    """Simulations of swims in the fluid.
 
     Attributes:
-        names: What may be otherwise of the water, V of them.
-        steps: Of each swim, by ``key``: ways forward, to the left (m/s) and round (rad/s) in each
-            period and the joints' angles, shape (1 + V, T - 1, 3 + J): of the first water, and how
-            far each of the others is from it, but for ``cells`` from that in larger cells.
-        law: Coefficients of the twin that is nearest to them, where that was fitted.
+        names: Names of the V variants of the fluid.
+        steps: For each swim, by ``key``: mean velocity forward, to the left (m/s) and of the
+            heading (rad/s) in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J):
+            the first simulation, then the differences of the variants, that of ``cells`` from the
+            first simulation, the others from ``cells``.
+        law: Coefficients of the twin fitted to these simulations, if they were fitted.
     """
 
     names: tuple[str, ...]
@@ -80,13 +81,13 @@ class InWater:
     law: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, model: Model) -> Model:
-        """The model with the twin's law that is nearest, and with shares of the other waters."""
+        """The model with the fitted law of the twin, and with shares of the variants, all 0."""
         body = {**model.body, "water": dict.fromkeys(self.names, 0.0)}
         return replace(model, body=body | ({"twin": dict(self.law)} if self.law else {}))
 
 
 def key(swim: Swim) -> bytes:
-    """What is kept of a swim: its commands, and the heading in which it began."""
+    """Identifier of a swim: its commands and its initial heading."""
     heading = np.float32(np.round(swim.start[2], 2))
     return swim.command.astype(np.float32).tobytes() + heading.tobytes()
 
@@ -102,51 +103,51 @@ def swum_in_water(
     box_m: tuple[float, float, float] = BOX_M,
     threads: int = 1,
 ) -> InWater:
-    """Let the fluid swim what was sent in each swim, all at once.
+    """Simulate the commands of swims in the fluid, in one batch.
 
     Args:
         robot: The robot.
-        model: Its servos, as a bench has them; one for all swims, or one for each.
-        swims: Whose commands are sent, from where they began: speed in a box of cells depends on
-            the heading by some percent. Else their recordings are not looked at.
+        model: Its servos, identified on a bench; one model for all swims, or one for each.
+        swims: Recordings whose commands and initial poses are used: speed in a box of cells depends
+            on the heading by some percent. Their measurements are not used.
         cell_m: Side of a cell.
         device: Warp device.
-        variants: Other waters.
+        variants: Variants of the fluid.
         box_m: Size of a box.
         threads: CPU threads.
     """
     longest = max((swim.command for swim in swims), key=len)
     rows = [np.pad(s.command, ((0, len(longest) - len(s.command)), (0, 0)), "edge") for s in swims]
-    sent = np.stack(rows, axis=1)
+    commands = np.stack(rows, axis=1)
     waters = []
-    for side, given in ((1.0, {}), *((COARSE, one) for one in variants.values())):
+    for side, settings in ((1.0, {}), *((COARSE, variant) for variant in variants.values())):
         swimmer = Swimmer(
             robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device,
-            box_m=tuple(given.get("box", 1.0) * side_m for side_m in box_m),
-            viscosity_m2_s=VISCOSITY_M2_S * given.get("viscosity", 1.0),
-            smagorinsky=SMAGORINSKY * given.get("smagorinsky", 1.0), threads=threads,
-            substeps=SUBSTEPS, wall=Wall(slip=True, line=given.get("line", SLIP.line)),
+            box_m=tuple(settings.get("box", 1.0) * side_m for side_m in box_m),
+            viscosity_m2_s=VISCOSITY_M2_S * settings.get("viscosity", 1.0),
+            smagorinsky=SMAGORINSKY * settings.get("smagorinsky", 1.0), threads=threads,
+            substeps=SUBSTEPS, wall=Wall(slip=True, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
         track = []
-        for row in [None, *sent[:-1]]:
+        for row in [None, *commands[:-1]]:
             if row is not None:
                 swimmer.step(row)
             state = swimmer.state()
             track.append(np.concatenate([state.pose, state.measured], axis=1))
         waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
-    every = np.stack(waters, axis=1)
-    every[..., :3] /= CONTROL_S
-    every[:, 2:] -= every[:, 1:2]
-    every[:, 1:2] -= every[:, :1]
-    known = {key(s): every[k, :, : len(s.t) - 1] for k, s in enumerate(swims)}
-    return InWater(tuple(variants), known)
+    simulated = np.stack(waters, axis=1)
+    simulated[..., :3] /= CONTROL_S
+    simulated[:, 2:] -= simulated[:, 1:2]
+    simulated[:, 1:2] -= simulated[:, :1]
+    steps = {key(s): simulated[k, :, : len(s.t) - 1] for k, s in enumerate(swims)}
+    return InWater(tuple(variants), steps)
 
 
-def beside(model: Model, found: Model) -> Model:
-    """The model with what was found that the fluid can swim with: all but places and the camera."""
-    there = {name: v for name, v in values(found).items() if name.startswith(SWUM)}
-    return with_values(replace(model, joints=found.joints), there)
+def with_fluid_effects(model: Model, fitted: Model) -> Model:
+    """The model with the servos of a fitted model and its effects that are in ``SWUM``."""
+    effects = {name: v for name, v in values(fitted).items() if name.startswith(SWUM)}
+    return with_values(replace(model, joints=fitted.joints), effects)
 
 
 def swum_again(
@@ -154,60 +155,63 @@ def swum_again(
     models: Sequence[Model],
     swims: Sequence[Swim],
     water: InWater,
-    **given: Any,  # noqa: ANN401
+    **options: Any,  # noqa: ANN401
 ) -> InWater:
-    """The swims with what was found in each: a strong effect makes another swim of it.
+    """Simulate swims again, with the effects that were found in each.
 
     Args:
         robot: The robot.
-        models: Of each swim, as ``beside`` has them.
-        swims: Whose commands are sent.
-        water: What the fluid swam before; how far other waters are from it stays.
-        given: As ``swum_in_water`` takes it.
+        models: One for each swim, from ``with_fluid_effects``.
+        swims: Recordings whose commands are used.
+        water: Earlier simulations; their differences between variants are kept.
+        options: Options of ``swum_in_water``.
     """
-    again = swum_in_water(robot, models, swims, variants={}, **given).steps
-    steps = {k: np.concatenate([one[:1], water.steps[k][1:]]) for k, one in again.items()}
+    again = swum_in_water(robot, models, swims, variants={}, **options).steps
+    steps = {k: np.concatenate([first[:1], water.steps[k][1:]]) for k, first in again.items()}
     return replace(water, steps=steps)
 
 
-def swims_again(
+def resimulation(
     robot: Robot,
     model: Model,
     swims: Sequence[Swim],
     water: InWater,
-    **given: Any,  # noqa: ANN401
+    **options: Any,  # noqa: ANN401
 ) -> Callable[[Model], tuple[Swum, Model] | None]:
-    """From what was found to a simulator beside it, and with what: None if there is nothing to add.
+    """A function that simulates swims in the fluid again, with the effects of a fitted model.
+
+    It returns the simulator corrected by these simulations and the model that they used; None where
+    no effect of the fitted model can be simulated.
 
     Args:
         robot: The robot.
-        model: As ``InWater.of`` has it.
-        swims: Whose commands are sent.
-        water: What the fluid swam before.
-        given: As ``swum_in_water`` takes it.
+        model: The model from ``InWater.of``.
+        swims: Recordings whose commands are used.
+        water: Earlier simulations.
+        options: Options of ``swum_in_water``.
     """
 
-    def beside_it(found: Model) -> tuple[Swum, Model] | None:
-        there = beside(model, found)
-        if not values(there):
+    def simulate(fitted: Model) -> tuple[Swum, Model] | None:
+        with_effects = with_fluid_effects(model, fitted)
+        if not values(with_effects):
             return None
-        again = swum_again(robot, [there] * len(swims), swims, water, **given)
-        return by_twin_in_water(robot, there, again), there
+        again = swum_again(robot, [with_effects] * len(swims), swims, water, **options)
+        return by_twin_in_water(robot, with_effects, again), with_effects
 
-    return beside_it
+    return simulate
 
 
-def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -> InWater:  # noqa: ANN401, D417
-    """The same with the law of the twin that is nearest to what the fluid swam.
+def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401, D417
+    """The simulations with coefficients of the twin's law fitted to them.
 
     Args:
         robot: The robot.
-        model: Its servos, with which the fluid swam.
-        water: What it swam; the first two swims are looked at.
+        model: The servos of these simulations.
+        water: The simulations; the first two swims are used.
     """
     swims = []
-    for number, (sent, steps) in enumerate(list(water.steps.items())[:2]):
-        rows = np.frombuffer(sent, np.float32)[:-1].reshape(-1, len(robot.joints))
+    for number, (identifier, steps) in enumerate(list(water.steps.items())[:2]):
+        rows = np.frombuffer(identifier, np.float32)[:-1].reshape(-1, len(robot.joints))
         command = rows.astype(np.float64)
         ways = steps[:1].copy()
         ways[..., :3] *= CONTROL_S
@@ -216,45 +220,46 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **given: Any) -
         signals = np.concatenate([body_velocity(t, track[:, :3]), track[:, 3:]], axis=1)
         swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, pose=track[:, :3]))
     problem = TwinSwims(
-        Coordinates.of(robot, model), swims, by_followed_twin(robot, **given),
+        Coordinates.of(robot, model), swims, by_followed_twin(robot, **options),
         learned([], model, robot, by_followed_twin(robot)),
     )  # fmt: skip
-    found = problem.coordinates.parameters(problem.plain().fit.x)
+    parameters = problem.coordinates.parameters(problem.plain().fit.x)
     law = vars(Coefficients.of(model.body)) | {
-        name.removeprefix("twin."): v for name, v in found.items() if name.startswith("twin.")
+        name.removeprefix("twin."): v for name, v in parameters.items() if name.startswith("twin.")
     }
     return replace(water, law=law)
 
 
-def by_twin_in_water(robot: Robot, model: Model, water: InWater, **given: Any) -> Swum:  # noqa: ANN401, D417
-    """The twin (options ``given``), put right by the fluid where it has swum.
+def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> Swum:  # noqa: ANN401, D417
+    """The twin (with ``options``), corrected by simulations in the fluid.
 
     Args:
         robot: The robot.
-        model: That the fluid swam with; its ``body.twin`` should be the law nearest to the fluid.
-        water: What the fluid swam.
+        model: The model of these simulations, with ``body.twin`` fitted to them.
+        water: The simulations.
     """
-    twin = by_followed_twin(robot, **given)
-    begun: dict[bytes, Array] = {}
+    twin = by_followed_twin(robot, **options)
+    of_twin: dict[bytes, Array] = {}
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
-        known = water.steps.get(key(swim))
-        still = [repr(replace(one, body={**one.body, "water": None})) for one in models]
-        _, first, which = np.unique(still, return_index=True, return_inverse=True)
-        track = twin([models[k] for k in first], swim)[which]
-        if known is None and swim.pose is None:
+        simulated = water.steps.get(key(swim))
+        without_water = [
+            repr(replace(candidate, body={**candidate.body, "water": None})) for candidate in models
+        ]
+        _, unique, inverse = np.unique(without_water, return_index=True, return_inverse=True)
+        track = twin([models[k] for k in unique], swim)[inverse]
+        if simulated is None and swim.pose is None:
             return track  # a swim that is only planned
-        if known is None:
-            raise KeyError(f"{swim.name}: the fluid has not swum these commands")
-        at = key(swim) + swim.start.tobytes()
-        if at not in begun:
-            begun[at] = steps_of(twin([model], swim))[0]
-        fluid = known.copy()
+        if simulated is None:
+            raise KeyError(f"{swim.name}: no simulation of these commands in the fluid")
+        start = key(swim) + swim.start.tobytes()
+        if start not in of_twin:
+            of_twin[start] = steps_of(twin([model], swim))[0]
+        fluid = simulated.copy()
         fluid[..., :3] *= CONTROL_S
-        share = np.array([
-            [one.body.get("water", {}).get(name, 0.0) for name in water.names] for one in models
-        ])  # fmt: skip
-        steps = steps_of(track) + (fluid[0] - begun[at])
+        waters = [candidate.body.get("water", {}) for candidate in models]
+        share = np.array([[shares.get(name, 0.0) for name in water.names] for shares in waters])
+        steps = steps_of(track) + (fluid[0] - of_twin[start])
         steps += np.einsum("ev,vtk->etk", share, fluid[1:])
         return path_of(steps, swim.start, track[:, 0, 3:])
 
@@ -265,58 +270,59 @@ def robot_in_water(
     robot: Robot,
     model: Model,
     files: Sequence[Path],
-    **given: Any,  # noqa: ANN401
+    **options: Any,  # noqa: ANN401
 ) -> tuple[Model, Swum]:
-    """A model and a simulator for swims that the fluid has swum; without files, the twin alone.
+    """A model and a simulator corrected by simulations in the fluid; without files, the twin alone.
 
     Args:
         robot: The robot.
-        model: Its servos, with which the fluid swam.
-        files: Of ``write_water``; the law is that of the first.
-        given: Options of the twin.
+        model: The servos of these simulations.
+        files: Files by ``write_water``; the law is taken from the first.
+        options: Options of the twin.
     """
     if not files:
-        return model, by_followed_twin(robot, **given)
+        return model, by_followed_twin(robot, **options)
     parts = [read_water_swims(path) for path in files]
-    steps = {sent: known for part in parts for sent, known in part.steps.items()}
+    steps = {swim: simulated for part in parts for swim, simulated in part.steps.items()}
     water = replace(parts[0], steps=steps)
     model = water.of(model)
-    return model, by_twin_in_water(robot, model, water, **given)
+    return model, by_twin_in_water(robot, model, water, **options)
 
 
 def write_water(path: Path, water: InWater) -> None:
-    """Keep what the fluid swam, in half precision."""
+    """Write simulations in the fluid to a file, in half precision."""
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {
         "names": np.array(water.names), "law_names": np.array(list(water.law)),
         "law": np.array(list(water.law.values())),
     }  # fmt: skip
-    for k, (sent, steps) in enumerate(water.steps.items()):
+    for k, (identifier, steps) in enumerate(water.steps.items()):
         arrays[f"steps_{k}"] = steps.astype(np.float16)
-        arrays[f"key_{k}"] = np.frombuffer(sent, np.float32)
+        arrays[f"key_{k}"] = np.frombuffer(identifier, np.float32)
     np.savez_compressed(path, **arrays)
 
 
 def read_water_swims(path: Path) -> InWater:
-    """What ``write_water`` kept.
+    """Read a file by ``write_water``.
 
     Raises:
-        InputError: If it is no such file.
+        InputError: If the file has another content.
     """
     try:
-        kept = np.load(path)
-        names = tuple(kept["names"].tolist())
+        content = np.load(path)
+        names = tuple(content["names"].tolist())
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
-    count = sum(name.startswith("key_") for name in kept.files)
+    count = sum(name.startswith("key_") for name in content.files)
     steps = {
-        kept[f"key_{k}"].tobytes(): kept[f"steps_{k}"].astype(np.float64) for k in range(count)
+        content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
+        for k in range(count)
     }
-    law = dict(zip(kept["law_names"].tolist(), kept["law"].tolist(), strict=True))
+    law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
     return InWater(names, steps, law)
 
 
 __all__ = [
-    "InWater", "beside", "by_twin_in_water", "read_water_swims", "robot_in_water", "swims_again",
-    "swum_again", "swum_in_water", "with_nearest_law", "write_water",
+    "InWater", "by_twin_in_water", "read_water_swims", "resimulation", "robot_in_water",
+    "swum_again", "swum_in_water", "with_fluid_effects", "with_nearest_law", "write_water",
 ]  # fmt: skip

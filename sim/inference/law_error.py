@@ -1,10 +1,10 @@
-"""How wrong the twin is, as it was measured: its error is a part of the noise.
+"""Measured error of the twin, which counts as noise in a diagnosis.
 
-``law_error.json`` says what a twin that was calibrated on a robot's swims still gets wrong of
-another swim of the same robot in which nothing is missing, and from how many swims of how many
-robots that is known: the share of each signal, by band of frequency, and how much of each effect
-it imitates. ``benchmarks/pool_law_error.py`` learns them from the nulls of development sets,
-``pool_decisions.py`` chooses what decides.
+``law_error.json`` has the error of a twin that was calibrated on a robot's swims, on other swims of
+the same robot in which nothing is missing: relative to each signal by frequency band, and as the
+size of each effect that it imitates; with the number of swims and robots that it was measured on.
+``benchmarks/pool_law_error.py`` measures it on the nulls of development sets,
+``benchmarks/pool_decisions.py`` chooses the thresholds.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 FILE = Path(__file__).with_name("law_error.json")
 IN_WATER = Path(__file__).with_name("law_error_in_water.json")
-"""The same of a twin that the fluid puts right (``in_water``)."""
+"""The error of a twin that is corrected by the fluid (``in_water``)."""
 SCHEMA = "sim2real.law_error/1"
 RELATIVE = ("servo.kp_Nm_per_rad", "servo.kd_Nms_per_rad")
-"""Kinds of columns whose sizes are shares of their values."""
+"""Kinds of columns whose sizes are relative to their values."""
 NEVER = 1e-3
-"""Standard deviation of what the error does not pass for, in steps of a derivative."""
+"""Standard deviation of columns that the error does not imitate, in steps of derivatives."""
 _CURVES = {
     "odds": ("name", NameFeatures(*np.ones(12)).terms()),
     "strange": ("unlisted", UnlistedFeatures().terms(1.0)),
@@ -44,22 +44,21 @@ _NUMBERED = {
     for k, row in enumerate(ROWS)
     for b, band in enumerate(BANDS)
 }
-"""Present names of numbers that older files number."""
+"""Present names of decisions that older files number."""
 
 
 @dataclass(frozen=True)
 class LawError:
-    """What is known of the twin's error.
+    """Measured error of the twin.
 
     Attributes:
         shares: Error as a share of a signal's size, by signal (surge, sway, yaw rate, joints) and
             band (slow, beat, fast), shape (4, 3).
-        imitated: By kind of column, the standard deviation from one swim of a robot to another: of
-            shapes of the error (``discrepancy``), or of what it passes for, be it servos, law or
-            effects that are not there.
-        unknown: The same of a robot that was never seen, where its swims have it in common.
+        imitated: By kind of column, the standard deviation between swims of one robot: of shapes
+            of the error (``discrepancy``), or of servos, law and absent effects that it imitates.
+        unknown: Standard deviation between robots, of the part common to a robot's swims.
         usual: Mean of the law's coefficients over robots.
-        shift: Mean over robots of how far they are from the nominal ones.
+        shift: Mean over robots of their difference from the nominal coefficients.
         decisions: Thresholds, and the weights of curves as ``curve: term``, by name.
     """
 
@@ -71,31 +70,31 @@ class LawError:
     decisions: Mapping[str, float]
 
     def imitation(self, coordinates: Coordinates) -> Array:
-        """Standard deviation of what the error passes for in each column, shape (F,)."""
+        """Standard deviation of the error's imitation of each column, shape (F,)."""
         out = []
         for c in coordinates.columns:
-            known = c.kind in self.imitated
-            out.append(self._of(self.imitated, c.kind, c.nominal) if known else NEVER * c.step)
+            measured = c.kind in self.imitated
+            out.append(self._size(self.imitated, c.kind, c.nominal) if measured else NEVER * c.step)
         return np.array(out)
 
     def prior(self, coordinates: Coordinates) -> tuple[Array, Array]:
-        """Mean (F,) and covariance (F, F) of a swim of a robot that was never seen."""
+        """Mean (F,) and covariance (F, F) for a swim of a robot without reference swims."""
         mean, sd = [], self.imitation(coordinates)
         for k, c in enumerate(coordinates.columns):
             mean.append(self.usual.get(c.kind, c.nominal + self.shift.get(c.kind, 0.0)))
             if c.kind in self.unknown:
-                sd[k] = self._of(self.unknown, c.kind, c.nominal)
+                sd[k] = self._size(self.unknown, c.kind, c.nominal)
         return np.array(mean), np.diag(np.square(sd))
 
     @staticmethod
-    def _of(known: Mapping[str, float], kind: str, nominal: float) -> float:
-        """A gain's is relative."""
-        value = known[kind]
+    def _size(sizes: Mapping[str, float], kind: str, nominal: float) -> float:
+        """The value of a kind; that of a gain is relative to its nominal value."""
+        value = sizes[kind]
         return value * abs(nominal) if kind in RELATIVE else value
 
 
 def read_law_error(path: Path = FILE) -> LawError:
-    """That of a file, as ``benchmarks/pool_law_error.py`` writes it."""
+    """Read a file by ``benchmarks/pool_law_error.py``."""
     content = read_json(path, SCHEMA)
     shares = content["shares"]
     return LawError(
@@ -111,15 +110,15 @@ def read_law_error(path: Path = FILE) -> LawError:
 def named_decisions(decisions: Mapping[str, float]) -> dict[str, float]:
     """Decisions by their present names.
 
-    Files of before the weights had names number them ("odds 3"), and lack the thresholds that were
-    not in the file then: those are taken from the file that ships.
+    Older files number the weights ("odds 3") and lack newer thresholds, which are taken from the
+    file of this package.
     """
     if not any(name in decisions for name in _NUMBERED):
         return dict(decisions)
     renamed = {_NUMBERED.get(name, name): value for name, value in decisions.items()}
-    shipped: dict[str, float] = read_json(FILE, SCHEMA)["decisions"]
-    return shipped | renamed
+    present: dict[str, float] = read_json(FILE, SCHEMA)["decisions"]
+    return present | renamed
 
 
 LAW_ERROR = read_law_error()
-"""That which ships."""
+"""The error from the file of this package."""

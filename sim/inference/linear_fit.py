@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _HOLDS = 4
-"""Times that columns are held at their bounds and the rest is solved anew."""
+"""Iterations in which columns are fixed at their bounds and the others are solved again."""
 
 
 @dataclass(frozen=True)
@@ -37,23 +37,23 @@ class SwimPrior:
     def extended(self, sizes: Array) -> SwimPrior:
         """The prior with m more parameters of mean 0 and standard deviations ``sizes`` (m,)."""
         n = self.mean.size + sizes.size
-        spread = np.zeros((n, n))
-        spread[: self.mean.size, : self.mean.size] = self.covariance
-        spread[self.mean.size :, self.mean.size :] = np.diag(sizes**2)
-        more = np.zeros(sizes.size)
+        covariance = np.zeros((n, n))
+        covariance[: self.mean.size, : self.mean.size] = self.covariance
+        covariance[self.mean.size :, self.mean.size :] = np.diag(sizes**2)
+        zeros = np.zeros(sizes.size)
         return SwimPrior(
-            np.concatenate([self.mean, more]), spread,
+            np.concatenate([self.mean, zeros]), covariance,
             np.concatenate([self.imitation, sizes]), self.shares,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Slope:
-    """A swim's errors near a point: ``rows + slope @ (x - at)``.
+    """Linear model of a swim's errors near a point: ``rows + slope @ (x - at)``.
 
     Attributes:
-        at: Shape (F,).
-        slope: Shape (n, F).
+        at: The point, shape (F,).
+        slope: Derivatives of the weighted errors, shape (n, F).
         normal: ``slope.T @ slope``.
     """
 
@@ -64,52 +64,59 @@ class Slope:
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis, fitted.
+    """Fit of a hypothesis.
 
     Attributes:
-        x: The point, shape (F,): 0 where an effect is not in it.
+        x: The point, shape (F,): 0 for effects that are not in the hypothesis.
         rows: Weighted errors there, shape (n,).
-        loss: Minus the logarithm of likelihood and prior.
-        near: The slope that it was found with.
-        looked: Whether that is the slope at its own point.
+        loss: Negative logarithm of likelihood times prior.
+        near: Linear model that the fit used.
+        local: Whether the linear model was computed at this point.
     """
 
     x: Array
     rows: Array
     loss: float
     near: Slope
-    looked: bool = False
+    local: bool = False
 
 
-def together(parts: Sequence[tuple[Array, Array]], own: Array) -> tuple[Array, Array, list[Array]]:
-    """What swims tell together of what they have in common, each with columns of its own about it.
+def together(
+    parts: Sequence[tuple[Array, Array]], variance: Array
+) -> tuple[Array, Array, list[Array]]:
+    """Combine swims whose parameters vary about common ones (a linear mixed model).
 
     Args:
         parts: Curvature (F, F) and gradient (F,) of each swim's loss at one point.
-        own: Variance of a swim's columns about those in common, shape (F,).
+        variance: Variance of a swim's parameters about the common ones, shape (F,).
 
     Returns:
-        Curvature and gradient of all losses by what is in common, and the covariance of each swim's
-        own columns where that is known.
+        Curvature and gradient of the sum of losses with respect to the common parameters, and the
+        covariance of each swim's deviations given the common parameters.
     """
-    inner = [np.asarray(np.linalg.inv(normal + np.diag(1 / own))) for normal, _ in parts]
-    both = list(zip(parts, inner, strict=True))
-    whole = np.sum([normal - normal @ i @ normal for (normal, _), i in both], axis=0)
-    pull = np.sum([gradient - normal @ i @ gradient for (normal, gradient), i in both], axis=0)
-    return whole, pull, inner
+    covariances = [np.asarray(np.linalg.inv(normal + np.diag(1 / variance))) for normal, _ in parts]
+    pairs = list(zip(parts, covariances, strict=True))
+    curvature = np.sum(
+        [normal - normal @ covariance @ normal for (normal, _), covariance in pairs], axis=0
+    )
+    total_gradient = np.sum(
+        [gradient - normal @ covariance @ gradient for (normal, gradient), covariance in pairs],
+        axis=0,
+    )
+    return curvature, total_gradient, covariances
 
 
 def bounded(curvature: Array, gradient: Array, room: Array) -> Array:
-    """The step that is best by a quadratic, within ``room`` (2, F): what would leave it is held."""
+    """Minimiser of a quadratic within bounds ``room`` (2, F), with columns at a bound fixed."""
     step = -np.linalg.solve(curvature, gradient)
-    held = np.zeros(step.size, dtype=bool)
+    fixed = np.zeros(step.size, dtype=bool)
     for _ in range(_HOLDS):
-        beyond = (step < room[0]) | (step > room[1])
-        if not (beyond & ~held).any():
+        outside = (step < room[0]) | (step > room[1])
+        if not (outside & ~fixed).any():
             break
-        held |= beyond
+        fixed |= outside
         step = np.clip(step, room[0], room[1])
-        free = ~held
-        pull = gradient[free] + curvature[np.ix_(free, held)] @ step[held]
-        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], pull)
+        free = ~fixed
+        reduced = gradient[free] + curvature[np.ix_(free, fixed)] @ step[fixed]
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], reduced)
     return np.clip(step, room[0], room[1])

@@ -1,4 +1,4 @@
-"""What to record next where swims leave a choice: that in which two rivals are furthest apart."""
+"""Choice of the next recording: the swim in which the predictions of two rivals differ most."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONTEXTS: Mapping[str, str] = {
     "mass": "turning on the spot",
     "water": "the same strokes in two opposite headings",
 }
-"""What tells a family apart that no strokes do."""
+"""Circumstances that distinguish a family of effects where no strokes do."""
 _FAMILIES: Mapping[str, tuple[str, ...]] = {
     "skin": ("skin_elasticity", "skin_damping", "skin_viscoelasticity", "skin_coupling"),
     "camera": ("camera_latency", "pose_filter", "dropped_frames"),
@@ -41,8 +41,8 @@ def _wave(
     def sent(t: Array, joints: int) -> Array:
         size = strong * np.linspace(*_SIZE, joints)
         wave = size * np.sin(2 * np.pi * beat * t[:, None] - _LAG * np.arange(joints))
-        soft = np.clip(t / 0.8, 0, 1)[:, None] * (t[:, None] < until)
-        return np.asarray(np.clip(soft * (wave + turn), -0.76, 0.76))
+        ramp = np.clip(t / 0.8, 0, 1)[:, None] * (t[:, None] < until)
+        return np.asarray(np.clip(ramp * (wave + turn), -0.76, 0.76))
 
     return sent
 
@@ -58,31 +58,33 @@ MENU: Mapping[str, Callable[[Array, int], Array]] = {
     "strokes, then coasting": _wave(1.2, 1.0, 0.0, 6.0),
     "squares in all joints": _square,
 }
-"""Swims that any robot can swim."""
+"""Swims that are compared; any robot can swim them."""
 
 
-def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]) -> Experiment:
-    """The swim of the menu in which two fits differ most, in noises, the twin's error among them.
+def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str]) -> Experiment:
+    """The swim of ``MENU`` in which the predictions of two fits differ most.
+
+    The difference is in standard deviations of the noise, including the twin's error.
 
     Args:
-        problem: What they were fitted to.
-        one: The likeliest.
-        other: Its closest rival.
+        problem: The swims that both were fitted to.
+        best: The likeliest fit.
+        rival: Its closest rival.
         effects: Their names.
     """
     before = problem.swims[0]
     t: Array = CONTROL_S * np.arange(round(SECONDS / CONTROL_S), dtype=np.float64)
     joints = before.command.shape[1]
-    found = []
-    for name, sent in MENU.items():
-        command = sent(t, joints)
+    candidates = []
+    for name, commands_of in MENU.items():
+        command = commands_of(t, joints)
         empty = np.zeros((t.size, 3 + joints))
         swim = replace(before, t=t, command=command, signals=empty, pose=None, repeated=0.0)
-        signals = swum(problem.coordinates, swim, np.stack([one.x, other.x]), problem.simulate)
+        signals = swum(problem.coordinates, swim, np.stack([best.x, rival.x]), problem.simulate)
         blocks = Blocks.of(replace(swim, signals=signals[0]))
         errors = blocks.errors(signals[1]) * blocks.weights(problem.prior.shares)
-        found.append((float(np.sqrt(np.sum(errors**2))), name, command))
-    far, name, command = max(found, key=lambda each: each[0])
+        candidates.append((float(np.sqrt(np.sum(errors**2))), name, command))
+    separation, name, command = max(candidates, key=lambda candidate: candidate[0])
     family = next(
         (f for f, names in _FAMILIES.items() if effects[0] in names and effects[1] in names), ""
     )
@@ -94,11 +96,11 @@ def next_swim(problem: TwinSwims, one: Fit, other: Fit, effects: tuple[str, str]
         separates=effects,
         command=name,
         context=context,
-        separation=far,
+        separation=separation,
         duration_s=SECONDS,
         statement=(
             f"To distinguish {titles}, record {name}{also}: the predictions would differ by "
-            f"{far:.0f} standard deviations of the noise."
+            f"{separation:.0f} standard deviations of the noise."
         ),
         t=t,
         signal=command,

@@ -1,4 +1,4 @@
-"""Recordings of swims diagnosed: simulators chosen, the fluid's simulations kept in a file."""
+"""Diagnosis of recorded swims: choice of the simulator, and the file of the fluid's simulations."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from sim.inference.in_water import (
     InWater,
     key,
     read_water_swims,
+    resimulation,
     robot_in_water,
-    swims_again,
     swum_in_water,
     with_nearest_law,
     write_water,
@@ -29,8 +29,8 @@ from sim2real.progress import progress_bar
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 
-Again = Callable[[Model], tuple[Swum, Model] | None]
-"""From a first search to a simulator around what it found, see ``diagnose_swims``."""
+Resimulate = Callable[[Model], tuple[Swum, Model] | None]
+"""A function from a fitted model to a simulator corrected with it, see ``diagnose_swims``."""
 THREADS = 2
 """CPU threads of the fluid."""
 
@@ -50,7 +50,7 @@ def diagnose_recorded_swims(
         recordings: Pool recordings of one robot in one pool.
         model: The servos.
         robot: The robot.
-        references: Swims of the same robot in which nothing is thought to be missing.
+        references: Swims of the same robot in which nothing is known to be missing.
         in_water: File of the fluid's simulations; they are made where it does not exist.
         device: Warp device of the fluid. On a GPU the fluid simulates the swims again with the
             effects that the first search found.
@@ -60,41 +60,43 @@ def diagnose_recorded_swims(
     """
     swims = [swim_of(recording, robot) for recording in recordings]
     earlier = [swim_of(recording, robot) for recording in references]
-    known: LawError = LAW_ERROR
-    again: Again = _not_again
+    law_error: LawError = LAW_ERROR
+    resimulate: Resimulate = _no_resimulation
     if in_water is not None:
         water = _simulated_in_water(in_water, robot, model, [*swims, *earlier], device)
-        known = read_law_error(IN_WATER)
+        law_error = read_law_error(IN_WATER)
         if device != "cpu":
-            started = water.of(model)
-            again = swims_again(robot, started, swims, water, device=device, threads=THREADS)
+            water_model = water.of(model)
+            resimulate = resimulation(
+                robot, water_model, swims, water, device=device, threads=THREADS
+            )
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
-        found = diagnose_swims(
+        diagnosis = diagnose_swims(
             swims,
             start,
             robot,
             simulate,
             references=earlier,
-            known=known,
-            again=again,
+            law_error=law_error,
+            resimulate=resimulate,
             progress=progress,
         )
     # the search draws nothing at random, so that there is no seed
     inputs = [*recordings, *references, in_water, robot, model]
-    return replace(found, provenance=provenance_of(inputs, None))
+    return replace(diagnosis, provenance=provenance_of(inputs, None))
 
 
 def simulator_of(
     robot: Robot, model: Model, in_water: Path | None = None, device: str = "cpu"
 ) -> Swum | None:
-    """The simulator of a diagnosis, to draw what it found; None where the fluid swam again."""
+    """The simulator of a diagnosis, for plots; None where the fluid was simulated again."""
     if in_water is not None and device != "cpu":
         return None
     return robot_in_water(robot, model, [in_water] if in_water else [])[1]
 
 
-def _not_again(found: Model) -> tuple[Swum, Model] | None:
+def _no_resimulation(fitted: Model) -> tuple[Swum, Model] | None:
     return None
 
 
@@ -105,8 +107,8 @@ def _simulated_in_water(
     if not path.exists():
         check_writable(path)
         print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
-        made = swum_in_water(robot, model, swims, device=device, threads=THREADS)
-        write_water(path, with_nearest_law(robot, model, made))
+        simulations = swum_in_water(robot, model, swims, device=device, threads=THREADS)
+        write_water(path, with_nearest_law(robot, model, simulations))
     water = read_water_swims(path)
     for swim in swims:
         if key(swim) not in water.steps:

@@ -39,7 +39,7 @@ COST = 3.422
 """Log-evidence that an effect must gain in the search; probabilities are computed later."""
 HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
-_ITS_OWN = (0.5, 6.0)
+_ERROR_LIMITS = (0.5, 6.0)
 """Limits of the mean square error of the twin for one robot, relative to the usual one."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """Scales of the variation between swims of a robot that are compared."""
@@ -49,17 +49,17 @@ _RIVALS = 4
 _DOUBTFUL = 3.0
 """Log-evidence above which an error of a strong effect counts as noise."""
 _CLOSE = 10.0
-"""Log-evidence within which a rival is fitted as carefully as the best set."""
+"""Log-evidence within which a rival is fitted to convergence, as the best set is."""
 
 
 @dataclass(frozen=True)
 class TriedSet:
-    """One set of effects, as far as decisions need it.
+    """Result of one set of effects, as decisions use it.
 
     Attributes:
         names: Effects as ``(name, component)``.
-        evidence: Logarithm, above that of nothing missing, before any cost.
-        settled: Whether it was fitted to the end.
+        evidence: Log-evidence relative to that without effects, before any cost.
+        settled: Whether its fit converged.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -68,12 +68,12 @@ class TriedSet:
 
 
 class HeldOutErrors(NamedTuple):
-    """What a fit to the beginning of the swims predicts of their end.
+    """Errors on the end of the swims of a fit to their beginning.
 
     Attributes:
-        fit: To the beginning.
-        loss: Of the end.
-        speed: Error of the speed over ground there, m/s.
+        fit: The fit to the beginning.
+        loss: Loss on the end.
+        speed: Error of the speed over ground on the end, m/s.
     """
 
     fit: Fit
@@ -83,15 +83,15 @@ class HeldOutErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search found, before anything is decided.
+    """Result of a search, before decisions.
 
     Attributes:
         problem: The swims.
-        plain: The fit with nothing missing.
+        plain: The fit without effects.
         found: Every set that was tried, best first.
-        best: The best of them that has an effect, be it worth saying or not.
-        nameless: Evidence that shapes without a name add to the plain fit and to the best.
-        held: By set, what it predicts that it has not seen.
+        best: The best set with an effect, likely or not.
+        nameless: Evidence that unnamed shapes add to the plain fit and to the best.
+        held: Held-out errors of each set.
         misfit: Mean square of the best fit's weighted errors by signal and band, shape (4, 3).
     """
 
@@ -104,18 +104,18 @@ class Searched:
     misfit: Array
 
     def table(self) -> list[TriedSet]:
-        """All sets."""
+        """The results of all sets."""
         zero = self.plain.evidence
         return [
-            TriedSet(names_of(one.members), one.evidence - zero, one.fit.looked)
-            for one in self.found
+            TriedSet(names_of(hypothesis.members), hypothesis.evidence - zero, hypothesis.fit.local)
+            for hypothesis in self.found
         ]
 
 
 def names_of(members: Members) -> tuple[tuple[str, str], ...]:
-    """Effects of a set, as names and components."""
-    listed: list[Candidate] = list(members)
-    return tuple(sorted((one.name, one.component) for one in listed))
+    """Names and components of the effects of a set, sorted."""
+    effects: list[Candidate] = list(members)
+    return tuple(sorted((effect.name, effect.component) for effect in effects))
 
 
 def learned(
@@ -123,60 +123,64 @@ def learned(
     model: Model,
     robot: Robot,
     simulate: Swum,
-    known: LawError = LAW_ERROR,
+    law_error: LawError = LAW_ERROR,
 ) -> SwimPrior:
     """Prior of a robot's swims, learned from reference swims in which nothing is missing.
 
     Without reference swims it is the prior of all robots, with a larger error of the twin.
     """
     coordinates = Coordinates.of(robot, model)
-    mean, covariance = known.prior(coordinates)
-    imitation = known.imitation(coordinates)
-    usual = SwimPrior(mean, covariance, imitation, known.shares)
+    mean, covariance = law_error.prior(coordinates)
+    imitation = law_error.imitation(coordinates)
+    usual = SwimPrior(mean, covariance, imitation, law_error.shares)
     if not references:
-        return replace(usual, shares=known.decisions["unreferred"] * known.shares)
+        return replace(usual, shares=law_error.decisions["unreferred"] * law_error.shares)
     problem = TwinSwims(coordinates, references, simulate, usual)
-    found = problem.plain()
-    wrong = np.sqrt(np.clip(_misfit(problem, found), *_ITS_OWN))
-    there, spread, scale = _shared(problem, found.fit, usual)
+    plain = problem.plain()
+    relative_error = np.sqrt(np.clip(_misfit(problem, plain), *_ERROR_LIMITS))
+    common, spread, scale = _common(problem, plain.fit, usual)
     for _ in range(_ROUNDS):
-        problem = TwinSwims(coordinates, references, simulate, replace(usual, mean=there))
-        there, spread, scale = _shared(problem, problem.at(problem.centre(frozenset())), usual)
+        problem = TwinSwims(coordinates, references, simulate, replace(usual, mean=common))
+        common, spread, scale = _common(problem, problem.at(problem.centre(frozenset())), usual)
     imitation = scale * imitation
-    return SwimPrior(there, spread + np.diag(imitation**2), imitation, known.shares * wrong)
+    return SwimPrior(
+        common, spread + np.diag(imitation**2), imitation, law_error.shares * relative_error
+    )
 
 
-def _shared(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
+def _common(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
     """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
 
-    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): each swim has
-    parameters of its own, distributed about those of the robot. The scale of their distribution,
-    relative to the usual one, is the likeliest of ``_SCALES``.
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): the parameters of
+    each swim are distributed about those of the robot. The scale of their distribution, relative
+    to the usual one, is the likeliest of ``_SCALES``.
     """
-    own = np.square(usual.imitation)
-    common = usual.covariance - np.diag(own)
+    variance = np.square(usual.imitation)
+    common = usual.covariance - np.diag(variance)
     least = np.square(NEVER * np.array([c.step for c in problem.coordinates.columns]))
-    known = np.linalg.inv(common + np.diag(np.maximum(least - np.diag(common), 0.0)))
-    here = fit.x + problem.coordinates.seems
-    parts, at = [], 0
+    precision = np.linalg.inv(common + np.diag(np.maximum(least - np.diag(common), 0.0)))
+    point = fit.x + problem.coordinates.seems
+    parts, row = [], 0
     for weight in problem.weights:
-        part = fit.near.slope[at : at + weight.size]
-        parts.append((part.T @ part, part.T @ fit.rows[at : at + weight.size]))
-        at += weight.size
-    best = -np.inf
-    told: tuple[Array, Array, float] = (here, common, 1.0)
+        part = fit.near.slope[row : row + weight.size]
+        parts.append((part.T @ part, part.T @ fit.rows[row : row + weight.size]))
+        row += weight.size
+    largest = -np.inf
+    estimate: tuple[Array, Array, float] = (point, common, 1.0)
     for scale in _SCALES:
-        whole, slope, inner = together(parts, scale**2 * own)
-        whole, pull = whole + known, known @ (usual.mean - here) - slope
-        worth = 0.0
-        for (_, gradient), each in zip(parts, inner, strict=True):
-            size = np.log(scale**2 * own).sum() - np.linalg.slogdet(each)[1]
-            worth += 0.5 * float(gradient @ each @ gradient) - 0.5 * float(size)
-        spread: Array = np.asarray(np.linalg.inv(whole), dtype=np.float64)
-        worth += 0.5 * float(pull @ spread @ pull) - 0.5 * float(np.linalg.slogdet(whole)[1])
-        if worth > best:
-            best, told = worth, (here + spread @ pull, spread, scale)
-    return told
+        curvature, slope, inner = together(parts, scale**2 * variance)
+        curvature, gradient = curvature + precision, precision @ (usual.mean - point) - slope
+        evidence = 0.0
+        for (_, swim_gradient), of_swim in zip(parts, inner, strict=True):
+            size = np.log(scale**2 * variance).sum() - np.linalg.slogdet(of_swim)[1]
+            evidence += 0.5 * float(swim_gradient @ of_swim @ swim_gradient) - 0.5 * float(size)
+        posterior: Array = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+        evidence += 0.5 * float(gradient @ posterior @ gradient) - 0.5 * float(
+            np.linalg.slogdet(curvature)[1]
+        )
+        if evidence > largest:
+            largest, estimate = evidence, (point + posterior @ gradient, posterior, scale)
+    return estimate
 
 
 def searched(
@@ -186,7 +190,7 @@ def searched(
     simulate: Swum,
     prior: SwimPrior,
     progress: Callable[[float], None] = lambda share: None,
-    begun: Model | None = None,
+    simulated: Model | None = None,
 ) -> Searched:
     """Try sets of effects on swims of one robot.
 
@@ -196,38 +200,38 @@ def searched(
 
     Args:
         swims: The recordings.
-        model: The servos, and the law where the fluid has swum.
+        model: The servos, and the twin's law where the fluid was simulated.
         robot: The robot.
         simulate: The twin, alone or corrected by the fluid.
         prior: Prior of servos, force law and effects, see ``learned``.
         progress: Called with the share that is done.
-        begun: Model that the fluid simulated; its effects have no such error.
+        simulated: Model that the fluid simulated; its effects have no such error.
     """
     problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior)
-    tried, order, best = _tried(problem, lambda share: progress(0.5 * share))
+    tried, order, best = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
-        doubted = changed(problem, best.fit.x, begun)
-        weighed = zip(doubted, problem.blocks, problem.weights, strict=True)
-        size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in weighed)
+        doubted = changed(problem, best.fit.x, simulated)
+        parts = zip(doubted, problem.blocks, problem.weights, strict=True)
+        size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
         if 0.5 * SHARE**2 * size > _DOUBTFUL:
             problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior,
                                 doubted=doubted)  # fmt: skip
-            tried, order, best = _tried(problem, lambda share: progress(0.5 + 0.4 * share))
+            tried, order, best = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     plain = tried[frozenset()]
     held = {}
     for members in _subsets(best.members):
         if members in tried:
-            held[members] = _held(problem, tried[members])
+            held[members] = _held_out(problem, tried[members])
     nameless = {"plain": gains(problem, plain.members, plain.fit)}
     nameless["best"] = gains(problem, best.members, best.fit)
     progress(1.0)
     return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
 
 
-def _tried(
+def _search(
     problem: TwinSwims, progress: Callable[[float], None]
 ) -> tuple[dict[Members, Hypothesis[Fit]], list[Hypothesis[Fit]], Hypothesis[Fit]]:
-    """Every set that was tried; the same, best first; the best of them that has an effect."""
+    """Every set that was tried by its members, sorted by evidence, and the best with an effect."""
     plain = problem.plain()
     progress(0.1)
     ledger: Ledger[Fit] = Ledger(0)
@@ -237,104 +241,112 @@ def _tried(
     problem.cost = COST
     select(problem, [ledger], breadth, lambda share: progress(0.1 + 0.5 * share))
     best = ledger.best
-    for part in _subsets(best.members)[1:-1]:  # begun from nothing it may have ended elsewhere
-        (found,) = problem.refit([(ledger, part, problem.start(ledger, part))])
-        if found.evidence > best.evidence:
-            ledger.keep(found)
+    for subset in _subsets(best.members)[1:-1]:  # another start, another minimum
+        (refitted,) = problem.refit([(ledger, subset, problem.start(ledger, subset))])
+        if refitted.evidence > best.evidence:
+            ledger.keep(refitted)
     problem.cost = 0.0
     tried = {
-        members: replace(one, evidence=one.evidence + COST * len(members))
-        for members, one in ledger.tried.items()
+        members: replace(hypothesis, evidence=hypothesis.evidence + COST * len(members))
+        for members, hypothesis in ledger.tried.items()
     }
 
-    def worth(one: Hypothesis[Fit]) -> float:
-        return one.evidence - COST * len(one.members)
+    def worth(hypothesis: Hypothesis[Fit]) -> float:
+        return hypothesis.evidence - COST * len(hypothesis.members)
 
-    done: set[Members] = set()
+    finished: set[Members] = set()
     for _ in range(2):
         order = sorted((h for h in tried.values() if h.members), key=worth, reverse=True)
-        close = [one for one in order[: _RIVALS + 1] if worth(one) > worth(order[0]) - _CLOSE]
-        parts = [tried[p] for p in _parts(order[0].members) if p in tried]
-        for one in {h.members: h for h in [*close, *parts] if h.members}.values():
-            if one.members not in done:
-                tried[one.members] = _looked(problem.settled(one, 1 if one.fit.looked else 2))
-                done.add(one.members)
+        rivals = [
+            hypothesis
+            for hypothesis in order[: _RIVALS + 1]
+            if worth(hypothesis) > worth(order[0]) - _CLOSE
+        ]
+        subsets = [tried[smaller] for smaller in _without_one(order[0].members) if smaller in tried]
+        for hypothesis in {h.members: h for h in [*rivals, *subsets] if h.members}.values():
+            if hypothesis.members not in finished:
+                tried[hypothesis.members] = _marked(
+                    problem.converged(hypothesis, 1 if hypothesis.fit.local else 2)
+                )
+                finished.add(hypothesis.members)
     progress(1.0)
     order = sorted(tried.values(), key=worth, reverse=True)
-    return tried, order, next(one for one in order if one.members)
+    return tried, order, next(hypothesis for hypothesis in order if hypothesis.members)
 
 
-def changed(problem: TwinSwims, x: Array, begun: Model | None = None) -> list[Array]:
-    """What effects at a point (F,) change of each swim by the twin, (T, 3 + J).
+def changed(problem: TwinSwims, x: Array, simulated: Model | None = None) -> list[Array]:
+    """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J).
 
-    Not those of the camera and a current, which are exact; of ``begun``, with which the fluid swam,
-    what they are more or less than there.
+    Without camera effects and the current, which are exact. Effects of the model that the fluid
+    simulated count by the difference from their sizes in it.
     """
     c = problem.coordinates
     full = c.model_at(x)
     shown = {column.name for column in c.columns if column.shown}
-    there = {name: v for name, v in values(full).items() if name in shown}
-    there |= values(begun) if begun else {}
-    without = replace(full, body={**full.body, "effects": listed(there)})
-    said = [seen_as([full, without], swim, problem.simulate) for swim in problem.swims]
-    return [one[0] - one[1] for one in said]
+    kept = {name: v for name, v in values(full).items() if name in shown}
+    kept |= values(simulated) if simulated else {}
+    without = replace(full, body={**full.body, "effects": listed(kept)})
+    signals = [seen_as([full, without], swim, problem.simulate) for swim in problem.swims]
+    return [pair[0] - pair[1] for pair in signals]
 
 
-def _looked(one: Hypothesis[Fit]) -> Hypothesis[Fit]:
-    return replace(one, fit=replace(one.fit, looked=True))
+def _marked(hypothesis: Hypothesis[Fit]) -> Hypothesis[Fit]:
+    return replace(hypothesis, fit=replace(hypothesis.fit, local=True))
 
 
 def _subsets(members: Members) -> list[Members]:
-    """Every part of a set, nothing and itself among them."""
-    every = sorted(members, key=str)
-    return [frozenset(s) for n in range(len(every) + 1) for s in combinations(every, n)]
+    """Every subset of a set, with the empty set and the set itself."""
+    effects = sorted(members, key=str)
+    return [frozenset(s) for n in range(len(effects) + 1) for s in combinations(effects, n)]
 
 
-def _parts(members: Members) -> list[Members]:
-    """A set without each of its members."""
-    return [members - {one} for one in sorted(members, key=str)]
+def _without_one(members: Members) -> list[Members]:
+    """The set without one of its members, for each member."""
+    return [members - {effect} for effect in sorted(members, key=str)]
 
 
-def _held(problem: TwinSwims, one: Hypothesis[Fit]) -> HeldOutErrors:
-    """What a set predicts of the end of the swims, fitted to their beginning."""
-    fit, left = problem.held(one.members, one.fit, HELD_OUT)
+def _held_out(problem: TwinSwims, hypothesis: Hypothesis[Fit]) -> HeldOutErrors:
+    """Held-out errors of a set on the end of the swims, fitted to their beginning."""
+    fit, held_out = problem.held(hypothesis.members, hypothesis.fit, HELD_OUT)
     rows = fit.rows
-    loss = 0.5 * float(np.sum(rows[left] ** 2))
-    square, count, at = 0.0, 0, 0
+    loss = 0.5 * float(np.sum(rows[held_out] ** 2))
+    square, count, row = 0.0, 0, 0
     for weight in problem.weights:
         n = weight.size
-        error = (rows[at : at + n] * left[at : at + n]).reshape(weight.shape)
+        error = (rows[row : row + n] * held_out[row : row + n]).reshape(weight.shape)
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
-        count += int(left[at : at + n].reshape(weight.shape)[:, 0].sum())
-        at += n
+        count += int(held_out[row : row + n].reshape(weight.shape)[:, 0].sum())
+        row += n
     return HeldOutErrors(fit, loss, float(np.sqrt(square / max(count, 1))))
 
 
-def _misfit(problem: TwinSwims, one: Hypothesis[Fit]) -> Array:
-    """Mean square of what is left, that which seems to be of the twin's error taken off, (4, 3)."""
-    rows = one.fit.rows + one.fit.near.slope @ problem.seems(one.members, one.fit)
-    sums, counts, at = np.zeros((4, 3)), np.zeros((4, 3)), 0
+def _misfit(problem: TwinSwims, hypothesis: Hypothesis[Fit]) -> Array:
+    """Mean square of the residuals, less the estimated error of the twin, shape (4, 3)."""
+    rows = hypothesis.fit.rows + hypothesis.fit.near.slope @ problem.seems(
+        hypothesis.members, hypothesis.fit
+    )
+    sums, counts, row = np.zeros((4, 3)), np.zeros((4, 3)), 0
     for blocks, weight in zip(problem.blocks, problem.weights, strict=True):
-        left = rows[at : at + weight.size].reshape(weight.shape) ** 2
-        at += weight.size
+        squares = rows[row : row + weight.size].reshape(weight.shape) ** 2
+        row += weight.size
         for k in range(weight.shape[1]):
-            np.add.at(sums[min(k, 3)], blocks.band, left[:, k])
+            np.add.at(sums[min(k, 3)], blocks.band, squares[:, k])
             np.add.at(counts[min(k, 3)], blocks.band, 1.0)
     return sums / np.maximum(counts, 1.0)
 
 
 def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
-    """What decisions are made from, as JSON takes it: thresholds can be read off many of these."""
+    """The input of ``swim_decision.decide``, in types of JSON, from which thresholds are fitted."""
     return {
         "sets": [
-            {"names": [list(n) for n in one.names], "evidence": one.evidence,
-             "settled": one.settled}
-            for one in found.table()
+            {"names": [list(n) for n in result.names], "evidence": result.evidence,
+             "settled": result.settled}
+            for result in found.table()
         ],
         "nameless": found.nameless,
         "held": [
-            {"names": [list(n) for n in names_of(m)], "loss": one.loss, "speed": one.speed}
-            for m, one in found.held.items()
+            {"names": [list(n) for n in names_of(m)], "loss": result.loss, "speed": result.speed}
+            for m, result in found.held.items()
         ],
         "misfit": found.misfit.tolist(),
         "referred": referred,

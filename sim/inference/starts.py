@@ -1,4 +1,4 @@
-"""Where fits may begin: at sizes that an effect may well have, if that promises more."""
+"""Starts of fits at other sizes of an effect, where the linear model predicts less loss."""
 
 from __future__ import annotations
 
@@ -15,50 +15,54 @@ from sim2real.inference.selection import Members
 Array = NDArray[np.float64]
 
 _JUMPS = (-2.0, 2.0, 6.0)
-"""Sizes from which a search for an effect may begin, in steps of its derivative."""
+"""Sizes of an effect that a fit may start from, in steps of its derivative."""
 
 
 class Problem(Protocol):
-    """What is asked of swims (``twin_search.TwinSwims``)."""
+    """Methods that are used of ``twin_search.TwinSwims``."""
 
     coordinates: Coordinates
 
     def rows(self, points: Array) -> Array:
-        """Weighted errors at points (E, F)."""
+        """Weighted errors at points (E, F), shape (E, n)."""
 
-    def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
-        """Loss at a point, and the step to where it is least."""
+    def loss_and_step(
+        self, members: Members, x: Array, rows: Array, near: Slope
+    ) -> tuple[float, Array]:
+        """Loss at a point, and the step to its minimum by the linear model."""
 
     def linear(self, members: Members, fit: Fit) -> Fit:
-        """Where that step would end."""
+        """The fit after that step, by the linear model."""
 
 
-def jumped(problem: Problem, begun: Sequence[tuple[Members, Fit]]) -> list[tuple[Members, Fit]]:
-    """Starts from sizes that an effect of one number may have, where they promise more."""
-    trials, of = [], []
-    for k, (members, fit) in enumerate(begun):
+def with_other_sizes(
+    problem: Problem, initial: Sequence[tuple[Members, Fit]]
+) -> list[tuple[Members, Fit]]:
+    """Starts with another size of an effect of one parameter, where that predicts less loss."""
+    trials, starts = [], []
+    for k, (members, fit) in enumerate(initial):
         for effect in members:
-            own = problem.coordinates.of_effect(effect)
-            if len(own) == 1 and fit.x[own[0]] == 0.0:
-                column = problem.coordinates.columns[own[0]]
+            columns = problem.coordinates.of_effect(effect)
+            if len(columns) == 1 and fit.x[columns[0]] == 0.0:
+                column = problem.coordinates.columns[columns[0]]
                 for size in _JUMPS:
                     x = fit.x.copy()
-                    x[own[0]] = np.clip(size * column.step, column.low, column.high)
+                    x[columns[0]] = np.clip(size * column.step, column.low, column.high)
                     trials.append(x)
-                    of.append(k)
+                    starts.append(k)
     if not trials:
-        return list(begun)
+        return list(initial)
     rows = problem.rows(np.array(trials))
-    out = list(begun)
-    best = [problem.linear(m, f).loss for m, f in begun]
-    for x, row, k in zip(trials, rows, of, strict=True):
-        members, fit = begun[k]
-        loss, _ = problem.judged(members, x, row, fit.near)
-        there = Fit(x, row, loss, fit.near)
-        promised = problem.linear(members, there).loss
-        if promised < best[k] and loss < out[k][1].loss:
-            best[k], out[k] = promised, (members, there)
+    out = list(initial)
+    best = [problem.linear(m, f).loss for m, f in initial]
+    for x, row, k in zip(trials, rows, starts, strict=True):
+        members, fit = initial[k]
+        loss, _ = problem.loss_and_step(members, x, row, fit.near)
+        start = Fit(x, row, loss, fit.near)
+        predicted = problem.linear(members, start).loss
+        if predicted < best[k] and loss < out[k][1].loss:
+            best[k], out[k] = predicted, (members, start)
     return out
 
 
-__all__ = ["jumped"]
+__all__ = ["with_other_sizes"]

@@ -1,7 +1,7 @@
-"""What a search in swims is worth saying: names, groups, probabilities, or that nothing fits.
+"""Decisions from a search in swims: reported effects, groups, probabilities and the verdict.
 
-Pure functions of what ``searched.raw`` keeps, so that ``benchmarks/pool_decisions.py`` reads
-the thresholds off many searches without repeating one.
+Pure functions of the output of ``searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds
+to many searches without repeating one.
 """
 
 from __future__ import annotations
@@ -13,35 +13,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.coordinates import RESISTS
+from sim.inference.coordinates import WATER_FORCES
 from sim2real.diagnose.result import Verdict
 
 Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
-"""Signals and bands of frequency in which what is left is measured."""
+"""Signals and frequency bands of the misfit."""
 Terms = dict[str, float]
-"""Terms of a sum that is the log odds of something, by name."""
+"""Terms of a sum of log odds, by name."""
 
 
 @dataclass(frozen=True)
 class NameFeatures:
-    """What speaks for one effect of the best set.
+    """Features of the probability of one effect of the best set; evidence is logarithmic.
 
     Attributes:
-        lead: Evidence by which the set is ahead of all that lack the effect's group.
+        lead: Evidence of the set relative to the best set without the effect's group.
         gain: Evidence that the effect adds.
-        group_size: Effects in its group.
-        shape_gain: Evidence that a shape without a name would add.
-        misfit: Logarithm of what is left over what is left usually.
-        held_out_gain: How much likelier the effect makes what was held out.
-        imitator: Whether it is one that an error of the law can imitate, 1 or 0.
-        largest_gain: Evidence that the effect adds which adds most.
-        unlisted: Probability that something is there that the catalogue lacks.
-        camera: Whether it is the camera's, 1 or 0.
-        set_evidence: Evidence of the set over none.
-        unreferred: Whether no references were known, 1 or 0.
+        group_size: Number of effects in its group.
+        shape_gain: Evidence that an unnamed shape would add.
+        misfit: Logarithm of the residual relative to the usual one.
+        held_out_gain: Increase of the held-out log-likelihood by the effect.
+        imitator: Whether an error of the law can imitate the effect, 1 or 0.
+        largest_gain: Largest evidence that an effect of the set adds.
+        unlisted: Probability of an effect that the catalogue lacks.
+        camera: Whether it is a camera effect, 1 or 0.
+        set_evidence: Evidence of the set relative to the plain model.
+        unreferred: Whether there were no reference swims, 1 or 0.
     """
 
     lead: float
@@ -58,7 +58,7 @@ class NameFeatures:
     unreferred: float
 
     def terms(self) -> Terms:
-        """What the log odds of the name are a sum of, before weights."""
+        """Terms of the effect's log odds, before weights."""
         return {
             "constant": 1.0,
             "lead": _log(self.lead),
@@ -79,16 +79,16 @@ class NameFeatures:
 
 @dataclass(frozen=True)
 class UnlistedFeatures:
-    """What speaks for something that the catalogue lacks, or for anything at all.
+    """Features of the probability of an effect that the catalogue lacks, or of any effect.
 
     Attributes:
-        shape_gain: Evidence that a shape without a name would add.
-        change_gain: Evidence that a robot that becomes another one would add.
-        misfit: Logarithm of what is left over what is left usually.
-        set_evidence: Evidence of the best set over none.
-        held_out_gain: How much likelier the best set makes what was held out.
-        unreferred: Whether no references were known, 1 or 0.
-        shape_lead: Evidence by which a shape alone is ahead of the best set.
+        shape_gain: Evidence that an unnamed shape would add.
+        change_gain: Evidence that a change of the robot during the swim would add.
+        misfit: Logarithm of the residual relative to the usual one.
+        set_evidence: Evidence of the best set relative to the plain model.
+        held_out_gain: Increase of the held-out log-likelihood by the best set.
+        unreferred: Whether there were no reference swims, 1 or 0.
+        shape_lead: Evidence of the best shape alone relative to the best set.
     """
 
     shape_gain: float = 0.0
@@ -100,14 +100,13 @@ class UnlistedFeatures:
     shape_lead: float = 0.0
 
     def terms(self, evidence_scale: float) -> Terms:
-        """What the log odds are a sum of, before weights.
+        """Terms of the log odds, before weights.
 
-        What a shape adds counts over the evidence of the best set: a strong effect that is not
-        quite right leaves something that one of them fits, above all of a robot that becomes
-        another.
+        The evidence of a shape is divided by that of the best set: small errors in a strong effect
+        leave residuals that a shape fits, above all a change of the robot.
 
         Args:
-            evidence_scale: Evidence over which that of a shape counts where the set has none.
+            evidence_scale: Evidence that is added to the divisor.
         """
         size = max(self.set_evidence, 0.0) + evidence_scale
         return {
@@ -124,14 +123,14 @@ class UnlistedFeatures:
 
 @dataclass(frozen=True)
 class Named:
-    """One effect that is named.
+    """One reported effect.
 
     Attributes:
         name: Effect and component.
-        group: What these swims cannot tell from it, itself first.
-        probability: That one of the group is there.
+        group: Effects that these swims do not distinguish from it, itself first.
+        probability: Probability that one of the group is present.
         gain: Evidence that it adds to the others.
-        features: What its odds are made of.
+        features: Features of its odds.
     """
 
     name: Name
@@ -143,16 +142,16 @@ class Named:
 
 @dataclass(frozen=True)
 class Decided:
-    """What is said.
+    """Decisions from one search.
 
     Attributes:
-        verdict: In a word.
-        named: Likeliest first.
-        offered: The set whose model predicts; nothing where no name is likely.
+        verdict: The verdict.
+        named: Reported effects, the largest gain first.
+        offered: Effects of the enriched model; empty where no effect is likely.
         rivals: Other effects and their probabilities, likeliest first.
-        unlisted: Probability that something is there that the catalogue lacks.
-        shape: The shape without a name that does best.
-        features: What the odds of ``unlisted`` are made of.
+        unlisted: Probability of an effect that the catalogue lacks.
+        shape: The unnamed shape with the largest evidence.
+        features: Features of the odds of ``unlisted``.
     """
 
     verdict: Verdict
@@ -165,166 +164,184 @@ class Decided:
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
-    """Say what a search is worth.
+    """Decide which effects are reported, and the verdict.
 
     Args:
-        raw: As ``searched.raw`` has it; ``referred``: whether references were known.
+        raw: Output of ``searched.raw``; ``referred`` is whether there were reference swims.
         numbers: ``decisions`` of ``law_error.json``.
     """
-    cost, heat = numbers["cost"], numbers["temperature"]
-    worth = {_names(one): one["evidence"] - cost * len(one["names"]) for one in raw["sets"]}
-    settled = {_names(one) for one in raw["sets"] if one["settled"]}
-    held = {_names(one): (one["loss"], one["speed"]) for one in raw["held"]}
-    best = max((s for s in held if s and s in settled), key=lambda s: worth[s])
-    keys = list(worth)
-    level = np.array([worth[s] for s in keys]) / heat
-    share = np.exp(level - level.max())
-    share = share / share.sum()
-    beyond, without = (
+    cost, temperature = numbers["cost"], numbers["temperature"]
+    evidence = {
+        _names(entry): entry["evidence"] - cost * len(entry["names"]) for entry in raw["sets"]
+    }
+    settled = {_names(entry) for entry in raw["sets"] if entry["settled"]}
+    held_out = {_names(entry): (entry["loss"], entry["speed"]) for entry in raw["held"]}
+    best = max((s for s in held_out if s and s in settled), key=lambda s: evidence[s])
+    keys = list(evidence)
+    log_weights = np.array([evidence[s] for s in keys]) / temperature
+    probabilities = np.exp(log_weights - log_weights.max())
+    probabilities = probabilities / probabilities.sum()
+    with_best, with_plain = (
         {
             shape: gain - numbers[f"usual {shape.split()[0]}"]
             for shape, gain in raw["nameless"][fit].items()
         }
         for fit in ("best", "plain")
     )
-    shape, more = max(beyond.items(), key=lambda one: one[1])
-    changed = [gain for one, gain in beyond.items() if one.startswith("change")]
-    shaped = [gain for one, gain in beyond.items() if not one.startswith("change")]
+    shape, shape_gain = max(with_best.items(), key=lambda item: item[1])
+    change_gains = [gain for name, gain in with_best.items() if name.startswith("change")]
+    shape_gains = [gain for name, gain in with_best.items() if not name.startswith("change")]
     usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]
-    off = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
-    ahead = worth[best] - worth[frozenset()]
-    instead = max(without.values()) - ahead
-    helps = _helps(best, frozenset(), held)
-    alone = 0.0 if raw.get("referred", True) else 1.0
+    misfit = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
+    lead = evidence[best] - evidence[frozenset()]
+    shape_lead = max(with_plain.values()) - lead
+    held_out_gain = _held_out_gain(best, frozenset(), held_out)
+    unreferred = 0.0 if raw.get("referred", True) else 1.0
     features = UnlistedFeatures(
-        max(shaped, default=0.0), max(changed, default=0.0), off, ahead, helps, alone, instead
+        max(shape_gains, default=0.0),
+        max(change_gains, default=0.0),
+        misfit,
+        lead,
+        held_out_gain,
+        unreferred,
+        shape_lead,
     )
     terms = features.terms(numbers["evidence_scale"])
-    unlisted = _odds(terms, "unlisted", numbers)
-    anything = _odds(terms, "anything", numbers)
+    unlisted = _logistic(terms, "unlisted", numbers)
+    anything = _logistic(terms, "anything", numbers)
     flagged = anything >= numbers["flagged from"] or unlisted >= numbers["likely"]
     gains = {
-        name: worth[best] - worth.get(best - {name}, min(worth.values())) + cost for name in best
+        name: evidence[best] - evidence.get(best - {name}, min(evidence.values())) + cost
+        for name in best
     }
     named = []
     for name, gain in gains.items():
-        group = _group(name, best, worth, numbers)
+        group = _group(name, best, evidence, numbers)
         if flagged and len(best) == 1:
-            group = _widened(group, keys, share, numbers)
-        rest = best - {name}
-        margin = worth[best] - max(worth[s] for s in keys if not s & set(group))
-        own = NameFeatures(
-            margin, gain, float(len(group)), more, off, _helps(best, rest, held),
-            float(name[0] in RESISTS), max(gains.values()), unlisted, float(name[1] == "camera"),
-            ahead, alone,
+            group = _widened(group, keys, probabilities, numbers)
+        without = best - {name}
+        group_lead = evidence[best] - max(evidence[s] for s in keys if not s & set(group))
+        effect_features = NameFeatures(
+            group_lead, gain, float(len(group)), shape_gain, misfit,
+            _held_out_gain(best, without, held_out), float(name[0] in WATER_FORCES),
+            max(gains.values()), unlisted, float(name[1] == "camera"), lead, unreferred,
         )  # fmt: skip
-        certain = min(_odds(own.terms(), "name", numbers), numbers["most_certain"])
-        named.append(Named(name, group, certain, gain, own))
-    likely = {one.name: one.probability for one in named if one.probability >= numbers["likely"]}
-    offered = _predicting(best & set(likely), held, worth, likely, numbers)
-    others = {name for s in keys for name in s} - {n for one in named for n in one.group}
-    named = [one for one in named if one.probability >= numbers["stated"]]
-    named.sort(key=lambda one: -one.gain)
-    rivals = [(name, _there((name,), keys, share)) for name in others]
-    rivals.sort(key=lambda one: (-one[1], one[0]))
+        probability = min(
+            _logistic(effect_features.terms(), "name", numbers), numbers["most_certain"]
+        )
+        named.append(Named(name, group, probability, gain, effect_features))
+    likely = {e.name: e.probability for e in named if e.probability >= numbers["likely"]}
+    offered = _predicting(best & set(likely), held_out, evidence, likely, numbers)
+    others = {name for s in keys for name in s} - {n for effect in named for n in effect.group}
+    named = [effect for effect in named if effect.probability >= numbers["stated"]]
+    named.sort(key=lambda effect: -effect.gain)
+    rivals = [(name, _probability((name,), keys, probabilities)) for name in others]
+    rivals.sort(key=lambda rival: (-rival[1], rival[0]))
     return Decided(
         _verdict(named, offered, unlisted, flagged, numbers["likely"]), tuple(named), offered,
         tuple(rivals), unlisted, shape, features,
     )  # fmt: skip
 
 
-def _helps(now: Names, rest: Names, held: Mapping[Names, tuple[float, float]]) -> float:
-    """How much likelier a set makes what was held out than another."""
-    return held[rest][0] - held[now][0] if now in held and rest in held else 0.0
+def _held_out_gain(
+    members: Names, rest: Names, held_out: Mapping[Names, tuple[float, float]]
+) -> float:
+    """Increase of the held-out log-likelihood by one set relative to another."""
+    if members not in held_out or rest not in held_out:
+        return 0.0
+    return held_out[rest][0] - held_out[members][0]
 
 
-def _there(group: Sequence[Name], keys: Sequence[Names], share: Array) -> float:
-    """Probability of the sets that have one of a group."""
-    return float(sum(p for s, p in zip(keys, share, strict=True) if s & set(group)))
+def _probability(group: Sequence[Name], keys: Sequence[Names], probabilities: Array) -> float:
+    """Sum of the probabilities of the sets that contain an effect of a group."""
+    return float(sum(p for s, p in zip(keys, probabilities, strict=True) if s & set(group)))
 
 
 def _widened(
-    group: tuple[Name, ...], keys: Sequence[Names], share: Array, numbers: Mapping[str, float]
+    group: tuple[Name, ...],
+    keys: Sequence[Names],
+    probabilities: Array,
+    numbers: Mapping[str, float],
 ) -> tuple[Name, ...]:
-    """A group with the next likeliest, until one of them is likely; itself if that takes many."""
+    """The group with the next likeliest effects until it is likely, unless that takes many."""
     others = {name for s in keys for name in s} - set(group)
-    wide, enough = group, numbers["group_likely"]
-    for name in sorted(others, key=lambda one: -_there((one,), keys, share)):
-        if _there(wide, keys, share) >= enough or len(wide) >= numbers["group_most"]:
+    wide, target = group, numbers["group_likely"]
+    for name in sorted(others, key=lambda other: -_probability((other,), keys, probabilities)):
+        if _probability(wide, keys, probabilities) >= target or len(wide) >= numbers["group_most"]:
             break
         wide = (*wide, name)
-    return wide if _there(wide, keys, share) >= enough else group
+    return wide if _probability(wide, keys, probabilities) >= target else group
 
 
-def _odds(terms: Terms, curve: str, numbers: Mapping[str, float]) -> float:
-    """A probability: the logistic curve of a weighted sum of terms."""
+def _logistic(terms: Terms, curve: str, numbers: Mapping[str, float]) -> float:
+    """Probability: the logistic function of a weighted sum of terms."""
     log_odds = float(sum(numbers[f"{curve}: {name}"] * term for name, term in terms.items()))
     return float(1 / (1 + np.exp(-np.clip(log_odds, -40, 40))))
 
 
 def _log(value: float) -> float:
-    """Evidence, of which more and more counts less and less; either sign."""
+    """Signed logarithm of evidence: sign(x) log(1 + abs(x))."""
     return float(np.sign(value) * np.log1p(abs(value)))
 
 
 def _verdict(
     named: list[Named], offered: Names, unlisted: float, flagged: bool, likely_from: float
 ) -> Verdict:
-    """In a word; explained is only what the model that is offered has."""
-    likely = [one for one in named if one.probability >= likely_from]
-    if likely and (unlisted >= likely_from or any(one.name not in offered for one in likely)):
+    """The verdict; only effects of the offered model count as explained."""
+    likely = [effect for effect in named if effect.probability >= likely_from]
+    if likely and (unlisted >= likely_from or any(effect.name not in offered for effect in likely)):
         return "partly_explained"
     if not likely:
         return "unexplained" if flagged else "consistent"
-    return "ambiguous" if any(len(one.group) > 1 for one in likely) else "explained"
+    return "ambiguous" if any(len(effect.group) > 1 for effect in likely) else "explained"
 
 
 def _predicting(
-    likely: Names, held: Mapping[Names, tuple[float, float]], worth: Mapping[Names, float],
-    certain: Mapping[Name, float], numbers: Mapping[str, float],
+    likely: Names, held_out: Mapping[Names, tuple[float, float]], evidence: Mapping[Names, float],
+    probability: Mapping[Name, float], numbers: Mapping[str, float],
 ) -> Names:  # fmt: skip
-    """Those of the likely whose every member makes what was held out likelier.
+    """The subset of likely effects of which each increases the held-out likelihood.
 
-    It has to make the speed there better as well, unless it is nearly certain: what bends a path or
-    delays a camera may do little to the speed.
+    Each must also decrease the held-out error of the speed, unless it is nearly certain: an effect
+    that bends the path or delays the camera changes the speed little.
     """
-    now = likely
-    while now in held and now:
-        loss, speed = held[now]
-        bad = []
-        for name in now:
-            before = held.get(now - {name})
+    members = likely
+    while members in held_out and members:
+        loss, speed = held_out[members]
+        smaller = []
+        for name in members:
+            before = held_out.get(members - {name})
             if before is not None and (
                 before[0] - loss < numbers["held_gain"]
                 or (
                     speed > (1 - numbers["held_better"]) * max(before[1], 1e-9)
-                    and certain[name] < numbers["held_sure"]
+                    and probability[name] < numbers["held_sure"]
                 )
             ):
-                bad.append(now - {name})
-        if not bad:
-            return now
-        now = max(bad, key=lambda part: worth.get(part, -np.inf))
-    return now if now in held else frozenset()
+                smaller.append(members - {name})
+        if not smaller:
+            return members
+        members = max(smaller, key=lambda subset: evidence.get(subset, -np.inf))
+    return members if members in held_out else frozenset()
 
 
 def _group(
-    name: Name, members: Names, worth: Mapping[Names, float], numbers: Mapping[str, float]
+    name: Name, members: Names, evidence: Mapping[Names, float], numbers: Mapping[str, float]
 ) -> tuple[Name, ...]:
-    """Itself, and what does as well in its place."""
+    """The effect, and those that have nearly its evidence in its place."""
     rest = members - {name}
-    alike = []
-    for other in {n for s in worth for n in s} - members:
-        instead = rest | {other}
-        if instead in worth:
+    close = []
+    for other in {n for s in evidence for n in s} - members:
+        replaced = rest | {other}
+        if replaced in evidence:
             limit = numbers["alike"]
-            if name[0] in RESISTS or other[0] in RESISTS:
+            if name[0] in WATER_FORCES or other[0] in WATER_FORCES:
                 limit = numbers["alike_imitated"]
-            behind = worth[members] - worth[instead]
+            behind = evidence[members] - evidence[replaced]
             if behind < limit:
-                alike.append((behind, other))
-    return (name, *(other for _, other in sorted(alike)))
+                close.append((behind, other))
+    return (name, *(other for _, other in sorted(close)))
 
 
-def _names(one: Mapping[str, Any]) -> Names:
-    return frozenset((str(a), str(b)) for a, b in one["names"])
+def _names(entry: Mapping[str, Any]) -> Names:
+    return frozenset((str(a), str(b)) for a, b in entry["names"])

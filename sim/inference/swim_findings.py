@@ -1,4 +1,4 @@
-"""A diagnosis of swims in the form that every diagnosis has."""
+"""A diagnosis of swims as a ``Diagnosis``, the result of every diagnosis."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from sim2real.robot import Robot
 
 Array = NDArray[np.float64]
 
-_FALLEN = 0.8
-"""A signal whose error falls below this share of what it was shows the mismatch."""
+_IMPROVED = 0.8
+"""Ratio of errors after and before, below which a signal shows the mismatch."""
 
 
 def findings(
@@ -36,20 +36,20 @@ def findings(
     model: Model,
     baseline: Model,
 ) -> Diagnosis:
-    """What a search found.
+    """The diagnosis with these results.
 
     Args:
         robot: The robot.
-        verdict: In a word.
-        named: Effects.
-        rivals: What else was considered, likeliest first.
-        train: Root mean square error of each signal on what was fitted, before and after, shape
+        verdict: The verdict.
+        named: Reported effects.
+        rivals: Other effects that were considered, likeliest first.
+        train: Root mean square error of each signal in the fitted part, before and after, shape
             (2, 3 + J).
-        held: Likewise on what was held out.
-        noise: What no model could explain of each signal, shape (3 + J,).
-        gate: What a reader should know.
-        model: The model with what was named.
-        baseline: The model without.
+        held: Likewise in the held-out part.
+        noise: Standard deviation of each signal's noise, shape (3 + J,).
+        gate: A remark for the reader.
+        model: The enriched model.
+        baseline: The plain model.
     """
     signals = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
     signals += [f"{joint.name}.position_rad" for joint in robot.joints]
@@ -71,7 +71,7 @@ def findings(
             where="",
         )
         for k in range(len(SIGNALS))
-        if named and held[1, k] < _FALLEN * held[0, k]
+        if named and held[1, k] < _IMPROVED * held[0, k]
     )
     return Diagnosis(
         verdict=verdict,

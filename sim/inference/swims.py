@@ -1,8 +1,8 @@
-"""A pool recording as a fit sees it, its noise, and what a simulator says about it.
+"""Pool recordings prepared for a fit, the noise of their poses, and their simulation.
 
-Nothing of a robot moves at 9 Hz and above but the noise of its poses. White noise is as large at
-all frequencies; a filter of poses smooths their noise as well, and so shows itself there, whatever
-the robot does (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
+At 9 Hz and above the poses hold only noise, as a robot does not move that fast. White noise is
+equal at all frequencies; a filter of the poses smooths their noise too, so its time constant is
+estimated from these frequencies (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ Array = NDArray[np.float64]
 SIGNALS = ("surge", "sway", "yaw rate")
 UNITS = ("m/s", "m/s", "rad/s")
 _MEDIAN = 0.6745
-"""Median of the size of a normal deviate."""
+"""Median of the absolute value of a standard normal variable."""
 _REST = 10
-"""Samples at the start that give the first pose."""
+"""Samples at the start whose mean is the first pose."""
 SHORTEST_S = 1.0
 """Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
 
 ABOVE_HZ = 9.0
 LAGS_S: Array = np.concatenate([[0.0], np.geomspace(0.004, 0.4, 60)])
-"""Time constants that are tried."""
+"""Time constants of the filter that are compared."""
 _LONGEST_S = 0.05
-"""Of longer time constants only this is said: high frequencies show no difference."""
+"""Longest time constant that is reported: high frequencies do not distinguish longer ones."""
 _SURE, _MOST = 5.0, 60.0
-"""Log-likelihood from which noise counts as smoothed, and the most that it may bring."""
+"""Log-likelihood ratio from which noise counts as smoothed, and its largest value."""
 _LEAST = 64
-"""Frequencies that are needed to say anything."""
+"""Least number of frequencies for an estimate."""
 
 Simulator = Callable[[Sequence[Model], Array, Array], Array]
 """From models (E), commands (T, J) and a first pose to tracks (E, T, 3 + J)."""
@@ -57,28 +57,28 @@ class PoseNoise:
     """Noise of x, y and heading.
 
     Attributes:
-        sd: As it went into the filter, shape (3,).
-        lag_s: Time constant of the filter; 0 where there is none.
-        colour: Log-likelihood at each of ``LAGS_S`` above that of white noise; None where poses
-            were resampled or lost, which smooths them too.
+        sd: Standard deviation before the filter, shape (3,).
+        lag_s: Time constant of the filter; 0 without a filter.
+        colour: Log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were
+            resampled or lost, which smooths them too.
     """
 
     sd: Array
     lag_s: float = 0.0
     colour: Array | None = None
 
-    def told(self, lag_s: float) -> float:
-        """What the noise says of a filter with this time constant: a log-likelihood ratio."""
+    def log_ratio(self, lag_s: float) -> float:
+        """Log-likelihood ratio of a filter with this time constant to white noise."""
         return 0.0 if self.colour is None else float(np.interp(lag_s, LAGS_S, self.colour))
 
     def drawn(self, rng: np.random.Generator, shape: tuple[int, ...], period_s: float) -> Array:
-        """Noise like it, shape (..., T, 3)."""
+        """Random samples of this noise, shape (..., T, 3)."""
         white = rng.standard_normal((*shape, 3)) * self.sd
-        kept = _kept(self.lag_s, period_s)
-        if kept == 0.0:
+        weight = _filter_weight(self.lag_s, period_s)
+        if weight == 0.0:
             return np.asarray(white)
-        begun = np.take(white, [0], axis=-2) * kept
-        out, _ = lfilter([1 - kept], [1, -kept], white, axis=-2, zi=begun)
+        state = np.take(white, [0], axis=-2) * weight
+        out, _ = lfilter([1 - weight], [1, -weight], white, axis=-2, zi=state)
         return np.asarray(out)
 
 
@@ -87,16 +87,16 @@ class Swim:
     """One pool recording on the grid of control periods.
 
     Attributes:
-        name: Of the recording.
+        name: Name of the recording.
         t: Times in s, shape (T,), every 20 ms.
         command: Set-points in force when each period begins, shape (T, J).
         start: First pose: x, y, heading.
         signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
         noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
             it is not known.
-        pose: As they were seen, shape (T, 3); of nobody who does not know.
-        repeated: Share of the poses that are those of the sample before, to the last digit.
-        shaken: Noise of the poses; None where it is not known.
+        pose: Measured poses, shape (T, 3); None if they are not known.
+        repeated: Share of the poses that are identical to those of the sample before.
+        pose_noise: Noise of the poses; None where it is not known.
     """
 
     name: str
@@ -107,11 +107,11 @@ class Swim:
     noise: Array | float = 0.0
     pose: Array | None = None
     repeated: float = 0.0
-    shaken: PoseNoise | None = None
+    pose_noise: PoseNoise | None = None
 
     @property
     def heading(self) -> Array:
-        """As it was seen, shape (T,); smoothed as the speeds are."""
+        """Measured heading, shape (T,), smoothed with the same filter as the velocities."""
         if self.pose is None:
             turned = np.cumsum(self.signals[:, 2]) * CONTROL_S
             return np.asarray(self.start[2] + turned - turned[0])
@@ -119,7 +119,7 @@ class Swim:
 
 
 def swim_of(recording: Recording, robot: Robot) -> Swim:
-    """A recording, resampled to the control period where its clock wanders.
+    """A recording, resampled to the control period where its sampling is irregular.
 
     Raises:
         InputError: If it is no pool recording of this robot, has no poses or no commands.
@@ -142,37 +142,37 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
 
-    def even(column: Array) -> Array:
-        known = np.isfinite(column)
-        if known.sum() < _REST:
+    def resampled(column: Array) -> Array:
+        finite = np.isfinite(column)
+        if finite.sum() < _REST:
             return np.full(t.size, np.nan)
-        return np.interp(t, recording.t[known], column[known])
+        return np.interp(t, recording.t[finite], column[finite])
 
     pose = np.stack([recording.columns[name] for name in names], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
-    grid = np.stack([even(column) for column in pose.T], axis=1)
+    grid = np.stack([resampled(column) for column in pose.T], axis=1)
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
-    joints = np.stack([even(recording.position[:, k]) for k in order], axis=1)
+    joints = np.stack([resampled(recording.position[:, k]) for k in order], axis=1)
     command = np.nan_to_num(recording.command[row][:, order])
     repeated = float(same.mean()) if same.size else 0.0
     whole = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
     whole = whole and bool(np.isfinite(pose).all()) and repeated == 0.0
-    shaken = _shaken(grid, whole)
+    noise = _noise_of_poses(grid, whole)
     return Swim(
         name=recording.name,
         t=t - t[0],
         command=command,
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=_noise(t, shaken, joints),
+        noise=_noise(t, noise, joints),
         pose=grid,
         repeated=repeated,
-        shaken=shaken,
+        pose_noise=noise,
     )
 
 
 def _check_poses(recording: Recording, names: Sequence[str]) -> None:
-    """Make sure that a swim is long enough, and seen often enough, for velocities."""
+    """Check that a swim is long enough, and has enough poses, for velocities."""
     if recording.duration_s < SHORTEST_S:
         found, expected = f"{recording.duration_s:.3g} s", f"a swim of at least {SHORTEST_S:g} s"
         raise InputError(recording.file, "t_s", found, expected)
@@ -182,37 +182,37 @@ def _check_poses(recording: Recording, names: Sequence[str]) -> None:
             raise InputError(recording.file, name, f"{count} values", f"at least {_REST}")
 
 
-def _jitter(shown: Array) -> Array:
-    """Noise of each column (T, K) of what does not jump, shape (K,).
+def _noise_sd(signals: Array) -> Array:
+    """Standard deviation of the noise of smooth signals (T, K), shape (K,).
 
-    What third differences show, in which no motion of a robot is left: for white noise their
-    variance is 20 times its own.
+    From third differences, to which the motion of a robot contributes little: those of white noise
+    have 20 times its variance.
     """
-    third = np.abs(np.diff(shown, 3, axis=0))
+    third = np.abs(np.diff(signals, 3, axis=0))
     return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)))
 
 
-def _shaken(grid: Array, whole: bool) -> PoseNoise:
-    """Noise of poses (T, 3); only of a film that is whole its colour too."""
-    found = pose_noise(grid, CONTROL_S) if whole else None
-    if found is None:
-        return PoseNoise(_jitter(grid))
-    return found if found.lag_s > 0 else replace(found, sd=_jitter(grid))
+def _noise_of_poses(grid: Array, whole: bool) -> PoseNoise:
+    """Noise of poses (T, 3); its spectrum only where no pose was resampled or lost (``whole``)."""
+    noise = pose_noise(grid, CONTROL_S) if whole else None
+    if noise is None:
+        return PoseNoise(_noise_sd(grid))
+    return noise if noise.lag_s > 0 else replace(noise, sd=_noise_sd(grid))
 
 
-def _noise(t: Array, shaken: PoseNoise, joints: Array) -> Array:
+def _noise(t: Array, noise: PoseNoise, joints: Array) -> Array:
     """Noise of surge, sway, yaw rate and joints (T, J).
 
-    The velocities' is what the estimator makes of such noise.
+    That of the velocities is the output of their estimator for random samples of the poses' noise.
     """
-    drawn = shaken.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
-    return np.concatenate([body_velocity(t, drawn).std(axis=0), _jitter(joints)])
+    samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
+    return np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)])
 
 
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
-    """The same signals by a simulator, the models' camera included, shape (E, T, 3 + J).
+    """Simulated signals of a swim, with the camera effects of the models, shape (E, T, 3 + J).
 
-    Those of a robot that was stopped are NaN.
+    Signals of a robot that was stopped are NaN.
     """
     track = simulator(models, swim.command, swim.start)
     out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
@@ -226,41 +226,41 @@ def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Arra
 
 
 def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Twin
-    """The reduced-order twin."""
+    """The reduced-order twin as a simulator."""
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
         twin.reset(pose=np.tile(start, (len(models), 1)))
-        first = _now(twin)
+        first = _signals_of(twin)
         return np.concatenate([first[:, None], twin.swim(command[:-1])], axis=1)
 
     return run
 
 
 def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those of Swimmer
-    """The fluid."""
+    """The lattice-Boltzmann fluid as a simulator."""
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         swimmer = Swimmer(robot, models, n_envs=len(models), **options)
         swimmer.reset(pose=np.tile(start, (len(models), 1)))
-        track = [_now(swimmer)]
+        track = [_signals_of(swimmer)]
         for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
             swimmer.step(sent)
-            track.append(_now(swimmer))
+            track.append(_signals_of(swimmer))
         return np.moveaxis(np.array(track), 0, 1)
 
     return run
 
 
-def _now(swimmer: Twin | Swimmer) -> Array:
+def _signals_of(swimmer: Twin | Swimmer) -> Array:
     state = swimmer.state()
-    broken = state.stopped >= 0
-    now = np.concatenate([state.pose, state.measured], axis=1)
-    now[broken] = np.nan
-    return now
+    stopped = state.stopped >= 0
+    signals = np.concatenate([state.pose, state.measured], axis=1)
+    signals[stopped] = np.nan
+    return signals
 
 
-def with_values(model: Model, given: Mapping[str, float]) -> Model:
+def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
     """The model with parameters by name.
 
     ``j1.kp_Nm_per_rad`` belongs to a joint, ``twin.along`` to the twin's law,
@@ -269,7 +269,7 @@ def with_values(model: Model, given: Mapping[str, float]) -> Model:
     joints, body = dict(model.joints), dict(model.body)
     law = dict(vars(Coefficients.of(body)))
     effects = values(model)
-    for name, value in given.items():
+    for name, value in parameters.items():
         head, _, tail = name.partition(".")
         if head in joints:
             changed: dict[str, Any] = {tail: value}
@@ -280,7 +280,7 @@ def with_values(model: Model, given: Mapping[str, float]) -> Model:
             body["water"] = {**body.get("water", {}), tail: value}
         else:
             effects[name] = value
-    if any(name.startswith("twin.") for name in given) or "twin" in body:
+    if any(name.startswith("twin.") for name in parameters) or "twin" in body:
         body["twin"] = law
     body["effects"] = listed(effects)
     return replace(model, joints=joints, body=body)
@@ -290,7 +290,7 @@ def values_of(model: Model, names: Sequence[str]) -> Array:
     """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect.
 
     Raises:
-        KeyError: If the model does not say what a parameter of the water is.
+        KeyError: If the model has no value of a parameter of the twin or the water.
     """
     effects = values(model)
     out = []
@@ -305,15 +305,15 @@ def values_of(model: Model, names: Sequence[str]) -> Array:
     return np.array(out)
 
 
-def _kept(lag_s: float, period_s: float) -> float:
-    """Share of the last pose that a filter keeps."""
+def _filter_weight(lag_s: float, period_s: float) -> float:
+    """Weight of the previous output in a first-order filter."""
     return float(np.exp(-period_s / lag_s)) if lag_s > 0 else 0.0
 
 
 def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
-    """That of poses (T, 3) that were recorded evenly; None where they are too few.
+    """Noise of poses (T, 3) recorded at regular intervals; None where they are too few.
 
-    Third differences take away what moves slowly, so that it does not leak into high frequencies.
+    Third differences remove slow motion, so that it does not leak into high frequencies.
     """
     third = np.diff(poses, 3, axis=0)
     third = third * np.hanning(len(third))[:, None]
@@ -324,23 +324,23 @@ def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
     angle = 2 * np.pi * period_s * hertz[high]
     power = np.abs(np.fft.rfft(third, axis=0)[high]) ** 2 / np.sum(np.hanning(len(third)) ** 2)
     flat = power / (2 * np.sin(angle / 2))[:, None] ** 6
-    # a window makes neighbours alike: some two thirds of the frequencies count
-    worth = 2 / 3
+    # the window correlates neighbouring frequencies: about two thirds are independent
+    independent = 2 / 3
     likelihood, sizes = [], []
     for lag in LAGS_S:
-        kept = _kept(lag, period_s)
-        response = (1 - kept) ** 2 / (1 + kept**2 - 2 * kept * np.cos(angle))
+        weight = _filter_weight(lag, period_s)
+        response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
         square = np.mean(flat / response[:, None], axis=0)
         sizes.append(np.sqrt(square))
-        each = np.log(square) * len(angle) + np.log(response).sum()
-        likelihood.append(-worth * float(each.sum()))
-    found = np.array(likelihood) - likelihood[0]
-    best = int(np.argmax(found))
-    if found[best] < _SURE:
+        log_power = np.log(square) * len(angle) + np.log(response).sum()
+        likelihood.append(-independent * float(log_power.sum()))
+    log_ratio = np.array(likelihood) - likelihood[0]
+    best = int(np.argmax(log_ratio))
+    if log_ratio[best] < _SURE:
         best = 0
-    while LAGS_S[best] > _LONGEST_S:  # from here on all are alike but for the noise's size
+    while LAGS_S[best] > _LONGEST_S:  # longer time constants differ in the size of the noise only
         best -= 1
-    return PoseNoise(sizes[best], float(LAGS_S[best]), np.clip(found, -_MOST, _MOST))
+    return PoseNoise(sizes[best], float(LAGS_S[best]), np.clip(log_ratio, -_MOST, _MOST))
 
 
 __all__ = [

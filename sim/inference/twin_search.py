@@ -1,13 +1,13 @@
 """Swims of one robot as a problem of ``sim2real.inference.selection``, in the twin.
 
-Near a fit a swim is linear in all coordinates, so one batch of rollouts (``look``) tells what every
-effect would bring, and refits follow its derivatives, a rollout or two a step. What the twin gets
-wrong is a part of the noise: what is left has the size that ``Blocks`` say, shapes of that error
-(``discrepancy``) are columns that no fit bends to, and an effect that a hypothesis does not have
-may still seem to be there by as much as the error imitates it. So evidence is that of a normal
-model with all columns in every hypothesis: those of an effect that is there have its prior, the
-others the imitation's (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch.
-28).
+Near a fit a swim is linear in all coordinates, so one batch of rollouts (``look``) predicts the
+gain of every effect, and refits follow its derivatives with one or two rollouts per step. The error
+of the twin counts as noise: residuals have the variance of ``Blocks``, shapes of the error
+(``discrepancy``) are columns that are marginalised and not fitted, and effects that a hypothesis
+does not contain have a prior as wide as the error imitates them. So the evidence is that of a
+normal model with all columns in every hypothesis: those of its effects have the effects' priors,
+the others that of the imitation (MacKay, Information Theory, Inference, and Learning Algorithms
+(2003), ch. 28).
 """
 
 from __future__ import annotations
@@ -22,39 +22,44 @@ from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
 from sim.inference.linear_fit import Fit, Slope, SwimPrior, bounded
-from sim.inference.starts import jumped
+from sim.inference.starts import with_other_sizes
 from sim.inference.swims import Swim
 from sim2real.inference.selection import Hypothesis, Ledger, Members
 
 Array = NDArray[np.float64]
 
 FIRST = 8
-"""Single effects that are refitted, of those that promise most."""
+"""Number of single effects that are refitted, those with the largest predicted evidence."""
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
 _STEPS = 3
 _IN_DOUBT = 0.05
-"""Share by which the twin is wrong of what an effect changes, anywhere by itself; what is wrong of
-it all along stands in ``discrepancy``."""
+"""Relative error of the twin in the change that an effect makes, independent for each coefficient;
+the persistent part of this error is in ``discrepancy``."""
 _AT_MOST = 3.0
-"""Standard deviations by which the twin's error may pass for an effect that is not there: what is
-more is no error, and slopes do not hold so far."""
+"""Largest imitation of an absent effect by the twin's error, in standard deviations: larger values
+are not due to the error, and the linear model does not hold there."""
 _SETTLED = 0.7
-"""Change of the loss below which a fit stays where it is."""
+"""Change of the loss below which a fit has converged."""
 _SHARES = (1.0, 0.4, 0.1)
-"""Of a step, tried together."""
+"""Shares of a step that are compared in one batch."""
 
 
 @dataclass
 class TwinSwims:
-    """Swims, and all that a search asks of them.
+    """Swims of one robot as a problem of the search.
 
     Attributes:
-        coordinates: Of the robot.
+        coordinates: Coordinates of the robot.
         swims: Its recordings.
         simulate: The twin.
         prior: Prior of the parameters.
-        cost: What an effect costs in evidence.
-        doubted: What effects change of each swim by the twin, (T, 3 + J): a share of it is wrong.
+        cost: Log-evidence that is subtracted for each effect.
+        doubted: Change that effects make in each swim by the twin, (T, 3 + J), which has an error
+            in proportion to its size.
+        blocks, weights: Transformed swims, and reciprocal standard deviations of their errors.
+        is_error: Whether each column is a shape of the twin's error, shape (F,).
+        first_fit: First linearised fit without effects.
+        kept: Rows that a fit uses, shape (n,); all where None.
     """
 
     coordinates: Coordinates
@@ -65,34 +70,33 @@ class TwinSwims:
     doubted: Sequence[Array] = ()
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
-    wrong: NDArray[np.bool_] = field(init=False)
-    before: Fit | None = None
+    is_error: NDArray[np.bool_] = field(init=False)
+    first_fit: Fit | None = None
     kept: NDArray[np.bool_] | None = None
     rollouts: int = 0
     _doubts: Array | None = field(default=None, init=False, repr=False)
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Take the recordings apart."""
+        """Transform the recordings and compute their weights."""
         seems = self.prior.mean.copy()
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        doubts: list[Array | float] = [0.0] * len(self.blocks)
+        variances: list[Array | float] = [0.0] * len(self.blocks)
         for k, change in enumerate(self.doubted):
-            doubts[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
-        self.weights = [
-            one.weights(self.prior.shares, v) for one, v in zip(self.blocks, doubts, strict=True)
-        ]
+            variances[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
+        pairs = zip(self.blocks, variances, strict=True)
+        self.weights = [blocks.weights(self.prior.shares, more) for blocks, more in pairs]
         if self.doubted:
             self._doubt()
-        self.wrong = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
+        self.is_error = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
         if not any(c.kind.startswith("servo") for c in self.coordinates.columns):
-            for weight in self.weights:  # joints that follow a film say nothing
+            for weight in self.weights:  # joints that are prescribed carry no information
                 weight[:, 3:] = 0.0
 
     def _doubt(self) -> None:
-        """Add parameters, with a prior, for the error of the twin in what effects change."""
+        """Add parameters, with a prior, for the error of the twin in the changes by effects."""
         joints = len(self.coordinates.model.joints)
         sizes = discrepancy.of_changes(joints)
         self.coordinates = self.coordinates.doubting()
@@ -100,15 +104,15 @@ class TwinSwims:
         parts = []
         for blocks, weight, change in zip(self.blocks, self.weights, self.doubted, strict=True):
             shapes = discrepancy.shapes(change)
-            known = np.array([shapes[f"{ERROR}.{name}"] for name in sizes])
-            told = spectrum(known, blocks.edges) * weight
-            parts.append(told.reshape(len(sizes), -1).T)
+            values = np.array([shapes[f"{ERROR}.{name}"] for name in sizes])
+            transformed = spectrum(values, blocks.edges) * weight
+            parts.append(transformed.reshape(len(sizes), -1).T)
         self._doubts = np.concatenate(parts)
 
     # --- simulations -------------------------------------------------------------------------
 
     def rows(self, points: Array) -> Array:
-        """Weighted errors at points (E, F), shape (E, n); all, whether fitted or not."""
+        """Weighted errors at points (E, F), shape (E, n); of all rows, also those not fitted."""
         self.rollouts += len(points) * len(self.swims)
         parts = []
         for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
@@ -117,49 +121,49 @@ class TwinSwims:
         return np.concatenate(parts, axis=1)
 
     def slope(
-        self, x: Array, known: Slope | None = None, members: Members = frozenset()
+        self, x: Array, nearby: Slope | None = None, members: Members = frozenset()
     ) -> tuple[Array, Slope]:
-        """Weighted errors at a point, and their derivatives by all columns.
+        """Weighted errors at a point, and their derivatives with respect to all columns.
 
-        With those that are ``known`` nearby, only what a fit with these members moves is renewed.
+        With a slope from nearby, only columns that a fit with these members varies are recomputed.
         """
         points, base = self.coordinates.about(x)
         moved = np.array([not c.name.startswith(DOUBT) for c in self.coordinates.columns])
-        if known is not None:
+        if nearby is not None:
             moved &= in_fit(self.coordinates.columns, members)
         fresh = np.flatnonzero(moved)
         rows = self.rows(self.coordinates.clipped(points[np.concatenate([[0], fresh + 1])]))
-        of = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
-        slope = np.empty((rows.shape[1], x.size)) if known is None else known.slope.copy()
-        slope[:, fresh] = ((rows[1:] - rows[of]) / self.coordinates.steps(x)[fresh, None]).T
+        base_rows = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
+        slope = np.empty((rows.shape[1], x.size)) if nearby is None else nearby.slope.copy()
+        slope[:, fresh] = ((rows[1:] - rows[base_rows]) / self.coordinates.steps(x)[fresh, None]).T
         if self._doubts is not None:
             slope[:, -self._doubts.shape[1] :] = self._doubts
         return rows[0], Slope(x, slope, slope.T @ slope)
 
     def at(self, x: Array) -> Fit:
-        """The fit that nothing is missing, at a point (F,)."""
+        """The linearised fit without effects at a point (F,)."""
         rows, near = self.slope(x)
-        return Fit(x, rows, self.judged(frozenset(), x, rows, near)[0], near)
+        return Fit(x, rows, self.loss_and_step(frozenset(), x, rows, near)[0], near)
 
     # --- the normal model --------------------------------------------------------------------
 
     def precision(self, members: Members) -> Array:
-        """Of all columns before the swim, shape (F, F)."""
+        """Precision of the prior of all columns, shape (F, F)."""
         if members not in self._precisions:
-            c, spread = self.coordinates, self.prior.covariance.copy()
-            on = in_fit(c.columns, members)
-            for k in np.flatnonzero(on):
+            c, covariance = self.coordinates, self.prior.covariance.copy()
+            varied = in_fit(c.columns, members)
+            for k in np.flatnonzero(varied):
                 column = c.columns[k]
                 if column.effect is not None:
-                    spread[k, k] += column.prior_sd**2
+                    covariance[k, k] += column.prior_sd**2
             lost = c.place.get(LOST)
-            if lost is not None and on[lost]:
-                spread[lost, lost] = poses.repeated_variance(self.swims)
-            self._precisions[members] = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+            if lost is not None and varied[lost]:
+                covariance[lost, lost] = poses.repeated_variance(self.swims)
+            self._precisions[members] = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return self._precisions[members]
 
     def centre(self, members: Members) -> Array:
-        """The mean before the swim, shape (F,); lost frames are counted, not fitted."""
+        """Mean of the prior, shape (F,); the share of lost frames is counted and not fitted."""
         c = self.coordinates
         x = c.nominal
         x[c.base] = self.prior.mean[c.base]
@@ -168,224 +172,226 @@ class TwinSwims:
         return x
 
     def counted(self, members: Members) -> float:
-        """Evidence of the count of repeated poses."""
-        lost = any(one.name == LOST.partition(".")[0] for one in members)
+        """Log-evidence of the count of repeated poses."""
+        lost = any(effect.name == LOST.partition(".")[0] for effect in members)
         return poses.counted(self.swims, lost=lost) if LOST in self.coordinates.place else 0.0
 
     def coloured(self, fit: Fit) -> float:
-        """Evidence of the colour of the poses' noise."""
+        """Log-evidence of the spectrum of the poses' noise."""
         place = self.coordinates.place.get(FILTER)
         return 0.0 if place is None else poses.coloured(self.swims, float(fit.x[place]))
 
-    def judged(self, members: Members, x: Array, rows: Array, near: Slope) -> tuple[float, Array]:
-        """Loss at a point, and the step to where it is least by the slopes, shape (F,).
+    def loss_and_step(
+        self, members: Members, x: Array, rows: Array, near: Slope
+    ) -> tuple[float, Array]:
+        """Loss at a point, and the step to its minimum by the linear model, shape (F,).
 
-        The simulator's own error is as large as suits the point best: a fit should not bend to it.
-        What else the fit does not move stays at 0: it should predict by what it has.
+        The loss is minimised over the columns of the simulator's error, so that a fit does not
+        adapt to this error. Other columns that the fit does not vary stay at 0.
         """
-        own = in_fit(self.coordinates.columns, members)
-        free = own | self.wrong
+        varied = in_fit(self.coordinates.columns, members)
+        free = varied | self.is_error
         prior = self.precision(members)[np.ix_(free, free)]
-        seen, slope, normal = self._part(rows, near)
-        off = (x - self.centre(members))[free]
-        gradient = slope[:, free].T @ seen + prior @ off
+        errors, slope, normal = self._used(rows, near)
+        deviation = (x - self.centre(members))[free]
+        gradient = slope[:, free].T @ errors + prior @ deviation
         curvature = normal[np.ix_(free, free)] + prior
         step = np.zeros(x.size)
         step[free] = bounded(curvature, gradient, self.coordinates.room(x)[:, free])
-        step[self.wrong] = 0.0
-        loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
-        error = self.wrong[free]
+        step[self.is_error] = 0.0
+        loss = 0.5 * float(errors @ errors) + 0.5 * float(deviation @ prior @ deviation)
+        error = self.is_error[free]
         pull = gradient[error]
-        told = float(pull @ np.linalg.solve(curvature[np.ix_(error, error)], pull))
-        return loss - 0.5 * told, step
+        gain = float(pull @ np.linalg.solve(curvature[np.ix_(error, error)], pull))
+        return loss - 0.5 * gain, step
 
     def evidence(self, members: Members, fit: Fit) -> float:
         """Logarithm of the marginal likelihood, up to a constant of the swims.
 
-        About the fit the swims are linear in all columns; those of other effects are there by as
-        much as the twin's error imitates them.
+        The swims are linearised about the fit in all columns; those of absent effects are as large
+        as the twin's error imitates them.
         """
-        loss, size, _ = self._whole(members, fit)
-        sure = self.counted(members) + self.coloured(fit) - self.cost * len(members)
-        return sure - loss - 0.5 * size
+        loss, log_volume, _ = self._marginal(members, fit)
+        direct = self.counted(members) + self.coloured(fit) - self.cost * len(members)
+        return direct - loss - 0.5 * log_volume
 
     def seems(self, members: Members, fit: Fit) -> Array:
-        """The step of all columns to where they would be best, those of no effect among them."""
-        return self._whole(members, fit)[2]
+        """Step of all columns to the maximum of the posterior, with those of absent effects."""
+        return self._marginal(members, fit)[2]
 
-    def _whole(self, members: Members, fit: Fit) -> tuple[float, float, Array]:
+    def _marginal(self, members: Members, fit: Fit) -> tuple[float, float, Array]:
         prior = self.precision(members)
-        seen, slope, normal = self._part(fit.rows, fit.near)
-        off = fit.x - self.centre(members)
-        gradient = slope.T @ seen + prior @ off
-        whole = normal + prior
+        errors, slope, normal = self._used(fit.rows, fit.near)
+        deviation = fit.x - self.centre(members)
+        gradient = slope.T @ errors + prior @ deviation
+        curvature = normal + prior
         absent = ~in_fit(self.coordinates.columns, members)
-        far = _AT_MOST * np.sqrt(np.diag(self.prior.covariance))
-        room = np.where(absent, np.stack([-far, far]), self.coordinates.room(fit.x))
-        step = bounded(whole, gradient, room)
-        loss = 0.5 * float(seen @ seen) + 0.5 * float(off @ prior @ off)
-        loss += float(gradient @ step) + 0.5 * float(step @ whole @ step)
-        size = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(prior)[1]
-        return loss, float(size), step
+        largest = _AT_MOST * np.sqrt(np.diag(self.prior.covariance))
+        room = np.where(absent, np.stack([-largest, largest]), self.coordinates.room(fit.x))
+        step = bounded(curvature, gradient, room)
+        loss = 0.5 * float(errors @ errors) + 0.5 * float(deviation @ prior @ deviation)
+        loss += float(gradient @ step) + 0.5 * float(step @ curvature @ step)
+        log_volume = np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(prior)[1]
+        return loss, float(log_volume), step
 
     def covariance(self, members: Members, near: Slope) -> Array:
-        """Of all columns after the swim, shape (F, F)."""
-        _, _, normal = self._part(None, near)
+        """Posterior covariance of all columns, shape (F, F)."""
+        _, _, normal = self._used(None, near)
         return np.asarray(np.linalg.inv(normal + self.precision(members)))
 
-    def _part(self, rows: Array | None, near: Slope) -> tuple[Array, Array, Array]:
-        none = np.zeros(0)
+    def _used(self, rows: Array | None, near: Slope) -> tuple[Array, Array, Array]:
+        empty = np.zeros(0)
         if self.kept is None:
-            return (none if rows is None else rows), near.slope, near.normal
+            return (empty if rows is None else rows), near.slope, near.normal
         slope = near.slope[self.kept]
-        return (none if rows is None else rows[self.kept]), slope, slope.T @ slope
+        return (empty if rows is None else rows[self.kept]), slope, slope.T @ slope
 
     def part(self, fit: Fit) -> tuple[Array, Array]:
-        """Rows and slopes of a fit that it was fitted to."""
-        rows, slope, _ = self._part(fit.rows, fit.near)
+        """Rows that a fit uses, and their derivatives."""
+        rows, slope, _ = self._used(fit.rows, fit.near)
         return rows, slope
 
     # --- fits --------------------------------------------------------------------------------
 
     def plain(self, rounds: int = 3) -> Hypothesis[Fit]:
         """The hypothesis that nothing is missing."""
-        none: Members = frozenset()
-        x = self.centre(none)
+        nothing: Members = frozenset()
+        x = self.centre(nothing)
         for number in range(rounds):
-            begun = self.at(x)
-            self.before = begun if number == 0 else self.before
-            (found,) = self._walk([(none, begun)], 2)
-            x = found.x
-        return self._there(none, x)
+            linearised = self.at(x)
+            self.first_fit = linearised if number == 0 else self.first_fit
+            (fit,) = self._walk([(nothing, linearised)], 2)
+            x = fit.x
+        return self._linearised(nothing, x)
 
-    def _there(self, members: Members, x: Array, known: Slope | None = None) -> Hypothesis[Fit]:
-        """A fit at a point, with slopes of its own."""
-        rows, near = self.slope(x, known, members)
-        fit = Fit(x, rows, self.judged(members, x, rows, near)[0], near, looked=True)
+    def _linearised(self, members: Members, x: Array, old: Slope | None = None) -> Hypothesis[Fit]:
+        """The fit at a point, linearised there."""
+        rows, near = self.slope(x, old, members)
+        fit = Fit(x, rows, self.loss_and_step(members, x, rows, near)[0], near, local=True)
         return Hypothesis(members, fit, self.evidence(members, fit))
 
-    def polished(self, members: Members, fit: Fit, known: Slope | None = None) -> Hypothesis[Fit]:
-        """The fit with slopes of its own, and on along them."""
-        begun = self._there(members, fit.x, known).fit
-        (found,) = self._walk([(members, begun)], 2)
-        return Hypothesis(members, found, self.evidence(members, found))
+    def refined(self, members: Members, fit: Fit, nearby: Slope | None = None) -> Hypothesis[Fit]:
+        """The fit linearised at its point and continued from there."""
+        linearised = self._linearised(members, fit.x, nearby).fit
+        (continued,) = self._walk([(members, linearised)], 2)
+        return Hypothesis(members, continued, self.evidence(members, continued))
 
-    def settled(self, found: Hypothesis[Fit], rounds: int = 2) -> Hypothesis[Fit]:
-        """A hypothesis whose fit has slopes of its own, and stays where it is with them."""
+    def converged(self, hypothesis: Hypothesis[Fit], rounds: int = 2) -> Hypothesis[Fit]:
+        """The hypothesis, linearised and refitted until its loss no longer changes."""
         for _ in range(rounds):
-            before = found.fit.loss
-            found = self.polished(found.members, found.fit, found.fit.near)
-            if abs(before - found.fit.loss) < _SETTLED:
+            loss = hypothesis.fit.loss
+            hypothesis = self.refined(hypothesis.members, hypothesis.fit, hypothesis.fit.near)
+            if abs(loss - hypothesis.fit.loss) < _SETTLED:
                 break
-        return found
+        return hypothesis
 
     def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, NDArray[np.bool_]]:
-        """A fit of the first part of each swim, from one of all of it; which rows it left out."""
+        """A fit to the first part of each swim, started from ``fit``, and the rows left out."""
         first = [
-            np.repeat(one.block < round((1 - share) * len(one.edges)), w.shape[1])
-            for one, w in zip(self.blocks, self.weights, strict=True)
+            np.repeat(blocks.block < round((1 - share) * len(blocks.edges)), weight.shape[1])
+            for blocks, weight in zip(self.blocks, self.weights, strict=True)
         ]
         self.kept = np.concatenate(first)
         try:
-            (found,) = self._walk([(members, replace(fit, loss=np.inf))], _STEPS)
+            (fitted,) = self._walk([(members, replace(fit, loss=np.inf))], _STEPS)
         finally:
             kept, self.kept = self.kept, None
-        return found, ~kept
+        return fitted, ~kept
 
-    def _walk(self, begun: Sequence[tuple[Members, Fit]], steps: int) -> list[Fit]:
-        """Go on from fits along their slopes, all in one batch a step."""
-        now = [fit for _, fit in begun]
-        going = list(range(len(begun)))
+    def _walk(self, initial: Sequence[tuple[Members, Fit]], steps: int) -> list[Fit]:
+        """Continue fits by their linear models, with one batch of simulations per step."""
+        fits = [fit for _, fit in initial]
+        going = list(range(len(initial)))
         for _ in range(steps):
             if not going:
                 break
             trials = []
             for k in going:
-                members, fit = begun[k][0], now[k]
-                _, step = self.judged(members, fit.x, fit.rows, fit.near)
+                members, fit = initial[k][0], fits[k]
+                _, step = self.loss_and_step(members, fit.x, fit.rows, fit.near)
                 trials += [self.coordinates.clipped(fit.x + share * step) for share in _SHARES]
             rows = self.rows(np.array(trials))
-            still = []
-            for place, k in enumerate(going):
-                members, before = begun[k][0], now[k]
+            improving = []
+            for number, k in enumerate(going):
+                members, before = initial[k][0], fits[k]
                 for n in range(len(_SHARES)):
-                    i = place * len(_SHARES) + n
-                    loss, _ = self.judged(members, trials[i], rows[i], before.near)
-                    if loss < now[k].loss:
-                        now[k] = Fit(trials[i], rows[i], loss, before.near)
-                if now[k].loss < before.loss - 0.1:
-                    still.append(k)
-            going = still
-        return now
+                    i = number * len(_SHARES) + n
+                    loss, _ = self.loss_and_step(members, trials[i], rows[i], before.near)
+                    if loss < fits[k].loss:
+                        fits[k] = Fit(trials[i], rows[i], loss, before.near)
+                if fits[k].loss < before.loss - 0.1:
+                    improving.append(k)
+            going = improving
+        return fits
 
     # --- what the search asks ----------------------------------------------------------------
 
     def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
-        """Take the slopes of these sets' fits, and go on along them."""
+        """Linearise the fits of these sets, and continue them."""
         for ledger, members in places:
-            known = ledger.tried[members]
-            if not known.fit.looked:
-                found = self.polished(members, known.fit)
-                ledger.tried[members] = replace(found, fit=replace(found.fit, looked=True))
+            hypothesis = ledger.tried[members]
+            if not hypothesis.fit.local:
+                refined = self.refined(members, hypothesis.fit)
+                ledger.tried[members] = replace(refined, fit=replace(refined.fit, local=True))
 
     def additions(
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
-        """Effects that promise most beside a set, by its slopes."""
-        fits = [ledger.tried[members].fit, *self._afresh(members)]
-        found = []
+        """Effects with the largest predicted evidence when added to a set, by its linear model."""
+        fits = [ledger.tried[members].fit, *self._first_fits(members)]
+        candidates = []
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
-                hopes = [self.evidence(more, self.linear(more, fit)) for fit in fits]
-                found.append((max(hopes), effect))
-        found.sort(key=lambda one: -one[0])
-        return [(effect, fits[0]) for _, effect in found[: most or FIRST]]
+                predicted = [self.evidence(more, self.linear(more, fit)) for fit in fits]
+                candidates.append((max(predicted), effect))
+        candidates.sort(key=lambda candidate: -candidate[0])
+        return [(effect, fits[0]) for _, effect in candidates[: most or FIRST]]
 
-    def _afresh(self, members: Members) -> list[Fit]:
-        """Where a fit may begin as well, if nothing is in it yet: at what was known before.
+    def _first_fits(self, members: Members) -> list[Fit]:
+        """Another start for fits from the plain model: the first linearised fit.
 
-        A law that has bent to what is missing is no good start for what is.
+        A law that was adapted to swims with a missing effect is a bad start for a fit of it.
         """
-        return [] if members or self.before is None else [self.before]
+        return [] if members or self.first_fit is None else [self.first_fit]
 
     def linear(self, members: Members, fit: Fit) -> Fit:
-        """Where a step along the slopes would end, cut to what is allowed."""
-        _, step = self.judged(members, fit.x, fit.rows, fit.near)
-        there = self.coordinates.clipped(fit.x + step)
-        rows = fit.rows + fit.near.slope @ (there - fit.x)
-        return Fit(there, rows, self.judged(members, there, rows, fit.near)[0], fit.near)
+        """The fit after one step of the linear model, within the bounds."""
+        _, step = self.loss_and_step(members, fit.x, fit.rows, fit.near)
+        end = self.coordinates.clipped(fit.x + step)
+        rows = fit.rows + fit.near.slope @ (end - fit.x)
+        return Fit(end, rows, self.loss_and_step(members, end, rows, fit.near)[0], fit.near)
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
-        """The best fit that has one effect more, without it."""
+        """The best fit, with the columns of effects outside ``members`` reset."""
         best = ledger.best
         keep = in_fit(self.coordinates.columns, members)
         x = np.where(keep, best.fit.x, self.coordinates.nominal)
         return replace(best.fit, x=x, rows=self.rows(x[None])[0])
 
     def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
-        """Fit sets, each from a fit of a part of it, in one batch a step."""
-        begun = []
+        """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
+        initial = []
         for _, members, fit in jobs:
-            loss, _ = self.judged(members, fit.x, fit.rows, fit.near)
-            begun.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
-        count = len(begun)
+            loss, _ = self.loss_and_step(members, fit.x, fit.rows, fit.near)
+            initial.append((members, Fit(fit.x, fit.rows, loss, fit.near)))
+        count = len(initial)
         for _, members, _ in jobs:
             if len(members) == 1:
-                begun += [(members, fit) for fit in self._afresh(frozenset())]
-        begun = jumped(self, begun)
-        ended = self._walk(begun, _STEPS)
+                initial += [(members, fit) for fit in self._first_fits(frozenset())]
+        initial = with_other_sizes(self, initial)
+        ended = self._walk(initial, _STEPS)
         best: dict[Members, Fit] = {}
-        for (members, _), fit in zip(begun, ended, strict=True):
-            known = best.get(members)
-            best[members] = fit if known is None or fit.loss < known.loss else known
+        for (members, _), fit in zip(initial, ended, strict=True):
+            previous = best.get(members)
+            best[members] = fit if previous is None or fit.loss < previous.loss else previous
         return [
             Hypothesis(members, best[members], self.evidence(members, best[members]))
-            for members, _ in begun[:count]
+            for members, _ in initial[:count]
         ]
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
-        """Whether what was found is worth going on from."""
+        """Whether the best set has effects, so that the search continues."""
         return bool(ledger.best.members)
 
 

@@ -1,9 +1,9 @@
-"""What a cell is, and where it lies in its box."""
+"""Kinds of cells, and their places in a box."""
 
 import warp as wp
 
 FLUID, SOLID, MOVING, SLIP, OUTLET, INLET = range(6)
-"""What a cell is. Walls are cells too; a wall lies half-way between it and the fluid."""
+"""Kinds of cells. A wall lies half-way between a wall cell and the fluid."""
 KIND, BODY, EDGE = 7, 64, 128
 """Bits of a cell's flag: its kind; covered by a body; at the edge of its box, where cells wrap."""
 
@@ -21,16 +21,16 @@ class Box:
 
 @wp.struct
 class Covered:
-    """The cells that bodies cover: those of a square about each body, layer by layer.
+    """The cells that bodies cover, in a square around each body, layer by layer.
 
     Attributes:
         side: Cells along a side of the squares.
-        low, tall: Lowest layer, and how many.
-        corner: Where each body's cells begin in the plane and how far they go, (E,).
-        share: Number of the link that a cell belongs to plus its solid share, (E side side tall,).
+        low, tall: Lowest layer, and number of layers.
+        corner: First cell of each body's square in the plane, and its extent, (E,).
+        share: Number of the link of a cell plus the cell's solid share, (E side side tall,).
         face: Normal of the surface there, and the share of the velocity along it that the body
             takes away in a step, (E side side tall,).
-        more: Velocity that the cell gets besides, (E side side tall,).
+        more: Additional change of the cell's velocity, (E side side tall,).
     """
 
     side: int
@@ -53,7 +53,7 @@ def place(n: int, box: Box) -> wp.vec3i:
 
 @wp.func
 def within(x: int, size: int) -> int:
-    """A coordinate anywhere outside, back inside."""
+    """Any coordinate, wrapped into a periodic box."""
     rest = x % size
     if rest < 0:
         rest += size
@@ -62,7 +62,7 @@ def within(x: int, size: int) -> int:
 
 @wp.func
 def wrapped(x: int, size: int) -> int:
-    """A coordinate at most one step outside, back inside."""
+    """A coordinate at most one step outside, wrapped into a periodic box."""
     if x < 0:
         return x + size
     if x >= size:

@@ -1,11 +1,11 @@
-"""What populations do to one another in a cell, and what a body's push does to them.
+"""Collision of the populations in a cell, and the effect of a body force on them.
 
 Two relaxation times: Ginzburg, Adv. Water Resour. 28 (2005) 1171; ``magic`` is their product, each
-less a half. Sub-grid viscosity: Smagorinsky's model as in Hou et al., Fields Inst. Comm. 6 (1996)
-151. A push changes the velocity by the difference of two equilibria: Kupershtokh et al., Comput.
+minus a half. Sub-grid viscosity: Smagorinsky's model as in Hou et al., Fields Inst. Comm. 6 (1996)
+151. A force adds the difference of two equilibria: Kupershtokh et al., Comput.
 Math. Appl. 58 (2009) 965.
 
-Symbols: rest density less 1, m momentum, inv one over the density, plus and minus the relaxation
+Symbols: rest density minus 1, m momentum, inv one over the density, plus and minus the relaxation
 rates of the even and the odd part.
 """
 

@@ -12,7 +12,7 @@ from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 
 SUPERSONIC = 0.16
-"""Square of the speed, in lattice units, beyond which nothing here means anything (0.4)."""
+"""Square of the speed in lattice units (0.4) beyond which the method is not valid."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Kernels:
     Attributes:
         step: Collide and stream.
         fields: Density and velocity of all cells.
-        initialise: Set populations from density, velocity and shear.
-        damp: Bring cells far from the robot nearer to rest.
+        initialise: Set populations from density, velocity and strain rate.
+        damp: Damp the flow far from the robot.
     """
 
     step: Any
@@ -36,9 +36,9 @@ class Kernels:
 def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    made, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
-    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
-    neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
+    pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
+    Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
+    neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
     subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
 
     @wp.func
@@ -51,7 +51,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
     ) -> wp.vec3:
-        """Change of velocity that the body's share of a cell asks for."""
+        """Change of velocity by the body's share of a cell."""
         at = place(n, box)
         corner = covered.corner[e]
         dx = within(at[0] - corner[0], box.nx)
@@ -72,7 +72,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         enable_backward=False,
         module="unique",
         grid_stride=False,
-        module_options={"fast_math": cuda},  # on a CPU it would take away the test for NaN
+        module_options={"fast_math": cuda},  # on a CPU this would remove the test for NaN
     )
     def step(
         f: Stored,
@@ -130,7 +130,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         density: wp.array(dtype=wp.float32),
         velocity: wp.array(dtype=wp.vec3),
     ):
-        """Density less 1 and velocity of every fluid cell; 0 in walls."""
+        """Density minus 1 and velocity of every fluid cell; 0 in walls."""
         n = wp.tid()
         flag = int(flags[n])
         density[n] = 0.0
@@ -151,7 +151,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         velocity: wp.array(dtype=wp.vec3),
         strain: wp.array2d(dtype=wp.float32),
     ):
-        """Set what will arrive at each cell: equilibrium plus the part that the shear rate brings.
+        """Set the populations that arrive at each cell: equilibrium plus that of the strain rate.
 
         ``strain`` holds the rates of strain xx, yy, zz, xy, yz, zx, or nothing. Source: Kruger et
         al. (2017), eq. 5.41.
@@ -175,7 +175,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
                 s += 2.0 * (x * y * strain[n, 3] + y * z * strain[n, 4] + z * x * strain[n, 5])
                 even -= wp.static(3.0 * w[2 * k + 1]) * tau[e] * rho * s
             odd = wp.static(3.0 * w[2 * k + 1]) * rho * cu
-            # What arrives along a direction lies where its opposite will be sent from.
+            # A population that arrives is stored in the slot from which its opposite leaves.
             p[2 * k + 1] = even - odd
             p[2 * k + 2] = even + odd
         store(f, n, neighbours(n, flag, box), t, box.total, p)
@@ -189,10 +189,10 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         width: float,
         strength: float,
     ):
-        """Bring cells far from each box's robot nearer to rest: a sponge that goes with it.
+        """Damp the flow far from each box's robot: an absorbing layer that moves with it.
 
-        The populations of water at rest are 0 as stored, so a factor on each slot is enough. The
-        factor falls as the square of the depth into the sponge, which reflects little sound.
+        Stored populations of water at rest are 0, so each slot is multiplied by a factor, which
+        decreases with the square of the depth in the layer and so reflects little sound.
         """
         e, n = wp.tid()
         at = place(n, box)

@@ -1,13 +1,13 @@
-"""Populations in memory: where they lie, how they move, and their moments.
+"""Populations: their layout in memory, their streaming, and their moments.
 
-They are stored once and in place (the esoteric pull): in each step a cell reads, and writes back
-to, a set of slots that no other cell touches, so cells may run in any order, and a slot that no
-cell owns sends back what arrived in it: a solid cell bounces back by being left alone. Source:
-Lehmann, Computation 10 (2022) 92. Numbers stored are f - w, whose rounding error is that of the
-deviation from rest: Skordos, Phys. Rev. E 48 (1993) 4823.
+They are stored once and in place (the esoteric pull): in each step a cell reads from and writes to
+a set of slots that no other cell uses, so cells may be processed in any order. Slots of solid cells
+are not processed and return the populations that arrive: bounce-back. Source: Lehmann, Computation
+10 (2022) 92. The stored numbers are f - w, whose rounding error is relative to the deviation from
+rest: Skordos, Phys. Rev. E 48 (1993) 4823.
 
-Memory is an array of one dimension as long as 32 bits can number its slots. From 2^31 slots on it
-is wide: an array of two, (Q, cells), whose offsets Warp computes in 64 bits.
+Memory is an array of one dimension below 2^31 slots, the limit of 32-bit indices. Above it is wide:
+an array of two dimensions, (Q, cells), whose offsets Warp computes in 64 bits.
 
 Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t parity of the step;
 c velocity of a direction.
@@ -24,29 +24,29 @@ from sim.lattice.cell import EDGE, Box, place
 from sim.lattice.velocities import Lattice
 
 STORAGE = {"float32": (wp.float32, 1.0), "float16": (wp.float16, 512.0)}
-"""Types of stored numbers, and the factor they are stored with.
+"""Types of stored numbers, and their scale factors.
 
-Half precision then ends at the deviations that a fluid at a tenth of the speed of sound has.
+With this factor half precision covers the deviations of flow at a tenth of the speed of sound.
 Source: Lehmann et al., Phys. Rev. E 106 (2022) 015308.
 """
 WIDE_FROM = 2**31
-"""Slots of the smallest batch whose memory is wide."""
+"""Number of slots from which on memory is wide."""
 _LONGEST_ROW = 2**31 - 1
-"""Bytes in a row of wide memory: Warp holds the stride of an axis in 32 bits."""
+"""Largest number of bytes in a row of wide memory: Warp's strides have 32 bits."""
 
 
 def is_wide(lattice: Lattice, cells: int) -> bool:
-    """Whether a batch of so many cells needs wide memory."""
+    """Whether a batch with this number of cells needs wide memory."""
     return lattice.Q * cells >= WIDE_FROM
 
 
 def most_cells(storage: str) -> int:
-    """Cells that one batch can have: 2^29 - 1 in single precision, 2^30 - 1 in half."""
+    """Largest number of cells of a batch: 2^29 - 1 in single precision, 2^30 - 1 in half."""
     return _LONGEST_ROW // np.dtype(storage).itemsize
 
 
 def allocate(lattice: Lattice, storage: str, wide: bool, cells: int, device: Any) -> Any:  # noqa: ANN401
-    """Memory for the populations of so many cells, filled with water at rest."""
+    """Memory for the populations of a number of cells, filled with water at rest."""
     shape = (lattice.Q, cells) if wide else lattice.Q * cells
     return wp.zeros(shape, dtype=STORAGE[storage][0], device=device)
 
@@ -58,10 +58,10 @@ class Populations:
     Attributes:
         Stored: Type of the array in memory: Q rows of all cells, one after the other.
         Vector: Type of one cell's populations, in single precision.
-        neighbours: Cells that the odd directions point to from a cell.
+        neighbours: Neighbouring cells in the odd directions.
         load: Populations that arrive at a cell.
-        store: Send populations on from a cell.
-        moments: Density less 1, and momentum.
+        store: Populations that leave a cell.
+        moments: Density minus 1, and momentum.
         read, write: Get or set the value of one slot.
     """
 

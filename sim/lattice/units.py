@@ -1,4 +1,4 @@
-"""Between metres and cells, seconds and steps, kilograms and the mass of a cell of water."""
+"""Conversion of metres to cells, seconds to steps, kilograms to masses of a cell of water."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Units:
     Attributes:
         cell_m: Side of a cell.
         step_s: Duration of a step.
-        depth_m: Depth that a cell stands for in two dimensions; its side in three.
+        depth_m: Depth that a cell represents in two dimensions; its side in three.
         density_kg_m3: Density of the fluid.
     """
 
@@ -28,7 +28,7 @@ class Units:
 
     @property
     def speed_m_s(self) -> float:
-        """One cell a step."""
+        """Speed of one cell per step."""
         return self.cell_m / self.step_s
 
     @property
@@ -37,5 +37,5 @@ class Units:
         return self.density_kg_m3 * self.cell_m**2 * self.depth_m
 
     def viscosity_lu(self, viscosity_m2_s: float) -> float:
-        """Kinematic viscosity in cells squared a step."""
+        """Kinematic viscosity in cells squared per step."""
         return viscosity_m2_s * self.step_s / self.cell_m**2

@@ -1,4 +1,4 @@
-"""Velocity sets: which way populations travel, and with what weight.
+"""Velocity sets: directions in which populations move, and their weights.
 
 Source: Qian, d'Humieres, Lallemand, Europhys. Lett. 17 (1992) 479; Kruger et al., The Lattice
 Boltzmann Method (Springer, 2017), tables 3.2 and 3.5.
@@ -15,7 +15,7 @@ class Lattice:
     """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests.
 
     Attributes:
-        name: As in the literature.
+        name: Name in the literature.
         dimensions: 2 or 3.
         velocities: Q triples of -1, 0, 1.
         weights: Q weights that sum to 1.
@@ -43,9 +43,9 @@ class Lattice:
 def _lattice(dimensions: int, weight: dict[int, float]) -> Lattice:
     """The velocity set with one weight for each squared speed."""
     axes = [(0, 1, -1)] * dimensions + [(0,)] * (3 - dimensions)
-    every = [(x, y, z) for z, y, x in product(*reversed(axes))]
-    kept = [c for c in every if sum(x * x for x in c) in weight]
-    half = sorted((c for c in kept if c > (0, 0, 0)), key=lambda c: (sum(map(abs, c)), c))
+    triples = [(x, y, z) for z, y, x in product(*reversed(axes))]
+    chosen = [c for c in triples if sum(x * x for x in c) in weight]
+    half = sorted((c for c in chosen if c > (0, 0, 0)), key=lambda c: (sum(map(abs, c)), c))
     ordered = [(0, 0, 0)]
     for x, y, z in half:
         ordered += [(x, y, z), (-x, -y, -z)]

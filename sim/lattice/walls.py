@@ -1,14 +1,13 @@
-"""What walls do to the populations that arrive in them, before these turn back.
+"""Boundary conditions at walls, inlets and outlets, applied to populations before they return.
 
 A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285); a free-slip wall exchanges
-its cells' populations along the wall, so that they leave as from a mirror. A wall at rest needs
-nothing.
+its cells' populations along the wall, which is specular reflection. A wall at rest needs no kernel.
 
-Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet that of its
-own velocity and the density of the cell before it, an outlet that of the velocity of the cell
-before it and a density of 1 plus what flows out beyond what flows in, over the speed of sound. That
-is the density of a plane wave on its way out (Poinsot and Lele, J. Comput. Phys. 101 (1992) 104):
-between an inlet and a fixed density sound would stay, and a vortex street plays that organ pipe.
+Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet with its
+velocity and the density of the cell before it, an outlet with the velocity of the cell before it
+and a density of 1 plus net outflow over the speed of sound. That is the density of an outgoing
+plane wave (Poinsot and Lele, J. Comput. Phys. 101 (1992) 104): with a fixed density the channel
+would be an acoustic resonator, which a vortex street excites.
 """
 
 from dataclasses import dataclass
@@ -37,16 +36,16 @@ class Mirror:
 
 def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:
     """All exchanges, for normals 0 to 5: +x, -x, +y, -y, +z, -z."""
-    found = []
+    exchanges = []
     axes = range(lattice.dimensions)
     for axis, sign, across in product(axes, (1, -1), axes):
         if across != axis:
-            one, two, along = [0, 0, 0], [0, 0, 0], [0, 0, 0]
-            one[axis] = two[axis] = sign
-            one[across], two[across], along[across] = 1, -1, 1
+            first, second, along = [0, 0, 0], [0, 0, 0], [0, 0, 0]
+            first[axis] = second[axis] = sign
+            first[across], second[across], along[across] = 1, -1, 1
             normal = 2 * axis + int(sign < 0)
-            found.append(Mirror(normal, _triple(one), _triple(two), _triple(along)))
-    return tuple(found)
+            exchanges.append(Mirror(normal, _triple(first), _triple(second), _triple(along)))
+    return tuple(exchanges)
 
 
 def _triple(x: list[int]) -> tuple[int, int, int]:
@@ -55,16 +54,16 @@ def _triple(x: list[int]) -> tuple[int, int, int]:
 
 @cache
 def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
-    """Kernels for walls, and for what flows through inlets and outlets."""
+    """Kernels for walls, and for the flow through inlets and outlets."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    made = populations(lattice, storage, wide)
-    Stored, Vector, read, write = made.Stored, made.Vector, made.read, made.write
-    neighbours, load, store, moments = made.neighbours, made.load, made.store, made.moments
+    pop = populations(lattice, storage, wide)
+    Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
+    neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
     exchanges = mirrors(lattice)
 
     @wp.func
     def row(d: int, t: int) -> int:
-        """The row of what arrives along direction d."""
+        """The row of the population that arrives along direction d."""
         if d % 2 == 0:
             return d - 1 + t
         return d + 1 - t
@@ -97,7 +96,7 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
                         box,
                     )
                     if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
-                        # What arrives along an even direction lies in the cell it comes from.
+                        # Populations of even directions are stored in the cell that they come from.
                         one = wp.static(lattice.index(exchanges[m].one))
                         two = wp.static(lattice.index(exchanges[m].two))
                         at_two = n
@@ -168,10 +167,10 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         through: wp.array2d(dtype=wp.vec4),
         sums: wp.array(dtype=wp.int64),
     ):
-        """Velocity at opening k of box e, and the density less 1 where that is an inlet.
+        """Velocity at opening k of box e, and the density minus 1 where that is an inlet.
 
         ``inside`` are the fluid cells before the openings, negative where wall cell k is none;
-        ``sums`` gather what flows out less what flows in, as integers, whose order does not matter.
+        ``sums`` are the net outflows, as integers, so that their order makes no difference.
         """
         e, k = wp.tid()
         if inside[k] < 0:
@@ -190,7 +189,7 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
 
 @wp.kernel(enable_backward=False)
 def let_out(sums: wp.array(dtype=wp.int64), outlets: float, excess: wp.array(dtype=wp.float32)):
-    """Density less 1 at the ``outlets`` cells of box e's outlets."""
+    """Density minus 1 at the ``outlets`` outlet cells of box e."""
     e = wp.tid()
     net = wp.float64(sums[e]) / wp.float64(wp.static(_FIXED_POINT))
     sums[e] = wp.int64(0)

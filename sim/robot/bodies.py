@@ -25,23 +25,23 @@ Array = NDArray[np.float64]
 VIRTUAL_MASS = 0.25
 """Share of the displaced water that is added to both sides of the equations of motion."""
 INSET = 0.5
-"""How far, in cells, the surface is set in, as a cell that is solid to a small part stops the water
-almost whole: ``inset_at`` for the viscosities at which robots swim."""
+"""Distance in cells by which the surface is moved inwards, as a cell with a small solid share stops
+almost all of its water: ``inset_at`` for the viscosities at which robots swim."""
 THINNEST = INSET + 0.15
-"""Smallest half-width and half-height in cells: a thinner fin, set in, would slip between them."""
+"""Smallest half-width and half-height in cells: a thinner fin would lie between the cells."""
 _MARGIN = 3
 _NO_LIMIT, _FINE = 1e6, 60
 
 
 def inset_at(viscosity: float) -> float:
-    """How far, in cells, to set the surface in at this viscosity in lattice units.
+    """Distance in cells to move the surface inwards, at this viscosity in lattice units.
 
     The slope is that of creeping flow through periodic arrays, whose drag is known in closed form
     (Sangani and Acrivos, Int. J. Multiphase Flow 8 (1982) 193, 343): a disc or ball of 6 to 14
-    cells, nowhere special on the grid, acts as if 0.34 - 1.5 sqrt(viscosity) cells larger, within
-    0.03 for viscosities from 0.005 to 0.4, and the same in two and three dimensions. The constant
-    is that of faster flow, whose pressure feels the outermost cells: there the best insets lie 0.23
-    higher (cylinder towed at Re 100 with 8 to 24 cells, spheres settling at Re 1.5 and 32).
+    cells, at a generic position on the grid, acts as if 0.34 - 1.5 sqrt(viscosity) cells larger,
+    within 0.03 for viscosities from 0.005 to 0.4, and the same in two and three dimensions. The
+    constant is that of faster flow, whose pressure acts on the outermost cells: there the best
+    insets are 0.23 higher (cylinder towed at Re 100, 8 to 24 cells; spheres at Re 1.5 and 32).
     """
     return 0.57 - 1.5 * float(np.sqrt(viscosity))
 
@@ -53,7 +53,7 @@ class Bodies:
         fluid: The boxes.
         hull: The links' shape.
         units: Size of a cell and of a step.
-        wall: How the robots touch the water.
+        wall: Wall model of the robots.
         displaced: Mass, centre and inertia of the water that each link displaces, shape (L, 3).
         middle: Height of the robots' middle in cells.
     """
@@ -79,25 +79,25 @@ class Bodies:
         Args:
             fluid: The boxes.
             hull: The links' shape.
-            masses: What the links weigh.
+            masses: Masses of the links.
             units: Size of a cell and of a step.
             servos: Rows of the servo law's parameters, shape (E, J, P) or (J, P), in the order of
                 ``sim2real.servo.parameters.COLUMNS``; slack joints where None.
             limits: Smallest and largest angle of each joint in rad, shape (J, 2).
             origin_m: World coordinates of the cell (0, 0).
-            middle: Height of the robot's middle in cells; that of the box where None. What rises
-                above the box's top is out of the water.
-            wall: How the robots touch the water.
-            inset: How far the surface is set in, in cells, where the water does not slip.
-            virtual_mass: Share of the displaced water on both sides of the equations, likewise.
-            outside: What acts on the robots beside the water.
+            middle: Height of the robot's middle in cells; that of the box where None. Parts above
+                the box's top are out of the water.
+            wall: Wall model of the robots.
+            inset: Distance in cells by which the surface is moved inwards, without slip.
+            virtual_mass: Share of the displaced water on both sides of the equations, without slip.
+            outside: Effects of the robots' bodies.
         """
         self.fluid, self.hull, self.units = fluid, hull, units
         E, L = fluid.boxes, hull.length.size
         J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
         device = fluid.device
         least = 0.0 if wall.slip else THINNEST * units.cell_m
-        seen = Hull(
+        on_grid = Hull(
             hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
         )
         nz = fluid.size[2]
@@ -106,7 +106,7 @@ class Bodies:
         if wall.slip:
             water = displaced(hull, hull.body_length / _FINE, 0.0, flat, surface)
         else:
-            water = displaced(seen, units.cell_m, inset * units.cell_m, flat, surface)
+            water = displaced(on_grid, units.cell_m, inset * units.cell_m, flat, surface)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
         self.wall, self._virtual = wall, virtual_mass
@@ -152,8 +152,8 @@ class Bodies:
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
         set_in = 0.0 if wall.slip else inset
-        half_width = seen.half_width / units.cell_m - set_in
-        half_height = seen.half_height / units.cell_m - set_in
+        half_width = on_grid.half_width / units.cell_m - set_in
+        half_height = on_grid.half_height / units.cell_m - set_in
         if flat:
             half_height = np.full_like(half_height, _NO_LIMIT)
         self._shape = (
@@ -163,7 +163,7 @@ class Bodies:
         )
         reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
         self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
-        tall = int(np.ceil(seen.half_height.max() / units.cell_m)) + 1
+        tall = int(np.ceil(on_grid.half_height.max() / units.cell_m)) + 1
         low = 0 if flat else max(0, int(self.middle) - tall)
         high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
         covered = fluid.covered = Covered()
@@ -183,10 +183,10 @@ class Bodies:
         water = self.displaced
         mass, inertia = (np.broadcast_to(x, (E, L)) for x in (masses.mass, masses.inertia))
         inside = water[:, 2] + water[:, 0] * (rows["com"] - water[:, 1]) ** 2
-        kept = 0.0 if self.wall.slip else 1.0  # where it slips, the inner water is accounted for
-        rows["mass"] = np.stack([mass - kept * water[:, 0], inertia - kept * inside], axis=-1)
-        carried = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
-        rows["water"] = kept * self._virtual * carried
+        share = 0.0 if self.wall.slip else 1.0  # with slip, the sums account for the inner water
+        rows["mass"] = np.stack([mass - share * water[:, 0], inertia - share * inside], axis=-1)
+        inner = np.stack([np.broadcast_to(water[:, 0], (E, L)), inside], axis=-1)
+        rows["water"] = share * self._virtual * inner
         rows["weight"] = np.array((rows["mass"] if self.wall.slip else rows["water"])[..., 0])
         resist = np.array(np.broadcast_to(outside.resist, (E, L, 4)))
         resist[:, :, 2] *= water[:, 0]
@@ -199,7 +199,7 @@ class Bodies:
     def adopt(
         self, which: NDArray[np.intp], masses: Masses, servos: Array, outside: Outside
     ) -> None:
-        """Give some robots other masses, servos and effects, one row each."""
+        """Assign other masses, servos and effects to some robots, one row each."""
         change_rows(self.chain, self._rows(masses, servos, outside), which)
 
     def place(
@@ -215,11 +215,11 @@ class Bodies:
             (self.motion.q, q),
             (self.motion.v, np.zeros((E, N)) if v is None else v),
         ):
-            held = array.numpy()
-            held[chosen] = np.broadcast_to(values, (E, N))[chosen]
-            array.assign(held)
-        there: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
-        self._launch(start, E, [self.chain, self.motion, self.grid, there])
+            content = array.numpy()
+            content[chosen] = np.broadcast_to(values, (E, N))[chosen]
+            array.assign(content)
+        on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
+        self._launch(start, E, [self.chain, self.motion, self.grid, on_device])
 
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
@@ -254,15 +254,15 @@ class Bodies:
         )
 
     def push(self, force: Array) -> None:
-        """Let outside forces act from now on: N, N, N m and N m at the joints, shape (E, N)."""
+        """Set external forces from now on: N, N, N m and N m at the joints, shape (E, N)."""
         shape = self.chain.push.shape
         self.chain.push.assign(np.ascontiguousarray(np.broadcast_to(force, shape), np.float64))
 
     def momentum(self) -> Array:
         """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
 
-        Less that of the water inside them, which the fluid has; without slip with the virtual
-        mass's share, what the scheme conserves.
+        Without that of the water inside them, which belongs to the fluid; without slip including
+        the virtual mass, which is the quantity that the scheme conserves.
         """
         m, w = self.chain.mass.numpy(), self.chain.water.numpy()
         V, before, at = (

@@ -1,19 +1,19 @@
-"""What the motion of a batch of chains of links is made of, in memory."""
+"""Warp structs of a batch of chains of links: parameters and state."""
 
 import warp as wp
 
 RING = 16
-"""Set-points on their way to a joint that are remembered."""
+"""Number of the latest set-points of a joint that are stored."""
 
 
 @wp.struct
 class Chain:
-    """Links, joints and servos of E robots; row by row in the shape that is given.
+    """Parameters of links, joints and servos of E robots, with their shapes.
 
     Attributes:
-        mass: Mass and inertia of each link less those of the water inside it, (E, L).
-        water: Mass and inertia of that water times the share that is virtual, (E, L).
-        weight: Of each link in the centre that goes straight on in a step (``move``), (E, L).
+        mass: Mass and inertia of each link minus those of the water inside it, (E, L).
+        water: Mass and inertia of that water times the share of the virtual mass, (E, L).
+        weight: Weight of each link in the centre that moves straight in a step (``move``), (E, L).
         com: Distance of the centre of mass from the front end, (E, L).
         side: Its distance to the left of the axis, (E, L).
         length: (L,).
@@ -22,14 +22,15 @@ class Chain:
         active: Effects that are on, (E, J).
         memory: Memory of the effects, (E, J, cells).
         push: Outside forces along the coordinates, (E, N).
-        rough: Added friction coefficient of each link's surface, (E, L).
-        resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, mass across it in
-            kg, inertia in kg m2, (E, L).
-        skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (E, J).
-        coupling: N m/rad of the skin between neighbouring joints, (E,).
-        tether: N/m on the head, and the anchor's x and y, (E,).
-        current: Velocity of the pool against the cells, (E,).
-        trim: Angle by which each joint is off, (E, J).
+        rough: Additional friction coefficient of each link's surface, (E, L).
+        resist: For each link: drag in N s/m, drag along its axis in N s2/m2, added mass across it
+            in kg, added inertia in kg m2, (E, L).
+        skin: For each joint: stiffness in N m/rad, damping in N m s/rad, relaxing stiffness in
+            N m/rad, relaxation time in s, (E, J).
+        coupling: Stiffness of the skin between neighbouring joints in N m/rad, (E,).
+        tether: Stiffness at the head in N/m, and the anchor's x and y, (E,).
+        current: Velocity of the pool's water, which moves the cells, (E,).
+        trim: Offset of each joint's angle, (E, J).
         widest: Largest half-width.
     """
 
@@ -65,16 +66,16 @@ class Motion:
         twist: Its velocity, (E, L).
         before: Its velocity a step earlier, (E, L).
         force: Force and torque of the fluid on each link in the last step, (E, L).
-        inner: Momentum of the water inside it, the moment about the origin, (E, L).
+        inner: Momentum of the water inside it, with the moment about the origin, (E, L).
         fresh: 1 before the first step, when that momentum is not known, (E,).
         torque: Torque of each servo, (E, J).
         impulse, stop: Impulses of dry friction and of the limit at each joint, (E, J).
         strain: Angle to which the skin over each joint has relaxed, (E, J).
-        measured: Angle that each joint's sensor shows, (E, J).
+        measured: Angle measured by each joint's sensor, (E, J).
         clock: Seconds since the start, (E,).
-        sent, arrival: Set-points on their way and when they arrive, (E, J, RING).
+        sent, arrival: Latest set-points and their times of arrival, (E, J, RING).
         newest: Number of the newest set-point, (E, J).
-        A, b, inverse: Room for the equations, (E, N, N), (E, N) and (E, N, N).
+        A, b, inverse: Memory for the equations, (E, N, N), (E, N) and (E, N, N).
     """
 
     q: wp.array2d(dtype=wp.float64)
@@ -101,10 +102,10 @@ class Motion:
 
 @wp.struct
 class OnGrid:
-    """The robots as the fluid sees them, in lattice units, and its sums over them.
+    """The robots in lattice units, for the fluid, and the fluid's sums over them.
 
-    ``kept`` is the velocity along each link's axis that the cells beside it get back in a step
-    (``coupling``), a mean over ``memory`` steps, (E, L).
+    ``kept`` is the velocity along each link's axis that is given back to the cells at its surface
+    in a step (``coupling``), a mean over ``memory`` steps, (E, L).
     """
 
     cell: wp.float64

@@ -1,4 +1,4 @@
-"""Small kernels at the start of a control period: set-points sent, boxes calmed."""
+"""Kernels at the start of a control period: send set-points, bring boxes to rest."""
 
 from functools import cache
 from typing import Any
@@ -12,7 +12,7 @@ from sim.robot.chain import RING, Chain, Motion
 from sim2real.servo.effect_chain import arrival_time
 
 HISTORY = 16
-"""Control periods whose states are kept, for a look at what led to a stop."""
+"""Number of control periods whose states are stored, to analyse why a box was stopped."""
 
 
 @wp.kernel(enable_backward=False)
@@ -23,7 +23,7 @@ def send(
     history: wp.array3d(dtype=wp.float64),
     stopped: wp.array(dtype=wp.int32),
 ):
-    """Put a set-point on its way to joint k of robot e; keep the robot's state."""
+    """Send a set-point to joint k of robot e, and store the robot's state."""
     e, k = wp.tid()
     if stopped[e] >= 0:
         return
@@ -51,7 +51,7 @@ def send(
 
 @wp.kernel(enable_backward=False)
 def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
-    """Start robot e's clock, with the angles it has as the set-points in force."""
+    """Reset the clock of robot e, with its angles as the set-points in force."""
     e = wp.tid()
     if mask[e] == 0:
         return
@@ -70,8 +70,8 @@ def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
 @cache
 def calm(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that brings boxes to rest."""
-    made = populations(lattice, storage, wide)
-    Stored, write = made.Stored, made.write
+    pop = populations(lattice, storage, wide)
+    Stored, write = pop.Stored, pop.write
 
     @wp.kernel(enable_backward=False, module="unique")
     def calm(

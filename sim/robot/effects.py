@@ -1,4 +1,4 @@
-"""The body's effects of models, as the arrays that ``sim.robot.outside`` acts on."""
+"""The body's effects of models, as arrays for ``sim.robot.outside``."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outside:
-    """What acts on E robots beside the water; each of the shape given, or one that broadcasts.
+    """Effects on E robots in addition to the fluid's forces; shapes may be broadcast.
 
     Attributes:
-        com: Distance in m by which the centres of mass lie further back, (E, 1).
-        side: Distance in m of the centres of mass to the left of the axis, (E, 1).
-        rough: Added friction coefficient of each link's surface, (E, L).
-        resist: Of each link: drag in N s/m, drag along its axis in N s2/m2, share of the displaced
-            water that goes along across it and as it turns, (E, L, 4).
-        skin: Over each joint: N m/rad, N m s/rad, N m/rad that relax, their time in s, (E, J, 4).
-        coupling: N m/rad between neighbouring joints, (E,).
-        tether: N/m on the head, and the anchor's x and y in m, (E, 3).
-        trim: Angle in rad by which the joints are off, (E, 1).
+        com: Shift of the centres of mass backwards in m, (E, 1).
+        side: Shift of the centres of mass to the left of the axis in m, (E, 1).
+        rough: Additional friction coefficient of each link's surface, (E, L).
+        resist: For each link: drag in N s/m, drag along its axis in N s2/m2, added mass across it
+            and added inertia relative to the displaced water, (E, L, 4).
+        skin: For each joint: stiffness in N m/rad, damping in N m s/rad, relaxing stiffness in
+            N m/rad, relaxation time in s, (E, J, 4).
+        coupling: Stiffness between neighbouring joints in N m/rad, (E,).
+        tether: Stiffness at the head in N/m, and the anchor's x and y in m, (E, 3).
+        trim: Offset of the joints' angles in rad, (E, 1).
         current: Velocity of the pool's water in m/s, (E, 2).
-        wall: Share by which a wall one body length away adds to the thrust, (E,).
+        wall: Relative increase of the thrust by a wall one body length away, (E,).
     """
 
     com: Array
@@ -50,15 +51,15 @@ class Outside:
 
 
 def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
-    """The arrays for robots with these models: what each effect adds, as its own file says.
+    """The arrays for robots with these models: the sums of their effects.
 
     Raises:
         InputError: If a model's effect does not exist.
     """
-    each = [_forces(robot, model, hull) for model in models]
+    forces = [_forces(robot, model, hull) for model in models]
 
     def of(name: str) -> Array:
-        return np.array([getattr(one, name) for one in each], dtype=np.float64)
+        return np.array([getattr(force, name) for force in forces], dtype=np.float64)
 
     return Outside(
         com=of("com")[:, None],
@@ -81,24 +82,24 @@ def _forces(robot: Robot, model: Model, hull: Hull) -> Forces:
         np.pi * float((hull.half_width * hull.half_height).max()),
         WATER_KG_M3,
     )
-    given = values(model)
+    parameters = values(model)
     for effect in BODY:
-        mine = [name for name in given if name.partition(".")[0] == effect.name]
-        for material in dict.fromkeys(name.split(".")[1] for name in mine if effect.by_material):
-            effect.act(forces, _of(given, effect, f"{effect.name}.{material}"), material)
-        if mine and not effect.by_material:
-            effect.act(forces, _of(given, effect, effect.name), "")
+        names = [name for name in parameters if name.partition(".")[0] == effect.name]
+        for material in dict.fromkeys(name.split(".")[1] for name in names if effect.by_material):
+            effect.act(forces, _named(parameters, effect, f"{effect.name}.{material}"), material)
+        if names and not effect.by_material:
+            effect.act(forces, _named(parameters, effect, effect.name), "")
     return forces
 
 
-def _of(given: Mapping[str, float], effect: BodyEffect, prefix: str) -> dict[str, float]:
-    return {p.name: given.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
+def _named(parameters: Mapping[str, float], effect: BodyEffect, prefix: str) -> dict[str, float]:
+    return {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
 
 
 def surface_drag(outside: Outside, hull: Hull) -> Array:
     """Drag of the added friction along each link in N s2/m2, shape (E, L).
 
-    For water that shows no velocity along the skin: rho / 2 times the skin's area.
+    For simulations that do not resolve the slip velocity: rho / 2 times the skin's area.
     """
     around = np.pi * (hull.half_width + hull.half_height).mean(axis=1)
     return np.asarray(0.5 * WATER_KG_M3 * around * hull.length * outside.rough)
@@ -108,4 +109,4 @@ _ZERO = np.zeros(1)
 OFF = Outside(
     _ZERO, _ZERO, _ZERO, np.zeros(4), np.zeros(4), _ZERO, np.zeros(3), _ZERO, np.zeros(2), _ZERO
 )
-"""Nothing beside the water."""
+"""No effects."""

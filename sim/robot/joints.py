@@ -1,4 +1,4 @@
-"""What moves a joint and what stops it: the servo, dry friction, the joint's limits."""
+"""Torques and impulses at a joint: the servo, dry friction, the joint's limits."""
 
 import warp as wp
 
@@ -23,7 +23,7 @@ from sim2real.servo.motor import (
 from sim2real.servo.torques import pd_torque
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
-"""Sweeps at most, and the change of a joint's rate in rad/s that ends them."""
+"""Largest number of sweeps, and the change of a joint's rate in rad/s below which they end."""
 
 
 @wp.func
@@ -44,11 +44,12 @@ def set_point(e: int, k: int, start: wp.float64, h: wp.float64, s: Motion) -> wp
 
 @wp.func
 def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
-    """Impulse of servo k over a step, the inertia that stands for its gains, and dry friction's.
+    """Impulse of servo k over a step, equivalent inertia of its gains, bound of dry friction.
 
-    The force is that at the middle of the step, as in ``sim2real.servo.law.substep``. Steps here
-    are no longer than a controller's period, so it looks at every one. Gears feel the motor's
-    torque; what the water adds to their friction is not known before the step.
+    The torque is that at the middle of the step, as in ``sim2real.servo.law.substep``. Steps are
+    not longer than the controller's period, so the controller is evaluated in each. The friction of
+    the gears depends on the motor's torque; the load of the water, unknown before the step, is not
+    included.
     """
     p = chain.servo[e, k]
     z = chain.memory[e, k]
@@ -84,15 +85,15 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
         if kp > zero and (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             m = read_motor(p)
             push = motor_push(kp, kd, error, v, m)
-            weaker = wp.float64(1.0) / resistance(push, v, m)
-            push.torque *= weaker
-            push.damping *= weaker
-            push.stiffness *= weaker
+            factor = wp.float64(1.0) / resistance(push, v, m)
+            push.torque *= factor
+            push.damping *= factor
+            push.stiffness *= factor
         torque = push.torque - push.damping * v
         if kp > zero:
-            made = motor_torque(torque, q, v, torque, now, h, p, z, active)
-            explicit = made != torque
-            torque = made
+            modified = motor_torque(torque, q, v, torque, now, h, p, z, active)
+            explicit = modified != torque
+            torque = modified
         bound = friction_bound(zero, q, v, torque, now, h, p, z, active)
         if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             bound += gear_friction(v, torque, zero, read_motor(p))
@@ -102,7 +103,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     if explicit:
         return wp.vec3d(h * (torque + load) + rotor, inertia, h * bound)
     gain = half * push.damping + half * h * push.stiffness
-    at_start = push.torque + push.stiffness * half * v  # less what the new speed will make
+    at_start = push.torque + push.stiffness * half * v  # without the implicit part
     impulse = h * (at_start - wp.float64(0.5) * push.damping * v + load) + rotor
     return wp.vec3d(impulse, gain + inertia, h * bound)
 
@@ -111,7 +112,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
 def stop_joints(
     e: int, size: int, h: wp.float64, friction: wp.array(dtype=wp.float64), chain: Chain, s: Motion
 ) -> int:
-    """Impulses of dry friction and of the joints' limits; ``b`` holds the velocities."""
+    """Apply impulses of dry friction and of the joints' limits to the velocities in ``b``."""
     J = size - 3
     any_bound = bool(False)
     for k in range(J):
@@ -131,18 +132,18 @@ def stop_joints(
         sweep += 1
         for k in range(J):
             v = s.b[e, 3 + k]
-            own = s.inverse[e, 3 + k, 3 + k]
-            wanted = wp.clamp(s.impulse[e, k] - v / own, -friction[k], friction[k])
-            change = wanted - s.impulse[e, k]
-            s.impulse[e, k] = wanted
-            v += own * change
+            mobility = s.inverse[e, 3 + k, 3 + k]
+            target = wp.clamp(s.impulse[e, k] - v / mobility, -friction[k], friction[k])
+            change = target - s.impulse[e, k]
+            s.impulse[e, k] = target
+            v += mobility * change
             low = wp.min((chain.limits[k][0] - s.q[e, 3 + k]) / h, wp.float64(0.0))
             high = wp.max((chain.limits[k][1] - s.q[e, 3 + k]) / h, wp.float64(0.0))
-            free = v - own * s.stop[e, k]
+            unstopped = v - mobility * s.stop[e, k]
             change -= s.stop[e, k]
-            s.stop[e, k] = (wp.clamp(free, low, high) - free) / own
+            s.stop[e, k] = (wp.clamp(unstopped, low, high) - unstopped) / mobility
             change += s.stop[e, k]
-            largest = wp.max(largest, wp.abs(change) * own)
+            largest = wp.max(largest, wp.abs(change) * mobility)
             for i in range(size):
                 s.b[e, i] += s.inverse[e, 3 + k, i] * change
     return 0

@@ -27,9 +27,9 @@ class Live:
         q: x, y of the head's centre of mass and heading in the water's frame, joint angles,
             shape (E, 3 + J), float64.
         v: Their rates, likewise.
-        measured: Angles that the joints' sensors show, shape (E, J), float64.
+        measured: Angles measured by the joints' sensors, shape (E, J), float64.
         clock: Seconds since the robot's start, shape (E,), float64.
-        stopped: Cell at which the guard stopped a box, -1 where none, shape (E,), int32.
+        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,), int32.
     """
 
     command: Any
@@ -41,20 +41,20 @@ class Live:
 
 
 class Simulator(Protocol):
-    """What the fluid's swimmer and its twin have in common."""
+    """Interface of the fluid's swimmer and the twin."""
 
     robot: Robot
     n_envs: int
     outside: Outside
 
     def live(self) -> Live:
-        """Its live state."""
+        """The live state."""
 
     def advance(self) -> None:
-        """Go on by one control period with the set-points in ``live().command``."""
+        """Advance by one control period with the set-points in ``live().command``."""
 
     def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
-        """Give some robots other models, before their reset."""
+        """Assign other models to some robots, before their reset."""
 
     def reset(
         self,
@@ -67,11 +67,11 @@ class Simulator(Protocol):
 
 @cache
 def _wrapped(device: str, pointer: int) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """Warp's view of another library's stream; kept, as what it drops it also gives up."""
+    """Warp's view of another library's stream; cached, as a freed view would destroy the stream."""
     return wp.Stream(wp.get_device(device), cuda_stream=pointer)
 
 
 def use_stream(device: str, pointer: int) -> None:
-    """Let all further work on a CUDA device go to another library's stream."""
+    """Use another library's stream for all further work on a CUDA device."""
     chosen: Any = wp.get_device(device)
     wp.set_stream(_wrapped(device, pointer), chosen)

@@ -1,17 +1,17 @@
-"""A chain of links that floats in the plane: its motion in one step, solved in joint coordinates.
+"""A free chain of links in the plane: its motion in one step, solved in joint coordinates.
 
-Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. What is carried
-from step to step are the links' momenta in the world frame; they are projected on the Jacobian of
+Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. The state
+carried from step to step are the links' momenta in the world frame, projected on the Jacobian of
 the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, a and p the
 fluid's sums (``coupling``), P the momentum of the water inside the links, V the links' velocities,
 the new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-Where the water does not slip, M is the mass less that of the water inside, p and P are 0, and B is
-a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, their
-gains taken implicitly, and h the step. Dry friction and joint limits are impulses
-that can stop a joint but not turn it round, found by projected Gauss-Seidel sweeps (Acary and
+Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
+a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, with
+implicit gains, and h is the step. Dry friction and joint limits are impulses that can stop a joint
+but not reverse it, computed by projected Gauss-Seidel sweeps (Acary and
 Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). The virtual mass:
 Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float64, SI.
 """
@@ -32,7 +32,7 @@ FREE, KINEMATIC, HELD = range(3)
 
 @wp.func
 def joint_place(e: int, k: int, chain: Chain, s: Motion) -> wp.vec2d:
-    """Where joint k is, which is the front end of link k + 1."""
+    """Position of joint k, the front end of link k + 1."""
     pose = s.link[e, k + 1]
     com = chain.com[e, k + 1]
     side = chain.side[e, k + 1]
@@ -94,7 +94,7 @@ def move_links(e: int, chain: Chain, s: Motion) -> int:
 
 @wp.func
 def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
-    """Give the fluid the links' poses and velocities, and the cells to look at."""
+    """Set the links' poses and velocities for the fluid, and the range of cells around them."""
     low = wp.vec2d(wp.float64(1e30), wp.float64(1e30))
     high = -low
     for k in range(chain.length.shape[0]):
@@ -159,7 +159,7 @@ def about(p: wp.vec3d, x: wp.vec3d, sign: wp.float64) -> wp.vec3d:
 
 @wp.kernel(enable_backward=False)
 def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32)):
-    """Pose robots as their coordinates say; only where ``mask`` is set."""
+    """Compute the links' poses and velocities from the coordinates, where ``mask`` is set."""
     e = wp.tid()
     if mask[e] == 0:
         return
@@ -217,24 +217,24 @@ def advance(
         r = p + wp.vec3d(
             M * V[0] + w[0] * dV[0], M * V[1] + w[0] * dV[1], inertia * V[2] + w[1] * dV[2]
         )
-        tied = wp.float64(0.0)
+        tether = wp.float64(0.0)
         if k == 0:
             r += pull(e, h, chain, s)
-            tied = h * h * chain.tether[e][0]
+            tether = h * h * chain.tether[e][0]
         r += carried(e, k, chain, s)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
-            Ka = K * a + wp.vec3d((M + tied) * a[0], (M + tied) * a[1], inertia * a[2])
+            Ka = K * a + wp.vec3d((M + tether) * a[0], (M + tether) * a[1], inertia * a[2])
             Ka += resist(e, k, h, a, chain, s)
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
     if mode == wp.static(FREE):
         for k in range(J):
             push = drive(e, k, h, chain, s)
-            over = skin(e, k, h, chain, s)
-            s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + over[0]
-            s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + over[1]
+            elastic = skin(e, k, h, chain, s)
+            s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + elastic[0]
+            s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + elastic[1]
             friction[e, k] = push[2]
         factorise(e, 0, N, s)
         solve(e, N, s)
@@ -266,7 +266,9 @@ def advance(
         inner = vector(e, k, 15, unit, grid) + matrix(e, k, 6, unit, grid) * V
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
         share = float(0.0)
-        if grid.sums[e, k, 19] > wp.int64(0) and s.fresh[e] == 0:  # then they moved with the body
+        if (
+            grid.sums[e, k, 19] > wp.int64(0) and s.fresh[e] == 0
+        ):  # inner cells that moved with the body
             share = float(wp.float64(grid.sums[e, k, 18]) / wp.float64(grid.sums[e, k, 19]))
         grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
@@ -279,7 +281,7 @@ def advance(
 
 @wp.func
 def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
-    """Centre of the links' weights, ``ahead`` seconds on at the links' velocities."""
+    """Centre of the links' weights after ``ahead`` seconds at the links' velocities."""
     at = wp.vec2d()
     total = wp.float64(0.0)
     for k in range(chain.length.shape[0]):
@@ -291,24 +293,24 @@ def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
 
 @wp.kernel(enable_backward=False)
 def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dtype=wp.int32)):
-    """Carry the coordinates on by one step, once the fluid has answered.
+    """Advance the coordinates by one step, after the step of the fluid.
 
-    The links turn about one another, so their centre leaves the line of its velocity by the square
-    of the step, always to the same side: a flap alone would carry the robot along. The head is put
-    where the centre moves as its velocity says.
+    Rotating links move their centre off the line of its velocity by the square of the step, always
+    to the same side, so that flapping alone would move the robot. The head is shifted so that the
+    centre moves with its velocity.
     """
     e = wp.tid()
     if stopped[e] >= 0:
         return
     free = mode != wp.static(HELD) and chain.weight[e, 0] > wp.float64(0.0)
-    wanted = wp.vec2d()
+    target = wp.vec2d()
     if free:
-        wanted = middle(e, grid.step, chain, s)
+        target = middle(e, grid.step, chain, s)
     for i in range(s.q.shape[1]):
         s.q[e, i] = s.q[e, i] + grid.step * s.v[e, i]
     pose_links(e, chain, s)
     if free:
-        off = wanted - middle(e, wp.float64(0.0), chain, s)
+        off = target - middle(e, wp.float64(0.0), chain, s)
         s.q[e, 0] = s.q[e, 0] + off[0]
         s.q[e, 1] = s.q[e, 1] + off[1]
         pose_links(e, chain, s)

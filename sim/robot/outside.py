@@ -1,7 +1,7 @@
-"""What else acts on a robot: a skin over its joints, drag that the water lacks, a tether.
+"""Further forces on a robot: a skin over its joints, additional drag and added mass, a tether.
 
-These laws are what the body's effects of the catalogue (``sim2real.effects.body``) add to, the same
-for the fluid and for the reduced-order twin. All are off where their parameters are 0.
+The body's effects of the catalogue (``sim2real.effects.body``) set their parameters, for the fluid
+and the reduced-order twin alike. Each force is 0 where its parameters are.
 """
 
 import warp as wp
@@ -11,27 +11,27 @@ from sim.robot.chain import Chain, Motion
 
 @wp.func
 def resist(e: int, k: int, h: wp.float64, a: wp.vec3d, chain: Chain, s: Motion) -> wp.vec3d:
-    """What link k resists to a unit change a of its velocity over a step: kg m/s and kg m2/s.
+    """Implicit impulse of drag and added mass for velocity a of link k: kg m/s and kg m2/s.
 
-    Drag along the link's axis grows with the speed and its square, across it with the speed; the
-    mass and the inertia are those of water that goes along as the link moves sideways and turns.
+    Drag along the link's axis is linear plus quadratic in the speed, across it linear. The added
+    mass acts across the axis, the added inertia on rotation.
     """
     p = chain.resist[e, k]
     at = s.link[e, k]
     heading = at[2]
     c = wp.cos(heading)
     d = wp.sin(heading)
-    none = wp.float64(0.0)
-    axis = wp.vec3d(c, d, none)
-    normal = wp.vec3d(-d, c, none)
+    zero = wp.float64(0.0)
+    axis = wp.vec3d(c, d, zero)
+    normal = wp.vec3d(-d, c, zero)
     along = h * (p[0] + p[1] * wp.abs(wp.dot(s.twist[e, k], axis))) * wp.dot(a, axis)
     across = (h * p[0] + p[2]) * wp.dot(a, normal)
-    return along * axis + across * normal + wp.vec3d(none, none, p[3] * a[2])
+    return along * axis + across * normal + wp.vec3d(zero, zero, p[3] * a[2])
 
 
 @wp.func
 def carried(e: int, k: int, chain: Chain, s: Motion) -> wp.vec3d:
-    """Momentum across the link, and spin, of the water that goes along with it."""
+    """Momentum across the link and angular momentum of its added mass."""
     at = s.link[e, k]
     heading = at[2]
     c = wp.cos(heading)
@@ -39,13 +39,13 @@ def carried(e: int, k: int, chain: Chain, s: Motion) -> wp.vec3d:
     normal = wp.vec3d(-d, c, wp.float64(0.0))
     p = chain.resist[e, k]
     V = s.twist[e, k]
-    none = wp.float64(0.0)
-    return p[2] * wp.dot(V, normal) * normal + wp.vec3d(none, none, p[3] * V[2])
+    zero = wp.float64(0.0)
+    return p[2] * wp.dot(V, normal) * normal + wp.vec3d(zero, zero, p[3] * V[2])
 
 
 @wp.func
 def pull(e: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
-    """Impulse of the tether on the head over a step, as far as it is known before the step."""
+    """Explicit part of the tether's impulse on the head over a step."""
     p = chain.tether[e]
     at = s.link[e, 0]
     x = p[1] - chain.current[e][0] * s.clock[e] - at[0]
@@ -55,18 +55,18 @@ def pull(e: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
 
 @wp.func
 def skin(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
-    """Impulse of the skin over joint k, and the inertia that stands for its stiffness.
+    """Impulse of the skin over joint k, and the equivalent inertia of its implicit part.
 
-    A spring and a damper beside a spring that relaxes (a standard linear solid), and a spring to
-    the neighbours' angles.
+    A spring and a damper in parallel with a spring that relaxes (a standard linear solid), and a
+    spring to the neighbours' angles.
     """
     p = chain.skin[e, k]
     q = s.q[e, 3 + k]
     v = s.v[e, 3 + k]
-    kept = wp.float64(1.0)
+    decay = wp.float64(1.0)
     if p[3] > wp.float64(0.0):
-        kept = wp.exp(-h / p[3])
-    strain = (q - s.strain[e, k]) * kept
+        decay = wp.exp(-h / p[3])
+    strain = (q - s.strain[e, k]) * decay
     s.strain[e, k] = q - strain
     across = wp.float64(0.0)
     J = s.q.shape[1] - 3

@@ -1,4 +1,4 @@
-"""What may differ between the robots of a batch: one row of each array for each robot."""
+"""Arrays of parameters that may differ between the robots of a batch, one row per robot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Masses:
-    """What the links weigh; shape (E, L) or (L,), SI.
+    """Masses of the links; shape (E, L) or (L,), SI.
 
     Attributes:
         mass: Mass in kg.
@@ -51,12 +51,12 @@ _KINDS: Mapping[str, Any] = {
 
 
 def chain_rows(masses: Masses, servos: Array, outside: Outside, E: int) -> dict[str, NDArray[Any]]:
-    """Rows of ``Chain`` that fluid and twin fill alike.
+    """Rows of ``Chain`` that are the same in the fluid and the twin.
 
     Args:
-        masses: What the links weigh, shape (E, L) or (L,).
+        masses: Masses of the links, shape (E, L) or (L,).
         servos: Rows of the servo law's parameters, shape (E, J, P).
-        outside: What acts beside the water.
+        outside: Effects of the body.
         E: Number of robots.
     """
     J, L = servos.shape[1], servos.shape[1] + 1
@@ -91,19 +91,19 @@ def change_rows(
     """Overwrite the rows of some robots, in place: captured graphs stay valid."""
     for name, values in rows.items():
         array = getattr(struct, name)
-        held = array.numpy()
-        held[which] = values
-        array.assign(held)
+        content = array.numpy()
+        content[which] = values
+        array.assign(content)
 
 
-def changed(outside: Outside, other: Outside, which: NDArray[np.intp], E: int) -> Outside:
-    """The outside of E robots, some of them with another."""
+def changed(outside: Outside, replacement: Outside, which: NDArray[np.intp], E: int) -> Outside:
+    """The effects of E robots, with those of some robots replaced."""
     merged: dict[str, Array] = {}
     for field in fields(Outside):
-        new = getattr(other, field.name)
-        full = np.array(np.broadcast_to(getattr(outside, field.name), (E, *new.shape[1:])))
-        full[which] = new
-        merged[field.name] = full
+        new = getattr(replacement, field.name)
+        content = np.array(np.broadcast_to(getattr(outside, field.name), (E, *new.shape[1:])))
+        content[which] = new
+        merged[field.name] = content
     return Outside(**merged)
 
 
@@ -116,27 +116,27 @@ def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
     total = sum(link.mass_kg for link in robot.links)
     length = np.array([link.length_m for link in robot.links])
     width = np.array([link.width_m for link in robot.links])
-    own = np.array([link.mass_kg for link in robot.links])
-    mass = np.tile(own, (len(models), 1))
+    nominal = np.array([link.mass_kg for link in robot.links])
+    mass = np.tile(nominal, (len(models), 1))
     for row, model in zip(mass, models, strict=True):
         if "normalised_density" in model.body:
             row[:] = np.asarray(model.body["normalised_density"]) * total * length / length.sum()
-    middle = np.array(
+    com = np.array(
         [link.length_m / 2 if link.com_m is None else link.com_m for link in robot.links]
     )
-    middle[0] -= hull.half_width[0, 0]  # the hull's first axis begins behind the nose
+    com[0] -= hull.half_width[0, 0]  # the hull's first axis begins behind the nose
     inertia = mass * (length**2 / 12 + width**2 / 16)
     for k, link in enumerate(robot.links):
         if link.inertia_kgm2 is not None:
-            inertia[:, k] = link.inertia_kgm2 * mass[:, k] / own[k]
-    return Masses(mass, inertia, np.broadcast_to(middle, mass.shape))
+            inertia[:, k] = link.inertia_kgm2 * mass[:, k] / nominal[k]
+    return Masses(mass, inertia, np.broadcast_to(com, mass.shape))
 
 
 def servo_rows(robot: Robot, models: Sequence[Model]) -> Array:
     """Rows of the servo law's parameters, shape (E, J, P).
 
     Raises:
-        InputError: If a model lacks a joint, or knows its gains per unit of inertia only.
+        InputError: If a model lacks a joint, or has its gains only per unit of inertia.
     """
     rows = []
     for model in models:

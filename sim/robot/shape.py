@@ -1,8 +1,8 @@
-"""The robot's hull: round links whose width and height follow the body, one skin over all.
+"""The robot's hull: round links with a continuous surface, whose width and height follow the body.
 
 A link is the set of points nearer to its axis than a radius that varies along it, closed by round
-ends; neighbours share the radius at their joint, so that the skin has no gap at any angle. In plan
-view the radius is half the width; across, sections are ellipses.
+ends; neighbours share the radius at their joint, so that the surface has no gap at any angle. In
+plan view the radius is half the width; across, sections are ellipses.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ def _profile(size: Array, nose: float, tip: float) -> Array:
 
 
 def draught(hull: Hull, mass_kg: float) -> float | None:
-    """Height in m of the surface above the robot's middle when it floats; None where it sinks.
+    """Height in m of the surface above the middle of the floating robot; None where it sinks.
 
-    It goes down until it displaces its own mass of water: Archimedes' principle.
+    A floating robot displaces its own mass of water: Archimedes' principle.
     """
     parts = (hull.length, hull.half_width, hull.half_height)
     return _draught(tuple(part.tobytes() for part in parts), hull.length.size, mass_kg)
@@ -83,21 +83,21 @@ def _draught(parts: tuple[bytes, ...], links: int, mass_kg: float) -> float | No
     hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
     step = hull.body_length / 60
 
-    def spare(above: float) -> float:
-        volume = displaced(hull, step, 0.0, False, above)[:, 0].sum()
+    def excess_mass(surface: float) -> float:
+        volume = displaced(hull, step, 0.0, False, surface)[:, 0].sum()
         return float(WATER_KG_M3 * volume) - mass_kg
 
     highest = float(hull.half_height.max())
-    if spare(highest) <= 0:
+    if excess_mass(highest) <= 0:
         return None
-    return float(brentq(spare, -highest, highest, xtol=1e-4))
+    return float(brentq(excess_mass, -highest, highest, xtol=1e-4))
 
 
 def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
     """The hull with its heights scaled so that it displaces its own mass, wholly under water.
 
     Returns:
-        The hull, and the depth in m that stands for its heights in two dimensions.
+        The hull, and the depth in m that replaces its heights in two dimensions.
     """
     fine = float(hull.half_width.min()) / 2
     volume = displaced(hull, max(fine, hull.body_length / 150), 0.0, flat)[:, 0].sum()
@@ -106,12 +106,12 @@ def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
 
 
 def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:
-    """What the straight hull displaces as the grid sees it: each cell counts for its nearest link.
+    """Volume displaced by the straight hull on the grid; a cell belongs to its nearest link.
 
     Args:
         hull: The hull.
         cell: Size of a cell in m.
-        inset: How far the surface is set in, in m.
+        inset: Distance by which the surface is moved inwards in m.
         flat: In two dimensions.
         above: Height of the water's surface above the hull's middle in m.
 
@@ -121,7 +121,7 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = 
     """
     fine = cell / 6
     widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell
-    count = 2 * round((hull.length.sum() / 2 + widest) / fine)  # a symmetric body gets equal halves
+    count = 2 * round((hull.length.sum() / 2 + widest) / fine)  # equal halves for a symmetric body
     x = (np.arange(count) + 0.5 - count / 2) * fine - hull.length.sum() / 2
     y = np.arange(fine / 2, widest, fine)
     z = np.array([0.0])
@@ -130,27 +130,27 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = 
         z = min(above, highest) - fine * (np.arange(layers) + 0.5)
     front = -np.concatenate([[0.0], np.cumsum(hull.length)[:-1]])
     X, Y = np.meshgrid(x, y, indexing="ij")
-    off, width, height, depth = [], [], [], []
+    distance, width, height, depth = [], [], [], []
     for k, start in enumerate(front):
         back = np.clip(start - X, 0, hull.length[k])
         s = back / hull.length[k] if hull.length[k] > 0 else np.zeros_like(back)
         curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
-        off.append(np.hypot(X - start + back, Y))
+        distance.append(np.hypot(X - start + back, Y))
         width.append(np.tensordot(hull.half_width[k], curve, 1) - inset)
         height.append(np.tensordot(hull.half_height[k], curve, 1) - inset)
-        depth.append(off[-1] - width[-1])
+        depth.append(distance[-1] - width[-1])
     owner = np.argmin(depth, axis=0)
     out = np.zeros((front.size, 3))
     for k, start in enumerate(front):
-        mine = owner == k
-        o, w, h = off[k][mine][:, None], width[k][mine][:, None], height[k][mine][:, None]
+        cells = owner == k
+        o, w, h = distance[k][cells][:, None], width[k][cells][:, None], height[k][cells][:, None]
         ratio = w / h if not flat else np.ones_like(w)
         stretched = np.maximum(np.hypot(o, z * ratio), 1e-12)
         slope = np.hypot(o, z * ratio**2) / stretched if not flat else 1.0
         share = np.clip(0.5 - (stretched - w) / slope / (RAMP * cell), 0, 1).sum(axis=1)
         share *= 2 * fine**2 if flat else 2 * fine**3
-        back = start - X[mine]
+        back = start - X[cells]
         volume = max(float(share.sum()), 1e-12)
         centre = (share * back).sum() / volume
-        out[k] = volume, centre, (share * ((back - centre) ** 2 + Y[mine] ** 2)).sum()
+        out[k] = volume, centre, (share * ((back - centre) ** 2 + Y[cells] ** 2)).sum()
     return out

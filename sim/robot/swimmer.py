@@ -146,7 +146,7 @@ class Swimmer:
         self.hull = hull if hull is not None else hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
         mass = sum(link.mass_kg for link in robot.links)
-        self.hull, depth, under = _in_water(self.hull, mass, flat, depth_m, box_m[2])
+        self.hull, depth, immersion_m = _submerged(self.hull, mass, flat, depth_m, box_m[2])
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
@@ -155,8 +155,8 @@ class Swimmer:
         self.units = Units(cell_m, CONTROL_S / substeps, depth if flat else cell_m)
         if viscosity_m2_s is None:
             least = least_viscosity(cell_m, substeps)
-            own = [one.body.get("water", {}).get("viscosity_m2_s", least) for one in models]
-            viscosity_m2_s = np.maximum(own, WATER_M2_S if wall.slip else least)
+            viscosities = [m.body.get("water", {}).get("viscosity_m2_s", least) for m in models]
+            viscosity_m2_s = np.maximum(viscosities, WATER_M2_S if wall.slip else least)
         self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
         self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
         self.fluid = Fluid(
@@ -176,7 +176,7 @@ class Swimmer:
         if self.outside.wall.any() or (walls and self.outside.current.any()):
             name = "wall_effect" if self.outside.wall.any() else "pool_current with walls"
             raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
-        middle = nz - 0.5 - under / cell_m
+        middle = nz - 0.5 - immersion_m / cell_m
         self.bodies = Bodies(
             self.fluid,
             self.hull,
@@ -234,7 +234,7 @@ class Swimmer:
         self._launch(remember, E, [on_device, self.bodies.chain, motion])
 
     def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
-        """Give the robots of some boxes other models, before their ``reset``.
+        """Assign other models to the robots of some boxes, before their ``reset``.
 
         The water keeps its viscosity.
 
@@ -242,10 +242,10 @@ class Swimmer:
             which: Indices of the boxes, shape (n,).
             models: Their models.
         """
-        other = outside(self.robot, models, self.hull)
-        own = masses(self.robot, models, self.hull)
-        self.bodies.adopt(which, own, servo_rows(self.robot, models), other)
-        self.outside = changed(self.outside, other, which, self.n_envs)
+        effects = outside(self.robot, models, self.hull)
+        inertial = masses(self.robot, models, self.hull)
+        self.bodies.adopt(which, inertial, servo_rows(self.robot, models), effects)
+        self.outside = changed(self.outside, effects, which, self.n_envs)
 
     def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
         """Send set-points and advance by one control period.
@@ -282,8 +282,8 @@ class Swimmer:
 
         Args:
             joint: Angles at the period's end, shape (E, J) or (J,).
-            rate: Rates at its end, likewise; else the joints turn evenly. With rates they follow
-                the cubic through angles and rates at both ends.
+            rate: Rates at its end, likewise, for a cubic through angles and rates at both ends;
+                at constant rates where None.
         """
         motion = self.bodies.motion
         q, v = motion.q.numpy()[:, 3:], motion.v.numpy()[:, 3:]
@@ -299,8 +299,8 @@ class Swimmer:
                 + end * s * s * (3 - 2 * s)
                 + CONTROL_S * np.broadcast_to(rate, q.shape) * s * s * (s - 1)
             )
-        for turned in np.diff(path, axis=0) / self.units.step_s:
-            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), turned], axis=1))
+        for rates in np.diff(path, axis=0) / self.units.step_s:
+            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), rates], axis=1))
             self.bodies.step(KINEMATIC)
         self._sponge()
         self.step_count += 1
@@ -347,7 +347,7 @@ class Swimmer:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
 
     def state(self) -> State:
-        """Where the robots are and how they move."""
+        """The state of the robots, copied from the device."""
         s = self.bodies.motion
         q, v, clock = _copied(s.q), _copied(s.v), _copied(s.clock)
         q[:, :2] += self.outside.current * clock[:, None]
@@ -368,14 +368,14 @@ class Swimmer:
 
 
 def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
-    """What a Warp array holds now: on a CPU ``numpy`` alone would go on changing."""
+    """A copy of a Warp array: on a CPU its ``numpy`` is a view of memory that changes."""
     return np.array(array.numpy())
 
 
-def _in_water(
+def _submerged(
     hull: Hull, mass_kg: float, flat: bool, depth_m: float | None, water_m: float
 ) -> tuple[Hull, float, float]:
-    """The hull, the depth that stands for its heights in 2D, the depth of its middle."""
+    """The hull, the depth that replaces its heights in 2D, and the depth of its middle."""
     if depth_m is None and not flat:
         depth_m = draught(hull, mass_kg)
         if depth_m is not None:

@@ -1,1 +1,1 @@
-"""The reduced-order twin: the same robots in water that is a force law."""
+"""The reduced-order twin: the same robots in water described by a force law."""

@@ -1,17 +1,17 @@
-"""The kernels of the reduced-order twin: a chain of links in water that is a force law.
+"""The kernels of the reduced-order twin: a chain of links in water described by a force law.
 
-Each link carries water that goes along as it moves across its axis and along it (Kirchhoff's
-impulse, with the turning moment that follows from it), and feels drag across and along it. At the
-tail's end the water keeps the momentum that it has: the reactive thrust of elongated bodies
-(Lighthill, Proc. R. Soc. B 179 (1971) 125), which per length of water m with speed w across and u
-along the tail is - m w u across it and + m w w / 2 along it. Drag is that of Morison et al. (1950)
-and a share linear in the speed, taken implicitly, against water that the robot has set in motion:
-around a link it takes on a share of the link's velocity V in a time T, d moved / dt =
-(share V - moved) / T, and keeps its direction in space. Without it a robot gets up to speed too
-soon, and one that turns swims too fast through the water it stirs. The quadratic drag across,
-C |w| w, grows with the vortices that make it: it is C |w| late, and late follows w over a way, as
-lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that of
-``sim.robot.multibody``.
+Each link has added mass across and along its axis (Kirchhoff's impulse, with the turning moment
+that follows from it), and drag across and along it. Water that leaves the tail's end carries its
+momentum away, which gives the reactive thrust of elongated bodies (Lighthill, Proc. R. Soc. B 179
+(1971) 125): with added mass m per length and velocities w across and u along the tail, the force is
+- m w u across the tail and + m w w / 2 along it. Drag is that of Morison et al. (1950) plus a term
+linear in the velocity, integrated implicitly. It depends on the velocity relative to the wake: the
+water around a link approaches a share of the link's velocity V with time constant T, d moved / dt =
+(share V - moved) / T, in the world frame. Without the wake a robot accelerates too fast, and a
+turning robot swims too fast through the water that it has set in motion. The quadratic drag across,
+C |w| w, grows with the vortices that cause it: it is C |w| late, where late follows w over a
+distance, as lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that
+of ``sim.robot.multibody``.
 """
 
 import warp as wp
@@ -30,24 +30,25 @@ POINTS = wp.constant(twin_law.POINTS)
 
 @wp.struct
 class Water:
-    """The water's law; row by row in the shape that is given.
+    """Coefficients and state of the force law, with their shapes.
 
     Attributes:
-        place: Distance of each point before the link's centre of mass in m, (E, L, POINTS).
-        added: Water that goes along across each point in kg, (E, L, POINTS).
-        broad: Drag across at each point in N s2/m2, (E, L, POINTS).
-        reach: Way in m over which that drag grows at each point, (E, L, POINTS).
-        slow: Drag across at each point in N s/m, (E, L, POINTS).
-        along: Drag along each link in N s/m and in N s2/m2, (E, L).
-        axial: Water that goes along each link along its axis in kg, (E, L).
-        tip: Water per length at the tail's end in kg/m, and how far behind the last link's centre
-            of mass it ends in m, (E,).
-        wake: Share of a link's velocity that the water around it takes on, its time in s, (E,).
-        wall: Share that a wall one body length away adds to the thrust, (E,).
+        place: Distance of each point ahead of the link's centre of mass in m, (E, L, POINTS).
+        added: Added mass across the link at each point in kg, (E, L, POINTS).
+        broad: Quadratic drag across the link at each point in N s2/m2, (E, L, POINTS).
+        reach: Distance in m over which that drag grows at each point, (E, L, POINTS).
+        slow: Linear drag across the link at each point in N s/m, (E, L, POINTS).
+        along: Linear and quadratic drag along each link in N s/m and N s2/m2, (E, L).
+        axial: Added mass of each link along its axis in kg, (E, L).
+        tip: Added mass per length at the tail's end in kg/m, and distance in m of this end behind
+            the last link's centre of mass, (E,).
+        wake: Share of a link's velocity that the water around it approaches, and the time constant
+            in s, (E,).
+        wall: Relative increase of the thrust by a wall one body length away, (E,).
         pool: Half the pool's length and width in m, and the body's length.
-        carried: Momentum and spin of the water that went along in the last step, (E, L).
-        moved: Velocity of the water around each link in m/s, in the world's frame, (E, L).
-        late: Speed across each point in m/s that its grown drag stands for, (E, L, POINTS).
+        carried: Momentum and angular momentum of the added mass in the last step, (E, L).
+        moved: Velocity of the water around each link in m/s, in the world frame, (E, L).
+        late: Delayed velocity across each point in m/s, for the quadratic drag, (E, L, POINTS).
     """
 
     place: wp.array3d(dtype=wp.float64)
@@ -68,26 +69,26 @@ class Water:
 
 @wp.func
 def impulse(e: int, k: int, chain: Chain, s: Motion, water: Water) -> wp.vec3d:
-    """Momentum and spin of the water that goes along with link k at its velocity."""
+    """Momentum and angular momentum of the added mass of link k at its velocity."""
     at = s.link[e, k]
     V = s.twist[e, k]
     c = wp.cos(at[2])
     d = wp.sin(at[2])
-    own = c * V[1] - d * V[0]
+    across = c * V[1] - d * V[0]
     p = wp.float64(0.0)
     spin = wp.float64(0.0)
     for j in range(POINTS):
         r = water.place[e, k, j]
-        m = water.added[e, k, j] * (own + V[2] * r)
+        m = water.added[e, k, j] * (across + V[2] * r)
         p += m
         spin += m * r
-    ahead = water.axial[e, k] * (c * V[0] + d * V[1])
-    return wp.vec3d(ahead * c - p * d, ahead * d + p * c, spin)
+    along = water.axial[e, k] * (c * V[0] + d * V[1])
+    return wp.vec3d(along * c - p * d, along * d + p * c, spin)
 
 
 @wp.func
 def stir(e: int, k: int, h: wp.float64, s: Motion, water: Water) -> int:
-    """Let the water around link k take on its share of the link's velocity."""
+    """Update the velocity of the wake around link k."""
     wake = water.wake[e]
     if wake[0] != wp.float64(0.0):
         V = s.twist[e, k]
@@ -99,7 +100,7 @@ def stir(e: int, k: int, h: wp.float64, s: Motion, water: Water) -> int:
 
 @wp.func
 def tail_end(e: int, ahead: wp.float64, w: wp.float64, s: Motion, water: Water) -> wp.vec2d:
-    """Lighthill's force at the tail's end, along and across it, more near a wall if so asked."""
+    """Lighthill's force at the tail's end, along and across it, with the effect of a wall."""
     mass = water.tip[e][0]
     if water.wall[e] != wp.float64(0.0):
         at = s.link[e, s.link.shape[1] - 1]
@@ -133,7 +134,7 @@ def advance_twin(
         c = wp.cos(at[2])
         d = wp.sin(at[2])
         ahead = c * V[0] + d * V[1]
-        own = c * V[1] - d * V[0]
+        across = c * V[1] - d * V[0]
         moved = water.moved[e, k]
         flow_t = c * moved[0] + d * moved[1]
         flow_n = c * moved[1] - d * moved[0]
@@ -144,36 +145,38 @@ def advance_twin(
         turn = zero
         for j in range(POINTS):
             r = water.place[e, k, j]
-            w = own + V[2] * r - flow_n
+            w = across + V[2] * r - flow_n
             broad = h * water.broad[e, k, j] * wp.abs(w)
             drag = h * water.slow[e, k, j] + broad
-            both = water.added[e, k, j] + drag
-            back = drag * flow_n
+            inertia = water.added[e, k, j] + drag
+            push_back = drag * flow_n
             if water.reach[e, k, j] > zero:
-                gone = h * wp.sqrt(w * w + (ahead - flow_t) * (ahead - flow_t))
-                behind = (w - water.late[e, k, j]) * wp.exp(-gone / water.reach[e, k, j])
-                back += broad * behind
-                water.late[e, k, j] = w - behind
-            push_n += back
-            turn += back * r
-            a0 += both
-            a1 += both * r
-            a2 += both * r * r
+                distance = h * wp.sqrt(w * w + (ahead - flow_t) * (ahead - flow_t))
+                lag = (w - water.late[e, k, j]) * wp.exp(-distance / water.reach[e, k, j])
+                push_back += broad * lag
+                water.late[e, k, j] = w - lag
+            push_n += push_back
+            turn += push_back * r
+            a0 += inertia
+            a1 += inertia * r
+            a2 += inertia * r * r
         rough = water.along[e, k]
         drag = h * (rough[0] + rough[1] * wp.abs(ahead - flow_t))
         along = water.axial[e, k] + drag
         push_t = drag * flow_t
         m = chain.mass[e, k]
-        old = water.carried[e, k]
-        turn += h * (own * (old[0] * c + old[1] * d) - ahead * (old[1] * c - old[0] * d))
-        R = wp.vec3d(m[0] * V[0] + old[0], m[0] * V[1] + old[1], m[1] * V[2] + old[2])
-        tied = zero
+        before = water.carried[e, k]
+        turn += h * (
+            across * (before[0] * c + before[1] * d) - ahead * (before[1] * c - before[0] * d)
+        )
+        R = wp.vec3d(m[0] * V[0] + before[0], m[0] * V[1] + before[1], m[1] * V[2] + before[2])
+        tether = zero
         if k == 0:
             R += pull(e, h, chain, s)
-            tied = h * h * chain.tether[e][0]
+            tether = h * h * chain.tether[e][0]
         if k == L - 1:
             arm = water.tip[e][1]
-            end = tail_end(e, ahead, own - V[2] * arm, s, water)
+            end = tail_end(e, ahead, across - V[2] * arm, s, water)
             push_t += h * end[0]
             push_n += h * end[1]
             turn -= h * arm * end[1]
@@ -185,8 +188,8 @@ def advance_twin(
             f_n = a0 * at_n + a1 * a[2]
             f_t = along * (c * a[0] + d * a[1])
             Ka = wp.vec3d(
-                (m[0] + tied) * a[0] + f_t * c - f_n * d,
-                (m[0] + tied) * a[1] + f_t * d + f_n * c,
+                (m[0] + tether) * a[0] + f_t * c - f_n * d,
+                (m[0] + tether) * a[1] + f_t * d + f_n * c,
                 m[1] * a[2] + a1 * at_n + a2 * a[2],
             )
             Ka += resist(e, k, h, a, chain, s)
@@ -194,9 +197,9 @@ def advance_twin(
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
     for k in range(J):
         push = drive(e, k, h, chain, s)
-        over = skin(e, k, h, chain, s)
-        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + over[0]
-        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + over[1]
+        elastic = skin(e, k, h, chain, s)
+        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + elastic[0]
+        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + elastic[1]
         friction[e, k] = push[2]
     factorise(e, 0, N, s)
     solve(e, N, s)
@@ -213,7 +216,7 @@ def advance_twin(
 
 @wp.func
 def centre(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
-    """Centre of the links' mass, ``ahead`` seconds on at the links' velocities."""
+    """Centre of the links' mass after ``ahead`` seconds at the links' velocities."""
     at = wp.vec2d()
     total = wp.float64(0.0)
     for k in range(chain.length.shape[0]):
@@ -225,31 +228,31 @@ def centre(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
 
 @wp.func
 def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
-    """Carry the coordinates on; the centre of mass moves as its velocity says."""
-    wanted = centre(e, h, chain, s)
+    """Advance the coordinates, so that the centre of mass moves with its velocity."""
+    target = centre(e, h, chain, s)
     for i in range(s.q.shape[1]):
         s.q[e, i] = s.q[e, i] + h * s.v[e, i]
     pose_links(e, chain, s)
-    off = wanted - centre(e, wp.float64(0.0), chain, s)
+    off = target - centre(e, wp.float64(0.0), chain, s)
     s.q[e, 0] = s.q[e, 0] + off[0]
     s.q[e, 1] = s.q[e, 1] + off[1]
     for k in range(chain.length.shape[0]):
         at = s.link[e, k]
         s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
     for k in range(s.q.shape[1] - 3):
-        seen = s.q[e, 3 + k]
+        angle = s.q[e, 3 + k]
         if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
-            seen = measured_angle(
-                seen, seen, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
+            angle = measured_angle(
+                angle, angle, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
                 chain.memory[e, k], chain.active[e, k],
             )  # fmt: skip
-        s.measured[e, k] = seen - chain.trim[e, k]
+        s.measured[e, k] = angle - chain.trim[e, k]
     return 0
 
 
 @wp.func
 def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
-    """Put a set-point on its way to joint k."""
+    """Send a set-point to joint k, which receives it after the latency."""
     number = s.newest[e, k] + 1
     slot = number % wp.static(RING)
     zero = wp.float64(0.0)
@@ -268,7 +271,7 @@ def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
 
 @wp.kernel(enable_backward=False)
 def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.int32)):
-    """Pose robots as their coordinates say; only where ``mask`` is set."""
+    """Compute the links' poses and velocities from the coordinates, where ``mask`` is set."""
     e = wp.tid()
     if mask[e] == 0:
         return
@@ -292,9 +295,10 @@ def swim_twin(
     friction: wp.array2d(dtype=wp.float64),
     track: wp.array3d(dtype=wp.float64),
 ):
-    """Control periods of robot e, its commands those of signal ``which``.
+    """Simulate control periods of robot e with the commands of signal ``which``.
 
-    ``track`` takes x, y, heading and the measured angles at the end of each period, if it has room.
+    x, y, heading and the measured angles at the end of each period are written to ``track``, as far
+    as it has rows.
     """
     _ = wp.static(SIGNATURE)
     e = first + wp.tid()

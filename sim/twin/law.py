@@ -1,7 +1,7 @@
-"""The water's law of the twin: its coefficients, and what a robot's shape makes of them.
+"""The force law of the twin: its coefficients, and the forces for a robot's shape.
 
-Where the robot floats, only what is under water counts; the surface is flat, so the water below
-moves as if the wetted shape were mirrored in it.
+For a floating robot only the submerged part counts. The surface is flat, so that the water moves as
+if the wetted shape were mirrored in it.
 """
 
 from __future__ import annotations
@@ -19,35 +19,36 @@ from sim.robot.shape import Hull, afloat, draught
 Array = NDArray[np.float64]
 
 POINTS = 3
-"""Points of Gauss's rule on a link."""
+"""Points of Gaussian quadrature on a link."""
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """The water's law; pure numbers where no unit is given, 1 where the textbook's value is right.
+    """Coefficients of the force law; without unit where none is given, relative where so described.
 
-    The first five are the law as it first was; the defaults of the rest change nothing in it.
+    The first five are those of the first version; the others have no effect at their defaults.
 
     Attributes:
-        across: Drag coefficient of a link that moves across its axis, on the wetted height. Water
-            that swings to and fro has more than a steady stream: 4 to 8 where it swings by a few
-            heights or less (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
-        along: Drag coefficient of the head's cross-section along it.
-        added_mass: Of the mass of the ellipse's circle (Lamb, Hydrodynamics, 1932, art. 71).
-        thrust: Of Lighthill's reactive force at the tail's end.
-        linear: Drag along the links in N s/m, shared by them according to their lengths.
-        slender: Linear drag across the links, of that along them; 2 for a slender body in slow flow
-            (Cox, J. Fluid Mech. 44 (1970) 791).
-        head: Added mass of the head, of what ``added_mass`` makes of a section in the midst of a
-            long body: water can go round the nose.
-        axial: Water that goes along as a link moves along its axis, of the water it displaces; that
-            of a spheroid is Lamb's k1 (art. 114), the layer of water on the skin adds to it.
-        wake: Share of a link's own velocity that the water around it has taken on, in time; all
-            drag is that of the link against this water.
-        wake_s: Time in s in which it takes it on and loses it again.
-        tail: Drag coefficient of the last link across its axis, of ``across``: a fin has edges.
-        lag: Way, in wetted heights, that a section goes through the water while its vortices, and
-            with them the drag of ``across``, grow.
+        across: Drag coefficient of a link that moves across its axis, for the wetted height. It is
+            larger in oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or
+            less (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
+        along: Drag coefficient of the head along its axis, for its cross-section.
+        added_mass: Added mass relative to that of an ellipse (Lamb, Hydrodynamics, 1932, art. 71).
+        thrust: Reactive force at the tail's end relative to Lighthill's.
+        linear: Drag along the links in N s/m, divided among them in proportion to their lengths.
+        slender: Linear drag across the links, relative to that along them; 2 for a slender body in
+            slow flow (Cox, J. Fluid Mech. 44 (1970) 791).
+        head: Added mass of the head relative to that of a section far from the ends: water can
+            flow around the nose.
+        axial: Added mass of a link along its axis, relative to the displaced water; Lamb's k1 for a
+            spheroid (art. 114), to which the boundary layer adds.
+        wake: Share of a link's velocity that the water around it approaches; drag depends on the
+            velocity relative to this water.
+        wake_s: Time constant of the wake in s.
+        tail: Drag coefficient of the last link across its axis, relative to ``across``: a fin has
+            sharp edges.
+        lag: Distance through the water, in wetted heights, over which the vortices of a section,
+            and so the drag of ``across``, grow.
     """
 
     across: float = 1.5
@@ -65,17 +66,17 @@ class Coefficients:
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> Coefficients:
-        """Those of a model's body, the fitted ones of ``FITTED`` where it names none.
+        """The coefficients of a model's body; those that it lacks are taken from ``FITTED``.
 
-        A body that names the first five and no other was written when the law had no more; what
-        it lacks then changes nothing.
+        A body with exactly the first five is of the first version; the others then keep their
+        defaults.
         """
-        given = {k: float(v) for k, v in body.get("twin", {}).items()}
-        return cls(**given) if given.keys() == FIRST else replace(FITTED, **given)
+        named = {k: float(v) for k, v in body.get("twin", {}).items()}
+        return cls(**named) if named.keys() == FIRST else replace(FITTED, **named)
 
 
 FIRST = frozenset(("across", "along", "added_mass", "thrust", "linear"))
-"""Names of the law as it first was."""
+"""Coefficients of the first version of the law."""
 FITTED = Coefficients(
     across=4.006, along=0.4228, added_mass=0.5036, thrust=1.146, linear=0.00343, slender=19.99,
     head=1.501, axial=0.001003, wake=0.1006, wake_s=1.509, tail=0.7669, lag=0.02,
@@ -85,19 +86,19 @@ FITTED = Coefficients(
 
 @dataclass(frozen=True)
 class Sections:
-    """What the water sees of each link of a robot, at Gauss's points on it.
+    """Geometry of a robot's links for the force law, at quadrature points.
 
     Attributes:
-        place: Where the points are, of the link's length from its front end, shape (POINTS,).
-        weight: Their shares of the length, shape (POINTS,).
-        added: Water of the ellipse's circle in kg, shape (L, POINTS).
-        broad: Half the density times the wetted side in kg/m, shape (L, POINTS).
+        place: Distance of the points from the link's front end over its length, shape (POINTS,).
+        weight: Weights of the points, with sum 1, shape (POINTS,).
+        added: Added mass of the elliptic sections in kg, shape (L, POINTS).
+        broad: Half the density times the wetted side area in kg/m, shape (L, POINTS).
         frontal: Half the density times the head's wetted cross-section in kg/m.
         displaced: Water displaced by each link in kg, shape (L,).
         height: Wetted heights in m, shape (L, POINTS).
-        tip: Water of the circle at the tail's end in kg/m.
-        end: How far behind the last joint the tail ends, in m.
-        share: Each link's length, of their sum, shape (L,).
+        tip: Added mass per length of the section at the tail's end in kg/m.
+        end: Distance of the tail's end behind the last joint in m.
+        share: Length of each link over the sum of lengths, shape (L,).
     """
 
     place: Array
@@ -113,20 +114,20 @@ class Sections:
 
 
 def hull_in_water(hull: Hull, mass_kg: float) -> tuple[Hull, float]:
-    """The hull as it lies in the water, and how far the surface is above its middle in m.
+    """The floating hull, and the height of the water's surface above its middle in m.
 
-    A hull that would sink is scaled to displace its mass, wholly under water: infinity.
+    A hull that would sink is scaled to displace its own mass; the height is then infinite.
     """
     above = draught(hull, mass_kg)
     return (hull, above) if above is not None else (afloat(hull, mass_kg, False)[0], np.inf)
 
 
 def sections(hull: Hull, above: float) -> Sections:
-    """What the water sees of a hull under a surface ``above`` m over its middle.
+    """Geometry of a hull for the force law.
 
     Args:
         hull: The links' shape.
-        above: Infinite where it is wholly under water.
+        above: Height of the water's surface above the hull's middle in m; infinite if submerged.
     """
     nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     s, weight = (nodes + 1) / 2, weights / 2
@@ -150,16 +151,16 @@ def sections(hull: Hull, above: float) -> Sections:
 
 
 def law_rows(
-    seen: Sections, hull: Hull, com: Array, laws: Sequence[Coefficients], more: Array
+    geometry: Sections, hull: Hull, com: Array, laws: Sequence[Coefficients], more: Array
 ) -> dict[str, Array]:
     """Rows of ``sim.twin.kernel.Water`` for E robots.
 
     Args:
-        seen: What the water sees of the hull.
+        geometry: Geometry of the hull.
         hull: The links' shape.
         com: Distance of the links' centres of mass from their front ends in m, shape (E, L).
         laws: Coefficients of each robot.
-        more: Share of added mass beyond the law's, of each robot, shape (E,).
+        more: Relative increase of the added mass of each robot, shape (E,).
     """
 
     def of(name: str) -> Array:
@@ -170,18 +171,18 @@ def law_rows(
     heads, tails = np.ones((E, L)), np.ones((E, L))
     heads[:, :1], tails[:, -1:] = of("head"), of("tail")
     along = np.zeros((E, L, 2))
-    along[:, :, 0] = of("linear") * seen.share
-    along[:, :1, 1] = of("along") * seen.frontal
+    along[:, :, 0] = of("linear") * geometry.share
+    along[:, :1, 1] = of("along") * geometry.frontal
     across = of("slender") * along[:, :, 0]
-    behind = seen.end - com[:, -1:]
+    tail_arm = geometry.end - com[:, -1:]
     return {
-        "place": com[:, :, None] - seen.place * hull.length[None, :, None],
-        "added": (added * heads)[:, :, None] * seen.added,
-        "broad": (of("across") * tails)[:, :, None] * seen.broad,
-        "reach": of("lag")[:, :, None] * seen.height,
-        "slow": across[:, :, None] * seen.weight,
+        "place": com[:, :, None] - geometry.place * hull.length[None, :, None],
+        "added": (added * heads)[:, :, None] * geometry.added,
+        "broad": (of("across") * tails)[:, :, None] * geometry.broad,
+        "reach": of("lag")[:, :, None] * geometry.height,
+        "slow": across[:, :, None] * geometry.weight,
         "along": along,
-        "axial": of("axial") * seen.displaced,
-        "tip": np.concatenate([of("thrust") * added * seen.tip, behind], axis=1),
+        "axial": of("axial") * geometry.displaced,
+        "tip": np.concatenate([of("thrust") * added * geometry.tip, tail_arm], axis=1),
         "wake": np.concatenate([of("wake"), of("wake_s")], axis=1),
     }

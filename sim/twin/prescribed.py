@@ -1,7 +1,7 @@
-"""Swims of which only a film exists: the twin's joints move as they were seen, its body is free.
+"""Swims that were only filmed: the twin with prescribed joint angles and a free body.
 
-Nobody knows what a filmed robot's motors were told. Its servos are replaced by ones so stiff that
-the joints are where they were seen, and the body answers as the water's law says.
+The commands of a filmed robot are not known. Its servos are replaced by servos so stiff that the
+joints follow the measured angles, and the body moves by the force law.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 RUN_UP_S = 12.0
-"""Seconds of the same motion before a film begins: it shows swimming that is steady."""
+"""Seconds of simulated motion before a film begins, which shows steady swimming."""
 SUBSTEPS = 4
 """Sub-steps of a control period: four times as many move the mean surge by less than 1 %."""
 _STIFF_NM_PER_RAD = 1e5
@@ -33,42 +33,42 @@ _STEP_S = CONTROL_S / SUBSTEPS
 
 
 def follower() -> JointModel:
-    """A servo that is where it is sent after one sub-step, whatever hangs on it."""
+    """A servo that reaches its set-point after one sub-step, independent of the load."""
     return JointModel(_STIFF_NM_PER_RAD, _STIFF_NM_PER_RAD * _STEP_S, 0.0, 0.0)
 
 
 def by_film(robot: Robot, *, run_up_s: float = RUN_UP_S) -> Simulator:
     """The reduced-order twin with prescribed joints; its models' servos are ``follower``.
 
-    The commands of its swims are the joints' angles in rad, and begin ``run_up_s`` before the
-    film does: shape (run-up + T, J), a row every control period. The robots start at 0.1 m/s, are
-    put where the film begins when it does, with the velocities that they then have, and give
-    tracks of T rows.
+    The commands are the joints' angles in rad, and begin ``run_up_s`` before the film: shape
+    (run-up + T, J), a row every control period. The robots start at 0.1 m/s. When the film begins
+    they are moved to its first pose, and keep their velocities in the body frame. Tracks have T
+    rows.
     """
     before = round(run_up_s / CONTROL_S)
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         E, J = len(models), command.shape[1]
-        angle, sent = _fine(command)
+        angle, set_points = _fine(command)
         twin = Twin(robot, models, n_envs=E, substeps=1, period_s=_STEP_S)
         twin.reset(pose=np.tile(start, (E, 1)), joint=angle[0])
         v = np.zeros((E, 3 + J))
         v[:, 0], v[:, 1] = _START_M_S * np.cos(start[2]), _START_M_S * np.sin(start[2])
         twin.motion.v.assign(v)
-        twin.swim(sent[: SUBSTEPS * before])
+        twin.swim(set_points[: SUBSTEPS * before])
         carry(twin, start)
-        now = twin.state()
-        first = np.concatenate([now.pose, now.measured], axis=1)
-        track = twin.swim(sent[SUBSTEPS * before :])[:, SUBSTEPS - 1 :: SUBSTEPS]
+        state = twin.state()
+        first = np.concatenate([state.pose, state.measured], axis=1)
+        track = twin.swim(set_points[SUBSTEPS * before :])[:, SUBSTEPS - 1 :: SUBSTEPS]
         return np.concatenate([first[:, None], track], axis=1)
 
     return run
 
 
 def _fine(command: Array) -> tuple[Array, Array]:
-    """Angles at each sub-step, and what ``follower`` is sent to be there at its end.
+    """Angles at each sub-step, and the set-points with which ``follower`` reaches them.
 
-    With kd = h kp and no inertia to speak of, the law of ``robot.joints.drive`` turns a joint by
+    With kd = h kp and negligible inertia, the law of ``robot.joints.drive`` turns a joint by
     u - q - h v / 2 in a step h: half of the last step's turn is added.
     """
     rows = np.arange(len(command))
@@ -78,7 +78,7 @@ def _fine(command: Array) -> tuple[Array, Array]:
 
 
 def carry(twin: Twin, pose: Array) -> None:
-    """Put robots and the water around them at a pose of the pool; how they move stays."""
+    """Move robots and their wake to a pose in the pool; velocities in the body frame are kept."""
     clock = np.array(twin.motion.clock.numpy())
     q, v = np.array(twin.motion.q.numpy()), np.array(twin.motion.v.numpy())
     turn = pose[2] - q[:, 2]

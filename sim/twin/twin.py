@@ -89,7 +89,7 @@ class Twin:
         self._sections = sections(self.hull, above)
         self.outside = outside(robot, models, self.hull)
         if coefficients is None:
-            laws = [Coefficients.of(one.body) for one in models]
+            laws = [Coefficients.of(body_model.body) for body_model in models]
         elif isinstance(coefficients, Coefficients):
             laws = [coefficients] * n_envs
         else:
@@ -99,20 +99,20 @@ class Twin:
         self.reset()
 
     def _rows(
-        self, models: Sequence[Model], laws: Sequence[Coefficients], more: Outside
+        self, models: Sequence[Model], laws: Sequence[Coefficients], effects: Outside
     ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-        """The arrays of robots with these models: of the chain, and of the water's law."""
+        """The arrays of robots with these models, for the chain and for the force law."""
         E, L = len(models), len(self.robot.links)
-        own = masses(self.robot, models, self.hull)
-        chain = chain_rows(own, servo_rows(self.robot, models), more, E)
-        chain["mass"] = np.stack([own.mass, own.inertia], axis=-1)
+        inertial = masses(self.robot, models, self.hull)
+        chain = chain_rows(inertial, servo_rows(self.robot, models), effects, E)
+        chain["mass"] = np.stack([inertial.mass, inertial.inertia], axis=-1)
         chain["water"] = np.zeros((E, L, 2))
-        resist = np.array(np.broadcast_to(more.resist, (E, L, 4)))
+        resist = np.array(np.broadcast_to(effects.resist, (E, L, 4)))
         water = law_rows(self._sections, self.hull, chain["com"], laws, resist[:, 0, 2])
-        resist[:, :, 2:] = 0.0  # added mass belongs to the law here
-        resist[:, :, 1] += surface_drag(more, self.hull)
+        resist[:, :, 2:] = 0.0  # added mass is a part of the force law
+        resist[:, :, 1] += surface_drag(effects, self.hull)
         chain["resist"] = resist
-        return chain, {**water, "wall": np.array(np.broadcast_to(more.wall, (E,)))}
+        return chain, {**water, "wall": np.array(np.broadcast_to(effects.wall, (E,)))}
 
     def _build(self, models: list[Model], laws: list[Coefficients]) -> None:
         E, L = self.n_envs, len(self.robot.links)
@@ -121,7 +121,7 @@ class Twin:
         def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             return wp.array(np.ascontiguousarray(values), dtype=kind, device=self.device)
 
-        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
+        def zeros(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
             return wp.zeros(shape, dtype=kind, device=self.device)
 
         rows, law_rows = self._rows(models, laws, self.outside)
@@ -130,37 +130,37 @@ class Twin:
         make_rows(chain, rows, self.device)
         make_rows(law, law_rows, self.device)
         chain.length = put(self.hull.length, wp.float64)
-        chain.push = room((E, N), wp.float64)
+        chain.push = zeros((E, N), wp.float64)
         limits = np.array([joint.limits_rad for joint in self.robot.joints])
         chain.limits = put(limits.reshape(J, 2), wp.vec2d)
-        chain.memory = room((E, J, CELLS), wp.float64)
+        chain.memory = zeros((E, J, CELLS), wp.float64)
         s = self.motion = Motion()
-        s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
-        s.link, s.twist, s.before, s.force = (room((E, L), wp.vec3d) for _ in range(4))
-        s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
-        s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
-        s.clock = room((E,), wp.float64)
-        s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
+        s.q, s.v, s.b = (zeros((E, N), wp.float64) for _ in range(3))
+        s.link, s.twist, s.before, s.force = (zeros((E, L), wp.vec3d) for _ in range(4))
+        s.torque, s.impulse, s.stop = (zeros((E, J), wp.float64) for _ in range(3))
+        s.measured, s.strain = (zeros((E, J), wp.float64) for _ in range(2))
+        s.clock = zeros((E,), wp.float64)
+        s.sent, s.arrival = (zeros((E, J, RING), wp.float64) for _ in range(2))
         s.newest = wp.full((E, J), -1, dtype=wp.int32, device=self.device)
-        s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
+        s.A, s.inverse = (zeros((E, N, N), wp.float64) for _ in range(2))
         law.pool = wp.vec3d(POOL_M[0] / 2, POOL_M[1] / 2, self.hull.body_length)
-        law.late = room((E, L, POINTS), wp.float64)
-        law.carried, law.moved = room((E, L), wp.vec3d), room((E, L), wp.vec2d)
-        self._friction = room((E, J), wp.float64)
-        self._signal = room((E, 1, J), wp.float64)
+        law.late = zeros((E, L, POINTS), wp.float64)
+        law.carried, law.moved = zeros((E, L), wp.vec3d), zeros((E, L), wp.vec2d)
+        self._friction = zeros((E, J), wp.float64)
+        self._signal = zeros((E, 1, J), wp.float64)
         self._command = self._signal.reshape((E, J))
         self._own = put(np.arange(E), wp.int32)
-        self._no_track = room((E, 0, 3 + J), wp.float64)
+        self._no_track = zeros((E, 0, 3 + J), wp.float64)
         self._stopped = wp.full(E, -1, dtype=wp.int32, device=self.device)
 
     def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
-        """Give some robots other models, before their ``reset``; as ``Swimmer.adopt``."""
-        laws = [Coefficients.of(one.body) for one in models]
-        other = outside(self.robot, models, self.hull)
-        chain, water = self._rows(models, laws, other)
+        """Assign other models to some robots, before their ``reset``; as ``Swimmer.adopt``."""
+        laws = [Coefficients.of(model.body) for model in models]
+        effects = outside(self.robot, models, self.hull)
+        chain, water = self._rows(models, laws, effects)
         change_rows(self.chain, chain, which)
         change_rows(self.water, water, which)
-        self.outside = changed(self.outside, other, which, self.n_envs)
+        self.outside = changed(self.outside, effects, which, self.n_envs)
 
     def reset(
         self,
@@ -185,13 +185,13 @@ class Twin:
             (self.water.moved, at_rest[..., :2]),
             (self.water.late, at_rest),
         ):
-            held = array.numpy()
-            held[chosen] = values[chosen]
-            array.assign(held)
-        there: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.device)
+            content = array.numpy()
+            content[chosen] = values[chosen]
+            array.assign(content)
+        on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.device)
         for kernel, inputs in (
-            (start_twin, [self.chain, self.motion, self.water, there]),
-            (remember, [there, self.chain, self.motion]),
+            (start_twin, [self.chain, self.motion, self.water, on_device]),
+            (remember, [on_device, self.chain, self.motion]),
         ):
             wp.launch(kernel, dim=E, inputs=inputs, device=self.device)
 
@@ -221,24 +221,24 @@ class Twin:
         self.step_count += 1
 
     def swim(self, commands: Array, which: NDArray[np.intp] | None = None) -> Array:
-        """Send whole signals in one launch, from where the robots are.
+        """Simulate whole signals in one launch, from the current state.
 
         Args:
             commands: Set-points in rad, one row a control period, shape (signals, T, J) or (T, J).
             which: Signal of each robot, shape (E,); the first where None.
 
         Returns:
-            x, y, heading and measured angles at the end of each period, shape (E, T, 3 + J); the
-            world frame is the pool's, current and all.
+            x, y, heading and measured angles at the end of each period, shape (E, T, 3 + J), in the
+            pool's frame.
         """
-        given = commands[None] if commands.ndim == 2 else commands
+        signals = commands[None] if commands.ndim == 2 else commands
         chosen = np.zeros(self.n_envs, dtype=np.intp) if which is None else which
         start = np.array(self.motion.clock.numpy())
-        track = self._swim(given, chosen, given.shape[1])
-        t = start[:, None] + self.period_s * np.arange(1, given.shape[1] + 1)
+        track = self._swim(signals, chosen, signals.shape[1])
+        t = start[:, None] + self.period_s * np.arange(1, signals.shape[1] + 1)
         current = np.broadcast_to(self.outside.current, (self.n_envs, 2))
         track[:, :, :2] += current[:, None] * t[..., None]
-        self.step_count += given.shape[1]
+        self.step_count += signals.shape[1]
         return track
 
     def _swim(self, commands: Array, which: NDArray[np.intp], kept: int) -> Array:
@@ -274,7 +274,7 @@ class Twin:
                 list(pool.map(part, edges[:-1], edges[1:]))
 
     def state(self) -> State:
-        """Where the robots are and how they move; forces of the water are not kept here."""
+        """The state of the robots; forces of the water are not stored in the twin."""
         s = self.motion
         q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
         q[:, :2] += self.outside.current * clock[:, None]

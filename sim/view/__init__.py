@@ -1,1 +1,1 @@
-"""Pictures, films and pages of what was simulated."""
+"""Pictures, videos and report pages of simulations."""

@@ -22,25 +22,25 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 _WORSE = 0.05
-"""Rise of a held-out error, as a share of it, from which on the page comments on it."""
+"""Relative increase of a held-out error from which the page comments on it."""
 _OFFSET = 0.5
-"""Share of the mean square error from which on a constant offset is its main part."""
+"""Share of the mean square error from which a constant offset is its main part."""
 _TABLE = (
-    "Root mean square error on the held-out part of the swim, beside the size (root mean square) "
-    "of the measured signal there; and how the error changed on the part that was fitted."
+    "Root mean square error on the held-out part of the swim, size (root mean square) of the "
+    "measured signal there, and change of the error on the fitted part."
 )
 
 
 @dataclass(frozen=True)
 class SignalError:
-    """How well one signal of a swim is simulated before and after a calibration.
+    """Errors of one signal of a swim before and after a calibration.
 
     Attributes:
         name: The signal.
         unit: Its unit.
         held_out: Root mean square error on the held-out part, before and after.
-        fitted: The same on the fitted part.
-        size: Root mean square of what was measured on the held-out part.
+        fitted: Likewise on the fitted part.
+        size: Root mean square of the measured signal on the held-out part.
         offset: Mean error on the held-out part after the calibration.
     """
 
@@ -53,7 +53,7 @@ class SignalError:
 
     @property
     def comment(self) -> str:
-        """Why the held-out error rose, as far as its numbers tell; empty if it hardly did."""
+        """Explanation of an increased held-out error from its numbers; empty if it is small."""
         before, after = self.held_out
         if after <= (1 + _WORSE) * before:
             return ""
@@ -65,7 +65,7 @@ class SignalError:
                 f"{self.unit}, {100 * after / self.size:.0f} % of the signal's size.",
                 f"On the fitted part it changes by {change}: "
                 + (
-                    "what the fit gained there does not carry over to the held-out motion."
+                    "this improvement does not generalise to the held-out motion."
                     if improved
                     else "the fit, which weighs all signals together, gave up some of this one for "
                     "the others."
@@ -89,7 +89,7 @@ class SignalError:
 
 def signal_errors(
     swim: Swim,
-    found: Calibrated,
+    calibrated: Calibrated,
     simulator: Simulator,
     robot: Robot,
     held_out: float = HELD_OUT_SHARE,
@@ -97,24 +97,24 @@ def signal_errors(
     """The errors of every signal of a swim that a model was calibrated to.
 
     Args:
-        swim: What was fitted, its end held out.
-        found: The calibration, of this swim alone.
-        simulator: What it was calibrated in.
+        swim: The fitted swim, whose end was held out.
+        calibrated: The calibration, of this swim alone.
+        simulator: Simulator of the calibration.
         robot: The robot.
-        held_out: Share of the swim at its end that was held out.
+        held_out: Share of the swim, at its end, that was held out.
     """
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
     first = round(swim.t.size * (1 - held_out))
-    (after,) = simulated(swim, [found.model], simulator)
+    (after,) = simulated(swim, [calibrated.model], simulator)
     offset = np.nanmean((after - swim.signals)[first:], axis=0)
     size = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
     return [
         SignalError(
             name=name,
             unit=units[k],
-            held_out=(float(found.rmse[0, k]), float(found.rmse[1, k])),
-            fitted=(float(found.train[0, k]), float(found.train[1, k])),
+            held_out=(float(calibrated.rmse[0, k]), float(calibrated.rmse[1, k])),
+            fitted=(float(calibrated.train[0, k]), float(calibrated.train[1, k])),
             size=float(size[k]),
             offset=float(offset[k]),
         )
@@ -123,24 +123,24 @@ def signal_errors(
 
 
 def calibration_section(
-    swim: Swim, before: Model, found: Calibrated, simulator: Simulator, robot: Robot
+    swim: Swim, before: Model, calibrated: Calibrated, simulator: Simulator, robot: Robot
 ) -> Section:
-    """The swim as measured and simulated before and after, the errors, and why some of them grow.
+    """The measured swim, its simulations before and after, the errors and comments on them.
 
     Args:
-        swim: What was fitted, its end held out.
-        before: The model that the calibration began with.
-        found: The calibration.
-        simulator: What it was calibrated in.
+        swim: The fitted swim, whose end was held out.
+        before: The model before the calibration.
+        calibrated: The calibration.
+        simulator: Simulator of the calibration.
         robot: The robot.
     """
     lead = (
-        "A swim of thirty seconds, its last third unseen by the fit, in the reduced-order twin. "
-        "What no parameter of its body makes up for, the next section finds."
+        "A swim of thirty seconds in the reduced-order twin; the fit does not use its last third. "
+        "The next section diagnoses errors that no parameter of the body corrects."
     )
-    figure = comparison(swim, before, found.model, simulator, robot)
+    figure = comparison(swim, before, calibrated.model, simulator, robot)
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    errors = signal_errors(swim, found, simulator, robot)
+    errors = signal_errors(swim, calibrated, simulator, robot)
     return Section(
         "Calibration",
         lead,

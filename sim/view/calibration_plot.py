@@ -24,18 +24,18 @@ def comparison(
     label: str = "calibrated",
     held_out: float = HELD_OUT_SHARE,
 ) -> Figure:
-    """Surge, sway, yaw rate and the first joint; what was held out is shaded.
+    """Surge, sway, yaw rate and the first joint, with the held-out part shaded.
 
     Args:
-        swim: What was measured.
-        before: The model that was given.
-        after: The one that was found.
-        simulator: Both are simulated by it.
+        swim: The recorded swim.
+        before: The model before the fit.
+        after: The fitted model.
+        simulator: Simulator of both.
         robot: The robot.
-        label: Of the model that was found.
-        held_out: Share of the swim, its end, that the fit has not seen.
+        label: Label of the fitted model.
+        held_out: Share of the swim, at its end, that the fit did not use.
     """
-    was, now = simulated(swim, [before, after], simulator)
+    initial, fitted = simulated(swim, [before, after], simulator)
     names = [*(f"{n} ({u})" for n, u in zip(SIGNALS, UNITS, strict=True))]
     names.append(f"{robot.joints[0].name} (rad)")
     with house_style():
@@ -43,8 +43,8 @@ def comparison(
         axes = figure.subplots(len(names), 1, sharex=True)
         for k, (axis, name) in enumerate(zip(axes, names, strict=True)):
             axis.plot(swim.t, swim.signals[:, k], color=INK, linewidth=1.4, label="measured")
-            axis.plot(swim.t, was[:, k], color=FAINT, linewidth=1, label="before")
-            axis.plot(swim.t, now[:, k], color=ACCENT, linewidth=1, label=label)
+            axis.plot(swim.t, initial[:, k], color=FAINT, linewidth=1, label="before")
+            axis.plot(swim.t, fitted[:, k], color=ACCENT, linewidth=1, label=label)
             if held_out:
                 axis.axvspan(swim.t[-1] * (1 - held_out), swim.t[-1], color=FAINT, alpha=0.15)
             axis.set_ylabel(name)

@@ -1,7 +1,7 @@
-"""Drawing on an array of colours, smooth to a part of a pixel: water, robot, lines, rings.
+"""Antialiased drawing on an array of colours: water, robot, lines, rings.
 
-A canvas has rows from above, shape (height, width, 3), from 0 to 255. ``x`` and ``y`` are where its
-columns and rows are in the world, in m: shapes (width,) and (height,), ``y`` falling.
+A canvas has its rows from the top, shape (height, width, 3), values 0 to 255. ``x`` and ``y`` are
+the world coordinates of its columns and rows in m: shapes (width,) and (height,), ``y`` decreasing.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ Colour = tuple[int, int, int]
 def places(
     centre: tuple[float, float], pixels: float, width: int, height: int
 ) -> tuple[Array, Array]:
-    """``x`` and ``y`` of a canvas about ``centre``, with so many pixels a metre."""
+    """``x`` and ``y`` of a canvas about ``centre``, with ``pixels`` per metre."""
     columns, rows = (np.arange(n, dtype=np.float64) + 0.5 - n / 2 for n in (width, height))
     return np.asarray(centre[0] + columns / pixels), np.asarray(centre[1] - rows / pixels)
 
 
 def blend(canvas: Array, share: Array, colour: Colour) -> None:
-    """Lay a colour over a canvas where ``share``, shape (height, width), is above 0."""
+    """Blend a colour into a canvas by ``share``, shape (height, width)."""
     touched = share > 0
     canvas[touched] += share[touched, None] * (np.array(colour) - canvas[touched])
 
 
-def zoomed(seen: Plane, x: Array, y: Array) -> Array:
-    """The vorticity in 1/s at the canvas's places, 0 where the box does not reach."""
+def zoomed(plane: Plane, x: Array, y: Array) -> Array:
+    """The vorticity in 1/s at the canvas's pixels, 0 outside the box."""
     from PIL import Image as Pillow
 
     half = (x[1] - x[0]) / 2
-    columns, left, right = _inside(x, seen.corner[0], seen.cell, seen.vorticity.shape[0], half)
-    rows, low, high = _inside(y, seen.corner[1], seen.cell, seen.vorticity.shape[1], half)
+    columns, left, right = _inside(x, plane.corner[0], plane.cell, plane.vorticity.shape[0], half)
+    rows, low, high = _inside(y, plane.corner[1], plane.cell, plane.vorticity.shape[1], half)
     out = np.zeros((y.size, x.size))
     if not columns.size or not rows.size:
         return out
-    count = seen.vorticity.shape[1]
-    field = Pillow.fromarray(np.ascontiguousarray(seen.vorticity.T[::-1], dtype=np.float32))
+    count = plane.vorticity.shape[1]
+    field = Pillow.fromarray(np.ascontiguousarray(plane.vorticity.T[::-1], dtype=np.float32))
     part = field.resize(
         (columns.size, rows.size), Pillow.Resampling.BICUBIC,
         (left, count - high, right, count - low),
@@ -57,16 +57,16 @@ def zoomed(seen: Plane, x: Array, y: Array) -> Array:
 def _inside(
     along: Array, corner: float, cell: float, count: int, half: float
 ) -> tuple[NDArray[np.intp], float, float]:
-    """Which places lie in the box, and their outer edges in cells."""
+    """Indices of the coordinates in the box, and their outer edges in cells."""
     low, high = (0.5 + (along + side - corner) / cell for side in (-half, half))
-    which = np.flatnonzero((low > -1e-9) & (high < count + 1e-9))
-    if not which.size:
-        return which, 0.0, 0.0
-    return which, max(float(low[which].min()), 0.0), min(float(high[which].max()), float(count))
+    inside = np.flatnonzero((low > -1e-9) & (high < count + 1e-9))
+    if not inside.size:
+        return inside, 0.0, 0.0
+    return inside, max(float(low[inside].min()), 0.0), min(float(high[inside].max()), float(count))
 
 
 def grid_lines(x: Array, y: Array) -> Array:
-    """How much of each pixel a line of the world's grid covers, shape (height, width)."""
+    """Share of each pixel that lines of the world grid cover, shape (height, width)."""
     across, down = (
         np.abs((along / GRID_M + 0.5) % 1 - 0.5) * GRID_M / (x[1] - x[0]) for along in (x, y)
     )
@@ -74,14 +74,14 @@ def grid_lines(x: Array, y: Array) -> Array:
 
 
 def add_line(share: Array, ends: Array, width: float, x: Array, y: Array) -> None:
-    """Add a straight line to ``share``, shape (height, width); where lines meet, none adds up.
+    """Add a straight line to ``share``, shape (height, width); overlapping lines do not add up.
 
     Args:
-        share: How much of each pixel is covered.
-        ends: In m, shape (2, 2).
-        width: In pixels.
-        x: Places of the columns.
-        y: Places of the rows.
+        share: Covered share of each pixel.
+        ends: End points in m, shape (2, 2).
+        width: Width in pixels.
+        x: Coordinates of the columns.
+        y: Coordinates of the rows.
     """
     pixel = x[1] - x[0]
     window = _window(ends, (width + 2) * pixel, x, y)
@@ -107,14 +107,14 @@ def draw_ring(
 
 
 def draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> None:
-    """Fill, joints and outline, drawn from the signed distance.
+    """Draw body, joints and outline from the signed distance.
 
     Args:
-        canvas: What to draw on.
+        canvas: The canvas.
         hull: The links' shape.
         links: Front end and heading of each link, shape (L, 3).
-        x: Places of the columns.
-        y: Places of the rows.
+        x: Coordinates of the columns.
+        y: Coordinates of the rows.
     """
     back = links[-1, :2] - hull.length[-1] * np.array([np.cos(links[-1, 2]), np.sin(links[-1, 2])])
     window = _window(np.vstack([links[:, :2], back]), 1.2 * hull.half_width.max(), x, y)
@@ -133,8 +133,8 @@ def draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> N
 
 def _window(points: Array, margin: float, x: Array, y: Array) -> tuple[slice, slice]:
     """Rows and columns within ``margin`` of the points, shape (N, 2)."""
-    found = []
+    slices = []
     for along, at in ((y, points[:, 1]), (x, points[:, 0])):
         near = np.flatnonzero((along > at.min() - margin) & (along < at.max() + margin))
-        found.append(slice(near[0], near[-1] + 1) if near.size else slice(0, 0))
-    return found[0], found[1]
+        slices.append(slice(near[0], near[-1] + 1) if near.size else slice(0, 0))
+    return slices[0], slices[1]

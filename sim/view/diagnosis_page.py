@@ -18,79 +18,75 @@ from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
-_FOUND = {
-    "consistent": ("good", "Nothing is missing that these swims could show."),
-    "explained": ("good", "Something was missing from the simulation, and it has a name now."),
-    "partly_explained": (
-        "info",
-        "A part of what is missing has a name; something else is there that has none.",
-    ),
-    "unexplained": (
-        "info",
-        "Something is missing, and nothing in the catalogue accounts for it.",
-    ),
-    "ambiguous": ("info", "Something is missing; these swims do not tell which of a few it is."),
+_SENTENCES = {
+    "consistent": ("good", "These swims show no missing effect."),
+    "explained": ("good", "What was missing from the simulation is identified."),
+    "partly_explained": ("info", "A part of what is missing is identified; another part is not."),
+    "unexplained": ("info", "Something is missing that no effect of the catalogue explains."),
+    "ambiguous": ("info", "Something is missing; these swims do not distinguish its candidates."),
 }
 
 
-_DRAWN = 3
-"""Swims that are drawn at most."""
+_PLOTTED = 3
+"""Largest number of swims that are plotted."""
 
 
 def swims_section(
-    found: Diagnosis, swims: Sequence[Swim], simulate: Swum | None, robot: Robot
+    diagnosis: Diagnosis, swims: Sequence[Swim], simulate: Swum | None, robot: Robot
 ) -> Section:
-    """The verdict, what was named and how sure, what else was considered, and the errors.
+    """The verdict, the effects with their probabilities, the rivals, and the errors.
 
     Args:
-        found: The diagnosis.
-        swims: What it is of; the first few are drawn where the simulator became another.
-        simulate: What simulated them in the search; nothing is drawn where None.
+        diagnosis: The diagnosis.
+        swims: Its swims; the first few are plotted if the models differ.
+        simulate: Simulator of the search; without plots where None.
         robot: The robot.
     """
-    kind, said = _FOUND[found.verdict]
-    blocks: list[Block] = [Note("good" if kind == "good" else "info", said)]
-    likely = [one for one in found.effects if one.probability >= LAW_ERROR.decisions["likely"]]
+    kind, sentence = _SENTENCES[diagnosis.verdict]
+    blocks: list[Block] = [Note("good" if kind == "good" else "info", sentence)]
+    likely = [e for e in diagnosis.effects if e.probability >= LAW_ERROR.decisions["likely"]]
     if likely:
         rows = [
             (
-                one.statement,
-                percent(one.probability),
+                e.statement,
+                percent(e.probability),
                 "; ".join(
                     f"{readable_name(name)} {readable(name, x.mean)} "
                     f"({readable(name, x.q05)} to {readable(name, x.q95)})"
-                    for name, x in one.parameters.items()
+                    for name, x in e.parameters.items()
                 ),
             )
-            for one in likely
+            for e in likely
         ]
         header = ("what is missing", "probability", "parameters with 90 % intervals")
         blocks.append(Table(header, rows))
-    was, now = (
-        {name: float(one["heldout"] or 0.0) for name, one in fit.items()}
-        for fit in (found.baseline_fit, found.enriched_fit)
+    plain, enriched = (
+        {name: float(e["heldout"] or 0.0) for name, e in fit.items()}
+        for fit in (diagnosis.baseline_fit, diagnosis.enriched_fit)
     )
     errors = [
-        (name, f"{x:.4g}", f"{now[name]:.4g}", change_text(x, now[name])) for name, x in was.items()
+        (name, f"{x:.4g}", f"{enriched[name]:.4g}", change_text(x, enriched[name]))
+        for name, x in plain.items()
     ]
-    caption = "Root mean square error at the end of the swims, fitted to what is before; SI units."
+    caption = "Root mean square error on the end of the swims, fitted to the part before; SI units."
     blocks.append(Table(("signal", "before", "with what is named", ""), errors, caption))
-    if simulate is not None and found.baseline is not None and now != was:
+    if simulate is not None and diagnosis.baseline is not None and enriched != plain:
         blocks += [
-            _drawn(swim, found.baseline, found.model, simulate, robot) for swim in swims[:_DRAWN]
+            _plot(swim, diagnosis.baseline, diagnosis.model, simulate, robot)
+            for swim in swims[:_PLOTTED]
         ]
-    unlikely = [one for one in found.effects if one.probability < LAW_ERROR.decisions["likely"]]
-    others: list[NamedEffect | Rival] = [*unlikely, *found.rivals]
+    unlikely = [e for e in diagnosis.effects if e.probability < LAW_ERROR.decisions["likely"]]
+    others: list[NamedEffect | Rival] = [*unlikely, *diagnosis.rivals]
     if others:
-        considered = [(one.effect, one.component, percent(one.probability)) for one in others]
+        considered = [(e.effect, e.component, percent(e.probability)) for e in others]
         blocks.append(Table(("considered as well", "of", "probability"), considered))
-    return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in found.gate)])
+    return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
 
 
-def _drawn(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Figure:
+def _plot(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Figure:
     figure = comparison(
         swim, before, after, lambda models, *_: simulate(models, swim), robot,
         label="with what is named", held_out=0.0,
     )  # fmt: skip
-    said = "measured, and simulated before and after; both models were fitted to all of it"
-    return Figure(svg(figure), f"{swim.name}: {said}.", svg(figure, width=NARROW))
+    caption = "measured, and simulated before and after; both models were fitted to all of it"
+    return Figure(svg(figure), f"{swim.name}: {caption}.", svg(figure, width=NARROW))

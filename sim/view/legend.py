@@ -1,4 +1,4 @@
-"""Colours of a picture, and what tells their meaning: key, scale, time, heading, cells."""
+"""Colours of a picture and its annotations: key, scale, time, heading, size of the cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-"""Rows from above, shape (height, width, 3)."""
+"""Rows from the top, shape (height, width, 3)."""
 
 INK, BODY, RULE = (28, 30, 33), (250, 247, 240), (106, 112, 120)
 _STOPS = (
@@ -26,7 +26,7 @@ _SCALE_M = 0.2
 
 
 def colours(share: Array) -> Array:
-    """Blue for -1, white for 0, red for 1; one more axis of 3, from 0 to 255."""
+    """Blue for -1, white for 0, red for 1; a last axis of 3, values 0 to 255."""
     index = np.rint((np.clip(share, -1, 1) + 1) / 2 * (_SHADES - 1)).astype(int)
     return np.asarray(_table()[index])
 
@@ -39,10 +39,10 @@ def _table() -> Array:
 
 
 class Lettering:
-    """Words and signs on a picture, in proportion to its width.
+    """Text and symbols on a picture, in proportion to its width.
 
     Attributes:
-        unit: Pixels of what is one pixel in a picture as wide as ``drawn_for``.
+        unit: Pixels per pixel of a picture with the width ``drawn_for``.
     """
 
     def __init__(self, image: Image, drawn_for: int = _DRAWN_FOR) -> None:
@@ -58,54 +58,59 @@ class Lettering:
         self.top, self.low = margin, self._page.height - margin
 
     def write(self, x: float, y: float, text: str, anchor: str, *, large: bool = False) -> None:
-        """Text at a place in pixels; ``anchor`` as Pillow has it: ``lt`` is left and top."""
+        """Write text at a position in pixels; ``anchor`` as in Pillow: ``lt`` is left and top."""
         self._draw.text(
             (x, y), text, INK, self._large if large else self._small, anchor,
             stroke_width=2.5 * self.unit, stroke_fill="white",
         )  # fmt: skip
 
     def scale(self, pixels: float) -> None:
-        """A bar as long as some way in the world, below on the right; ``pixels`` of a metre."""
-        long = _SCALE_M * pixels
+        """Draw a scale bar at the lower right; ``pixels`` are those of a metre."""
+        length = _SCALE_M * pixels
         self._draw.line(
-            (self.right - long, self.low, self.right, self.low), INK, round(4 * self.unit)
+            (self.right - length, self.low, self.right, self.low), INK, round(4 * self.unit)
         )
-        self.write(self.right - long / 2, self.low - 12 * self.unit, f"{_SCALE_M:g} m", "ms")
+        self.write(self.right - length / 2, self.low - 12 * self.unit, f"{_SCALE_M:g} m", "ms")
 
     def key(self, vorticity: float) -> None:
-        """What colours mean, above on the right; ``vorticity`` in 1/s has the full colour."""
+        """Draw a colour bar at the upper right; ``vorticity`` in 1/s has the full colour."""
         from PIL import Image as Pillow
 
         unit = self.unit
-        wide, high = round(220 * unit), round(12 * unit)
-        shades = np.tile(colours(np.linspace(-1, 1, wide)), (high, 1, 1)).astype(np.uint8)
-        corner = round(self.right) - wide, round(self.top + 2 * unit)
+        width, height = round(220 * unit), round(12 * unit)
+        shades = np.tile(colours(np.linspace(-1, 1, width)), (height, 1, 1)).astype(np.uint8)
+        corner = round(self.right) - width, round(self.top + 2 * unit)
         self._page.paste(Pillow.fromarray(shades), corner)
-        self._draw.rectangle((*corner, corner[0] + wide, corner[1] + high), None, RULE)
-        under = corner[1] + high + 8 * unit
+        self._draw.rectangle((*corner, corner[0] + width, corner[1] + height), None, RULE)
+        under = corner[1] + height + 8 * unit
         self.write(corner[0], under, f"-{vorticity:g}", "ma")
-        self.write(corner[0] + wide / 2, under, "vorticity, 1/s", "ma")
-        self.write(corner[0] + wide, under, f"{vorticity:g}", "ma")
+        self.write(corner[0] + width / 2, under, "vorticity, 1/s", "ma")
+        self.write(corner[0] + width, under, f"{vorticity:g}", "ma")
 
     def image(self) -> Image:
-        """The picture with what was written on it."""
+        """The annotated picture."""
         return np.asarray(self._page)
 
 
-def lettered(image: Image, seen: Plane, pixels: float, vorticity: float) -> Image:
+def lettered(image: Image, plane: Plane, pixels: float, vorticity: float) -> Image:
     """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
 
     Args:
         image: The picture.
-        seen: What it shows.
-        pixels: Of a metre.
-        vorticity: In 1/s, what has the full colour.
+        plane: The plane that it shows.
+        pixels: Pixels per metre.
+        vorticity: Vorticity in 1/s that has the full colour.
     """
-    on = Lettering(image)
-    on.write(on.left, on.top + 2 * on.unit, f"cells of {100 * seen.cell:.3g} cm", "lt")
-    on.write(on.left, on.low, f"{seen.time:.2f} s", "ls", large=True)
-    heading = f"heading {round(np.degrees(seen.links[0, 2]))}°"
-    on.write(on.left + 125 * on.unit, on.low, heading, "ls", large=True)
-    on.scale(pixels)
-    on.key(vorticity)
-    return on.image()
+    lettering = Lettering(image)
+    lettering.write(
+        lettering.left,
+        lettering.top + 2 * lettering.unit,
+        f"cells of {100 * plane.cell:.3g} cm",
+        "lt",
+    )
+    lettering.write(lettering.left, lettering.low, f"{plane.time:.2f} s", "ls", large=True)
+    heading = f"heading {round(np.degrees(plane.links[0, 2]))}°"
+    lettering.write(lettering.left + 125 * lettering.unit, lettering.low, heading, "ls", large=True)
+    lettering.scale(pixels)
+    lettering.key(vorticity)
+    return lettering.image()

@@ -1,4 +1,4 @@
-"""What a camera above the pool would see: the water's vorticity and the robot's outline."""
+"""The view from above: the water's vorticity and the robot's outline."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Plane:
         vorticity: In 1/s, anticlockwise above 0, shape (nx, ny).
         corner: x and y of the first cell's middle.
         cell: Side of a cell.
-        centre: Middle of what is worth seeing: the robot, or the pool that its walls close.
-        size: Length and width of what is worth seeing.
-        links: Front end of each link, its heading, shape (L, 3).
+        centre: Middle of the view: the robot, or the pool with walls.
+        size: Length and width of the view.
+        links: Front end and heading of each link, shape (L, 3).
         time: Seconds since the start.
     """
 
@@ -43,7 +43,7 @@ class Plane:
 
 
 def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
-    """The plane of one robot; a box that goes with it is unwrapped and has the robot in its middle.
+    """The plane of one robot; a box that moves with it is unwrapped, with the robot in its middle.
 
     Raises:
         IndexError: If there is no such environment.
@@ -52,7 +52,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
     spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
     time = float(bodies.motion.clock.numpy()[e])
-    drift = swimmer.outside.current[e] * time  # the box goes with the pool's water
+    drift = swimmer.outside.current[e] * time  # the box moves with the pool's water
     origin = np.array(bodies.grid.origin) + drift
     if tank.sponge:
         middle = bodies.grid.position.numpy()[e].astype(np.float64)
@@ -80,15 +80,15 @@ def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> 
     Args:
         chain: The robots.
         motion: Their state.
-        drift: How far the pool's water has gone, shape (2,).
-        environment: Which robot.
+        drift: Displacement of the pool's water, shape (2,).
+        environment: Index of the robot.
     """
     e = environment
-    given: Any = motion.link, chain.com, chain.side
-    pose, com, side = (np.array(one.numpy()[e], dtype=np.float64) for one in given)
-    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    pose[:, :2] += drift + com[:, None] * ahead - side[:, None] * left
+    arrays: Any = motion.link, chain.com, chain.side
+    pose, com, side = (np.array(array.numpy()[e], dtype=np.float64) for array in arrays)
+    forward = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    lateral = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    pose[:, :2] += drift + com[:, None] * forward - side[:, None] * lateral
     return pose
 
 
@@ -101,18 +101,20 @@ def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
         x: Along the world's x axis in m, of any shape.
         y: Likewise, along y.
     """
-    found = np.full(np.broadcast(x, y).shape, np.inf)
-    for (front_x, front_y, heading), length, wide in zip(
+    distance = np.full(np.broadcast(x, y).shape, np.inf)
+    for (front_x, front_y, heading), length, half_width in zip(
         links, hull.length, hull.half_width, strict=True
     ):
         dx, dy, c, d = x - front_x, y - front_y, np.cos(heading), np.sin(heading)
         back = np.clip(-(dx * c + dy * d), 0.0, length)
         s = back / length
         radius = (
-            wide[0] * (1 - s) * (1 - 2 * s) + 4 * wide[1] * s * (1 - s) + wide[2] * s * (2 * s - 1)
+            half_width[0] * (1 - s) * (1 - 2 * s)
+            + 4 * half_width[1] * s * (1 - s)
+            + half_width[2] * s * (2 * s - 1)
         )
-        found = np.minimum(found, np.hypot(dx + back * c, dy + back * d) - radius)
-    return found
+        distance = np.minimum(distance, np.hypot(dx + back * c, dy + back * d) - radius)
+    return distance
 
 
 def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
@@ -129,7 +131,7 @@ def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
 
 
 def _curl(u: Array) -> Array:
-    """By central differences in a box that wraps round; per step."""
+    """Vorticity by central differences in a periodic box; per step."""
     along_x = np.roll(u[..., 1], -1, axis=0) - np.roll(u[..., 1], 1, axis=0)
     along_y = np.roll(u[..., 0], -1, axis=1) - np.roll(u[..., 0], 1, axis=1)
     return np.asarray(along_x - along_y) / 2

@@ -23,30 +23,30 @@ VORTICITY = 10.0
 def picture(
     swimmer: Swimmer, environment: int = 0, *, width: int = 1280, vorticity: float = VORTICITY
 ) -> Image:
-    """The water in the plane of the robot's middle, and the robot; lines stand in the world.
+    """The water in the plane of the robot's middle, and the robot, with lines of a world grid.
 
     Args:
-        swimmer: The robots, as they are now.
-        environment: Which.
-        width: Pixels; the height follows, and is even.
-        vorticity: In 1/s, what has the full colour.
+        swimmer: The robots in their current state.
+        environment: Index of the robot.
+        width: Width in pixels; the height is even and follows from the box.
+        vorticity: Vorticity in 1/s that has the full colour.
 
     Raises:
         InputError: If Pillow is not installed.
     """
     need("PIL", "Pillow")
-    seen = plane_of(swimmer, environment)
-    pixels = width / seen.size[0]
-    height = 2 * round(seen.size[1] * pixels / 2)
-    x, y = places(seen.centre, pixels, width, height)
-    canvas = colours(zoomed(seen, x, y) / vorticity)
+    plane = plane_of(swimmer, environment)
+    pixels = width / plane.size[0]
+    height = 2 * round(plane.size[1] * pixels / 2)
+    x, y = places(plane.centre, pixels, width, height)
+    canvas = colours(zoomed(plane, x, y) / vorticity)
     blend(canvas, 0.16 * grid_lines(x, y), RULE)
-    draw_robot(canvas, swimmer.hull, seen.links, x, y)
-    return lettered(np.rint(canvas).astype(np.uint8), seen, pixels, vorticity)
+    draw_robot(canvas, swimmer.hull, plane.links, x, y)
+    return lettered(np.rint(canvas).astype(np.uint8), plane, pixels, vorticity)
 
 
 def check_picture(path: str | os.PathLike[str]) -> Path:
-    """Make sure, before any work, that a picture can be made and written to ``path``.
+    """Check before the simulation that a picture can be made and written to ``path``.
 
     Raises:
         InputError: If it does not end in .png, Pillow is not installed, or the folder can't be
@@ -72,10 +72,10 @@ def save_picture(image: Image, path: str | os.PathLike[str]) -> Path:
 
 
 def need(module: str, name: str) -> None:
-    """Make sure that a library of the extra ``sim`` is there.
+    """Check that a library of the extra ``sim`` is installed.
 
     Raises:
-        InputError: If it is not.
+        InputError: If it is not installed.
     """
     try:
         importlib.import_module(module)

@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 _MARKED = 40
-"""Points from which on a curve is a line without marks."""
+"""Number of points from which a curve is drawn without markers."""
 
 
 def cases_section(case: Case, seconds: float) -> Section:
-    """What was reached beside what is published, and the curves."""
+    """Computed and published figures, and the curves."""
     rows = [
         (
             figure.quantity,
@@ -44,7 +44,7 @@ def _picture(curve: Curve) -> Figure:
 
 
 def curve_figure(curve: Curve) -> Drawing:
-    """Draw our curve and the published one; marks at the ends of an axis are drawn whole."""
+    """Plot the computed and the published curve, with margins for markers at the axis ends."""
     from sim2real.report.style import ACCENT, INK, house_style, new_figure
 
     with house_style():

@@ -13,8 +13,8 @@ from sim.lattice.velocities import Lattice
 @cache
 def slice_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel for a lattice, storage type and width of memory."""
-    made = populations(lattice, storage, wide)
-    Stored, load, neighbours, moments = made.Stored, made.load, made.neighbours, made.moments
+    pop = populations(lattice, storage, wide)
+    Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")
     def velocity_in(

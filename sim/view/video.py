@@ -1,4 +1,4 @@
-"""A video that is written while it is made: each frame goes to the file, none is kept."""
+"""Video that is written frame by frame, without keeping frames in memory."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _FORMATS = {
 
 
 def check_video(path: str | os.PathLike[str]) -> Path:
-    """Make sure, before any work, that a video can be made and written to ``path``.
+    """Check before the simulation that a video can be made and written to ``path``.
 
     Raises:
         InputError: If it ends in none of .mp4, .avi and .gif, PyAV or Pillow is not installed, or
@@ -57,20 +57,20 @@ def check_video(path: str | os.PathLike[str]) -> Path:
 class Video:
     """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
 
-    It appears whole when the block ends. An error inside the block leaves nothing behind.
+    The file is created when the block ends. An error inside the block leaves no file.
 
     Attributes:
         path: Where the video will be.
-        frames: How many it has so far.
-        width: Pixels across that suit the format.
+        frames: Number of frames written.
+        width: Width in pixels for this format.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, frames_per_s: int = FRAMES_PER_S) -> None:
         """Open the file.
 
         Args:
-            path: Where the video will be; its ending says the format.
-            frames_per_s: How fast it plays.
+            path: Where the video will be; its suffix sets the format.
+            frames_per_s: Frame rate of playback.
 
         Raises:
             InputError: As ``check_video``.
@@ -94,7 +94,7 @@ class Video:
         self._stream.pix_fmt = self._format.pixels
 
     def add(self, image: Image) -> None:
-        """Append a frame; all have the first one's size, both sides even."""
+        """Append a frame; all have the size of the first, with even sides."""
         if not self.frames:
             self._stream.height, self._stream.width = image.shape[:2]
         few = self._format.pixels == "pal8"
@@ -111,7 +111,7 @@ class Video:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file, and give it its name if all went well."""
+        """Close the file, and rename it to ``path`` if there was no error."""
         try:
             if kind is None and self.frames:
                 self._file.mux(self._stream.encode(None))
@@ -132,20 +132,23 @@ def _in_all(image: Image) -> Any:  # noqa: ANN401 - PyAV is optional
 
 
 def _in_few_colours(image: Image) -> Any:  # noqa: ANN401
-    """A GIF knows 256 colours. One palette serves all frames, as none is there to choose from."""
+    """A GIF has 256 colours, from one fixed palette, as later frames are not known."""
     from av import VideoFrame
 
     red, green, blue = image.transpose(2, 0, 1) >> 2
     opaque = np.full((256, 1), 255, dtype=np.uint8)
-    both: Any = _nearest()[red, green, blue], np.hstack([opaque, _palette()])
-    return VideoFrame.from_ndarray(both, format="pal8")
+    indexed: Any = _nearest()[red, green, blue], np.hstack([opaque, _palette()])
+    return VideoFrame.from_ndarray(indexed, format="pal8")
 
 
 @cache
 def _palette() -> Image:
-    """Those of the water, and what smooth edges of the robot and of text mix, shape (256, 3)."""
+    """Colours of the water, and mixtures at edges of the robot and of text, shape (256, 3)."""
     share = np.linspace(0, 1, 28)[:, None]
-    edges = [np.array(INK) * share + np.array(on) * (1 - share) for on in (BODY, (255, 255, 255))]
+    edges = [
+        np.array(INK) * share + np.array(background) * (1 - share)
+        for background in (BODY, (255, 255, 255))
+    ]
     return np.rint(np.vstack([colours(np.linspace(-1, 1, 200)), *edges])).astype(np.uint8)
 
 

@@ -46,7 +46,7 @@ def test_only_an_error_that_grows_is_commented_on(monkeypatch):
     section = calibration_section(swim, None, calibrated(), simulator, robot)
     (note,) = [block.text for block in section.blocks if isinstance(block, Note)]
     assert note.startswith("sway: the held-out error rises from 0.010 to 0.020 m/s")
-    assert "-50 %" in note and "does not carry over" in note and "96 %" in note and "drift" in note
+    assert "-50 %" in note and "does not generalise" in note and "96 %" in note and "drift" in note
     (table,) = [block for block in section.blocks if isinstance(block, Table)]
     assert [row[4] for row in table.rows] == ["-60 %", "+104 %", "0 %", "0 %"]
 

@@ -14,7 +14,7 @@ from sim.calibration.swim_parameters import candidates
 from sim.calibration.swim_problem import seen
 from sim.inference import law_error, twin_search
 from sim.inference.blocks import Blocks, bounds, spectrum
-from sim.inference.coordinates import RESISTS, Coordinates, in_fit
+from sim.inference.coordinates import WATER_FORCES, Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import LAW_ERROR, read_law_error
@@ -294,7 +294,9 @@ def test_a_skin_that_would_have_to_push_is_no_evidence():
     before = learned([], servos(), FISH, simulate, IN_WATER)
     c = Coordinates.of(FISH, servos())
     assert all(
-        column.low == 0.0 for column in c.columns if column.effect and column.effect[0] in RESISTS
+        column.low == 0.0
+        for column in c.columns
+        if column.effect and column.effect[0] in WATER_FORCES
     )
     swim = swum({"j1.kp_Nm_per_rad": 1.3 * servos().joints["j1"].kp_Nm_per_rad})
     problem = TwinSwims(c, [swim], simulate, before)

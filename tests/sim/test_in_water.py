@@ -1,4 +1,4 @@
-"""The twin beside what the fluid swam: the fluid where nothing changes, the twin's change else."""
+"""The twin corrected by the fluid: the fluid where nothing changes, else the twin's difference."""
 
 from dataclasses import replace
 
@@ -13,11 +13,11 @@ from sim.inference.coordinates import WATER, Coordinates
 from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     InWater,
-    beside,
     by_twin_in_water,
     key,
     read_water_swims,
     swum_in_water,
+    with_fluid_effects,
     with_nearest_law,
     write_water,
 )
@@ -72,10 +72,10 @@ def test_an_effect_changes_what_it_changes_of_the_twin(water):
     np.testing.assert_allclose(found[1] - found[0], alone[1] - alone[0], atol=1e-9)
 
 
-def test_commands_that_the_fluid_has_not_swum_are_told(water):
+def test_commands_that_the_fluid_has_not_simulated_are_an_error(water):
     model = water.of(servos())
     swim = replace(swum({}), command=1.1 * SENT)
-    with pytest.raises(KeyError, match="has not swum"):
+    with pytest.raises(KeyError, match="no simulation of these commands"):
         by_twin_in_water(FISH, model, water)([model], swim)
 
 
@@ -90,14 +90,16 @@ def test_the_fluid_swims_again_with_all_but_places_and_the_camera(water):
     found = {"skin_elasticity.stiffness_Nm_per_rad": 0.3, "form_drag.coefficient": 0.2}
     other = {"tether.stiffness_N_per_m": 0.1, "camera_scale.ratio": 0.1, "pool_current.u_m_s": 0.1}
     model = water.of(servos())
-    there = beside(model, with_values(model, found | other | {"twin.across": 9.0}))
+    there = with_fluid_effects(model, with_values(model, found | other | {"twin.across": 9.0}))
     assert values(there) == found
     assert Coefficients.of(there.body) == Coefficients.of(model.body)
 
 
-def test_beside_what_was_found_the_fluid_swims_as_it_did_with_it(water):
+def test_with_the_simulated_effects_the_twin_returns_the_simulation(water):
     swim, model = swum({}), water.of(servos())
-    there = beside(model, with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3}))
+    there = with_fluid_effects(
+        model, with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
+    )
     again = replace(water, steps={k: 1.1 * one for k, one in water.steps.items()})
     (track,) = by_twin_in_water(FISH, there, again)([there], swim)
     np.testing.assert_allclose(speeds(track[None])[0], again.steps[key(swim)][0], atol=1e-9)
@@ -140,7 +142,7 @@ def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water
     np.testing.assert_allclose(one[:, 3:], said[1] - said[0], atol=1e-9)
     assert np.abs(change(**{other: 0.1})).max() < 1e-9
     assert np.abs(change(pool_current__u_m_s=0.03)).max() < 1e-9
-    there = beside(model, with_values(model, {stiff.replace("__", "."): 0.1}))
+    there = with_fluid_effects(model, with_values(model, {stiff.replace("__", "."): 0.1}))
     assert np.abs(change(there, **{stiff: 0.1})).max() < 1e-9
     assert np.std(change(there, **{stiff: 0.2})) < np.std(two)
 

@@ -25,15 +25,15 @@ def test_white_noise_is_as_large_as_it_is_and_no_filter(seed):
     found = pose_noise(filmed(0.0, seed), PERIOD)
     assert found.lag_s == 0.0
     np.testing.assert_allclose(found.sd, SD, rtol=0.12)
-    assert found.told(0.03) < -10
+    assert found.log_ratio(0.03) < -10
 
 
 @pytest.mark.parametrize("lag", [0.03, 0.06, 0.12])
 def test_a_filter_shows_in_the_noise(lag):
     found = pose_noise(filmed(lag), PERIOD)
-    assert found.told(lag) > 15
+    assert found.log_ratio(lag) > 15
     assert found.lag_s > 0.01
-    assert found.told(0.0) == 0.0
+    assert found.log_ratio(0.0) == 0.0
 
 
 def test_noise_is_drawn_as_it_was_found():
