@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 import sim2real as s2r
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import testbeds_of
 from rl.commands.demo_pool import QUICK, REPEATS, SEEDS, agents_in
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
@@ -84,7 +84,7 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
         QUICK, task=replace(QUICK.task, energy=options.energy_weight), steps=options.steps,
         segment=options.steps, seeds=seeds, device=options.device, settings=settings, threads=1,
     )  # fmt: skip
-    testbeds = tried_in(robot, arms, plan, ranges, reality)[1:]
+    testbeds = testbeds_of(robot, arms, plan, ranges, reality)[1:]
     return ablate(
         options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=REPEATS,
         trainer=partial(train, first=options.first),

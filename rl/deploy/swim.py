@@ -52,7 +52,7 @@ def swim(
                 link.send(command)
                 progress(max(pilot.swum_s, 0.0) - max(before, 0.0))
             elif now - answered > SILENCE_S:
-                pilot.stopped = f"no word from the robot for {SILENCE_S:g} s"
+                pilot.stopped = f"no answer from the robot for {SILENCE_S:g} s"
             if interrupted():
                 pilot.stopped = "interrupted"
             if not pilot.over:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rl.experiments.testbeds
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import testbeds_of
 from rl.experiments.ablation import ablate, bootstrap
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
@@ -72,7 +72,7 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
 def ablated(robot, model):
     def call(folder, reality=None):
         arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
-        places = tried_in(robot, arms, PLAN, RANGES, reality or model)
+        places = testbeds_of(robot, arms, PLAN, RANGES, reality or model)
         return ablate(folder, robot, arms, PLAN, places, repeats=3)
 
     return call
