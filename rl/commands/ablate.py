@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL with it")
     arms = [arm_of(name, model, robot, ranges, enriched, truth) for name in names]
     plan = plan_of(options)
-    testbeds = testbeds_of(robot, arms, plan, ranges, reality, options.reality_cell_m)
+    testbeds = make_testbeds(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
     files += [*([options.truth] if options.truth else []), *(options.first or [])]
@@ -104,7 +104,7 @@ def plan_of(options: argparse.Namespace) -> Plan:
     )  # fmt: skip
 
 
-def testbeds_of(
+def make_testbeds(
     robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
 ) -> list[Testbed]:  # fmt: skip

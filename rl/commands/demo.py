@@ -20,12 +20,12 @@ from rl.commands.demo_summary import summary_section
 from rl.commands.demo_swim import swim_section
 from rl.experiments.ablation_report import (
     difference_figure,
-    keeps,
     markdown,
-    power,
+    retention_text,
     return_figure,
     rows,
-    way_figure,
+    seeds_text,
+    trajectory_figure,
     write_report,
 )
 from rl.experiments.differences import differences
@@ -196,13 +196,17 @@ def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) 
         blocks.append(
             Note("warn", _drift_warning(drift)[0].upper() + _drift_warning(drift)[1:] + ".")
         )
-    captions = ("", power(effects_of_arms), "")
-    plots = (return_figure(rows(results)), difference_figure(effects_of_arms), way_figure(results))
+    captions = ("", seeds_text(effects_of_arms), "")
+    plots = (
+        return_figure(rows(results)),
+        difference_figure(effects_of_arms),
+        trajectory_figure(results),
+    )
     figures = [
         Figure(svg(figure), caption, svg(figure, width=NARROW))
         for figure, caption in zip(plots, captions, strict=True)
     ]
-    lead = keeps({row["arm"]: row for row in rows(results)})
+    lead = retention_text({row["arm"]: row for row in rows(results)})
     return Section("A quick ablation", lead, [*blocks, *figures])
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from rl.commands.ablate import testbeds_of
+from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
@@ -150,7 +150,7 @@ def run_ablation(
     arms = [arm_of(name, model, pool.robot, gathered.ranges) for name in PAPER]
     agent_seeds = agents.seeds if agents else tuple(range(seed, seed + seeds))
     plan = replace(plan, seeds=agent_seeds)
-    testbeds = testbeds_of(
+    testbeds = make_testbeds(
         pool.robot, arms, plan, gathered.ranges, read_model(pool.folder / "reality.json")
     )
     trainer = agents.restore if agents else partial(train_in_parts, first=agents_in(pool.folder))
