@@ -325,7 +325,7 @@ class TestContact:
         def fail(self: Pilot) -> None:
             raise OSError("disk full")
 
-        monkeypatch.setattr(Pilot, "_steered", fail)
+        monkeypatch.setattr(Pilot, "_command", fail)
         sent = []
         with virtual_robot(twin) as url, Link(url, 3) as link:
             send = link.send
@@ -341,7 +341,7 @@ class TestContact:
             pilot.answer([Telemetry(CONTROL_S * k, pose, np.zeros(3))], CONTROL_S * k)
             if pilot.over:
                 break
-        assert pilot.stopped == "robot or joints unseen for 0.5 s"
+        assert pilot.stopped == "no pose or joint angles for 0.5 s"
         assert 0.02 * 65 < pilot.track().device_t[-1] < 0.02 * 69
         assert (pilot.track().command[-1] == 0).all()
 
