@@ -1,7 +1,7 @@
-"""The command line: which commands there are, where they live, and how they leave.
+"""The command line: list of commands, dispatch, and exit status.
 
-What a command takes stands in an ``options`` file beside its code, which is imported only when that
-command is called; its code only when it runs. So help is instant.
+The options of a command are defined in a separate file ``options``, which is imported only for that
+command; its code is imported only when it runs, so that help is fast.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
-    "check": (_SERVOS, "check recordings, and say what they can identify"),
+    "check": (_SERVOS, "check recordings, and state what they can identify"),
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
-    "diagnose": (_WATER, "find the physics that the fitted model leaves out, and model it"),
+    "diagnose": (_WATER, "find physics missing from the fitted model, and model it"),
     "predict": (_SERVOS, "simulate an identified model on the commands of a CSV file"),
     "density": (_SERVOS, "compute the normalised density of each link of a robot"),
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
@@ -34,7 +34,7 @@ COMMANDS = {
         "train policies with soft actor-critic in the fluid or its reduced-order twin",
     ),
     "evaluate": (_LEARNING, "measure policies and classical controllers on a task"),
-    "ablate": (_LEARNING, "train with and without each technique, and report what each is worth"),
+    "ablate": (_LEARNING, "train with and without each technique, and report the effect of each"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
@@ -55,15 +55,15 @@ COMMANDS = {
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
     "completion": (_SERVOS, "print a shell completion script"),
 }
-"""Each command's options and what it does in a line, in the order in which help lists them."""
+"""Module of options and summary of each command, in the order of the help."""
 
 _SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
-"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
-linear algebra library would wait in a busy loop for work, and take the cores from the rollouts."""
+"""Commands that multiply only small matrices, between rollouts that use all cores: threads of a
+linear algebra library would occupy cores in busy waiting."""
 
 
 def _natural(text: str) -> int:
-    """A whole number that is not negative, as a seed is."""
+    """A non-negative whole number."""
     if not text.strip().isdecimal():
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number of at least 0")
     return int(text)
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Returns:
-        0 if it is done, 2 if its input is at fault (said in one line), 1 for anything else.
+        0 if it is done, 2 for wrong input (reported in one line), 1 for anything else.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = parser(only=given[:1]).parse_args(given)
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        left = "the same call goes on" if options.resumes else "nothing written"
+        left = "the same call resumes" if options.resumes else "nothing written"
         print(f"sim2real {options.command}: interrupted; {left}", file=sys.stderr)
         return 1
     except BrokenPipeError:
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """The parser; the options of all commands, or of these only."""
+    """The parser, with the options of all commands or of these only."""
     whole = argparse.ArgumentParser(
         prog="sim2real",
         description="Identify servos, diagnose missing physics, generate randomization ranges.",
@@ -137,7 +137,7 @@ def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is read only then: argparse's own action takes it at once."""
+    """Prints the version, which is read only then, unlike in argparse's own action."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)

@@ -1,4 +1,4 @@
-"""``--json``: the result alone on standard output, for scripts."""
+"""``--json``: only the result on standard output, for scripts."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Run = Callable[[argparse.Namespace], int]
 
 
 def run_as_json(run: Run) -> Run:
-    """The same command; what it prints goes to standard error, its result to standard output.
+    """Wrap a command: its output is printed to standard error, its result to standard output.
 
-    The result is what the command left in ``options.result``, else the JSON file that it wrote,
-    else the name of what it wrote.
+    The result is ``options.result`` if set, else the JSON file that the command wrote, else the
+    name of the file.
     """
 
     def quietly(options: argparse.Namespace) -> int:
@@ -43,7 +43,7 @@ def _result(options: argparse.Namespace) -> Any:  # noqa: ANN401 - any JSON
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
-    """A value as JSON has it: dataclasses as objects, arrays as lists, all finite."""
+    """A value as JSON: dataclasses as objects, arrays as lists, numbers finite or null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):

@@ -10,7 +10,7 @@ from sim2real.errors import InputError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the shell's script; files are offered where a command takes one."""
+    """Print the completion script of a shell, with file names for options that take files."""
     try:
         import shtab
     except ModuleNotFoundError:

@@ -12,7 +12,7 @@ from sim2real.output import check_writable
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the table; write the model and the plot where they are asked for."""
+    """Print the table; write the model and the plot if requested."""
     for path in (options.out, options.plot):
         if path is not None:
             check_writable(path)

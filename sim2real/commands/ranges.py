@@ -20,7 +20,7 @@ POSTERIOR = "posterior.npz"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Generate ranges, print them, write them, the posterior sample and a page."""
+    """Generate ranges; print them; write them, the posterior sample and a page."""
     out = check_writable(options.out)
     found = verbs.ranges(**arguments_of(verbs.ranges, options, chains=out))
     if found.posteriors:

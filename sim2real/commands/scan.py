@@ -13,7 +13,7 @@ from sim2real.hardware.lx import BAUD_RATES, CENTRE_TICKS, LARGEST_ID, TICK_RAD
 from sim2real.hardware.scan import Found, scan
 from sim2real.hardware.transport import open_transport
 
-LOCAL_S, NETWORK_S = 0.01, 0.05  # that an adapter or a radio takes for itself
+LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 14 * 10  # a request and its reply on the wire
 
 
@@ -33,10 +33,10 @@ def run(options: argparse.Namespace) -> int:
                 found, garbled = scan(bus, bar, patience)
             except OSError as error:
                 reason = error.strerror or error
-                print(f"sim2real scan: the port is gone ({reason})", file=sys.stderr)
+                print(f"sim2real scan: the port was lost ({reason})", file=sys.stderr)
                 return 1
         for servo_id in garbled:
-            print(f"id {servo_id}: an answer, but spoilt: do two servos share the id?")
+            print(f"id {servo_id}: a corrupted answer, possibly of two servos with this id")
         if found:
             options.result = found
             print(_table(found))

@@ -20,7 +20,7 @@ from sim2real.report.drawing import save_png
 from sim2real.velocity import body_velocity
 
 _SURE = 0.3
-"""Share of the yaw rate that the joints must explain for a lag to be believed."""
+"""Smallest share of the yaw rate's variance that the joints must explain at a valid lag."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def alone(seen: Track, name: str, joints: Sequence[str]) -> Recording:
-    """A pool recording of poses alone, a row a frame; nothing is known of the joints."""
+    """A pool recording of poses, one row per frame, without joint angles."""
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
     nothing = np.full((seen.t.size, len(joints)), np.nan)
     return Recording(
@@ -67,10 +67,10 @@ def alone(seen: Track, name: str, joints: Sequence[str]) -> Recording:
 
 
 def with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> Recording:
-    """The servo recording with the body's columns, the two clocks brought together.
+    """The servo recording with the body's columns, on a common clock.
 
     Raises:
-        InputError: If nothing tells how.
+        InputError: If the clocks cannot be synchronised.
     """
     try:
         if options.sync == "correlate":
