@@ -84,8 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 if it is done, 2 for wrong input (reported in one line), 1 for anything else.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser(only=given[:1]).parse_args(given)
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser(only=typed[:1]).parse_args(typed)
     if options.command in _SMALL_MATRICES:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
     try:
@@ -101,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        left = "the same call resumes" if options.resumes else "nothing written"
-        print(f"sim2real {options.command}: interrupted; {left}", file=sys.stderr)
+        state = "the same call resumes" if options.resumes else "nothing written"
+        print(f"sim2real {options.command}: interrupted; {state}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -111,29 +111,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """The parser, with the options of all commands or of these only."""
-    whole = argparse.ArgumentParser(
+    root = argparse.ArgumentParser(
         prog="sim2real",
         description="Identify servos, diagnose missing physics, generate randomization ranges.",
         epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    whole.add_argument("--version", action=_Version, help="print the version and exit")
-    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (home, said) in COMMANDS.items():
-        wanted = only is None or name in only
-        one = find(name, home) if wanted else None
+    root.add_argument("--version", action=_Version, help="print the version and exit")
+    commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (home, summary) in COMMANDS.items():
+        included = only is None or name in only
+        entry = find(name, home) if included else None
         command = commands.add_parser(
             name,
             parents=[_COMMON],
-            help=said,
-            description=said[0].upper() + said[1:] + ".",
-            epilog=f"example:\n  {one.example}" if one else None,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            epilog=f"example:\n  {entry.example}" if entry else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if one:
-            command.set_defaults(module=one.module, resumes=one.resumes, result=None)
-            one.add(command)
-    return whole
+        if entry:
+            command.set_defaults(module=entry.module, resumes=entry.resumes, result=None)
+            entry.add(command)
+    return root
 
 
 class _Version(argparse.Action):

@@ -26,8 +26,8 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
         type=Path,
         default=(),
         metavar="CSV",
-        help="recordings to refit to if the simulator lacks an effect of the model; the last is held "
-        "out (default: the model's own predictions)",
+        help="recordings to refit to if the simulator lacks an effect of the model; the last is "
+        "held out (default: the model's own predictions)",
     )
 
 

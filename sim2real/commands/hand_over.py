@@ -35,7 +35,7 @@ def hand_over(
         "file": str(options.out),
         "not_expressed": [*map(str, export.left_out)],
         "refitted": [asdict(refit) for refit in refits],
-        "agreement": [asdict(one) for one in agreement],
+        "agreement": [asdict(entry) for entry in agreement],
     }
     print(f"{options.out}: for {options.to}")
     if export.left_out:

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     Args:
         args: ``source``: the log. ``out``: the CSV to write, with its JSON in the same folder. For
-            bags also ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
+            bags ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
             topic for all joints or one for each; ``joints``: list of names in the order of the
             set-points, or None. For LeRobot datasets ``units``, ``calibration``,
             ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
@@ -97,16 +97,18 @@ def _without_loads(joints: Sequence[str]) -> str:
 def _summary(recording: Recording) -> str:
     sampled = np.isfinite(recording.position).any(axis=1)
     rate = 1 / np.median(np.diff(recording.t[sampled])) if sampled.sum() > 1 else 0.0
-    known = [joint for joint in recording.joints if joint in recording.loads]
-    loads = f"load known on {', '.join(known)}" if known else "loads unknown"
+    loaded = [joint for joint in recording.joints if joint in recording.loads]
+    loads = f"load known on {', '.join(loaded)}" if loaded else "loads unknown"
     parts = [f"{recording.t.size} rows in {recording.duration_s:.2f} s"]
     parts += [f"joints {', '.join(recording.joints)}", f"{rate:.0f} samples a second", loads]
     for j, joint in enumerate(recording.joints):
         first = np.flatnonzero(np.isfinite(recording.position[:, j]))[0]
-        off = float(recording.position[first, j] - recording.command[first, j])
-        if abs(off) > LARGEST_START_RAD:
-            parts.append(f"{joint} starts {off:+.2f} rad from its first command")
+        difference = float(recording.position[first, j] - recording.command[first, j])
+        if abs(difference) > LARGEST_START_RAD:
+            parts.append(f"{joint} starts {difference:+.2f} rad from its first command")
     if "left_out" in recording.metadata:
-        left = recording.metadata["left_out"]
-        parts.append(f"{left['rows']} rows omitted from {left['from_s']:g} s: {left['why']}")
+        omitted = recording.metadata["left_out"]
+        parts.append(
+            f"{omitted['rows']} rows omitted from {omitted['from_s']:g} s: {omitted['why']}"
+        )
     return "; ".join(parts)

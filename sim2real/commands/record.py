@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     for note in signal.notes:
         print(note)
     with priority(), Bus(open_transport(options.port)) as bus:
-        outcome, rows, held = _drive(options, bus, mountings, signal, sidecar)
-    return _told(options.out, outcome, rows, mountings, held)
+        outcome, rows, unreleased = _drive(options, bus, mountings, signal, sidecar)
+    return _report(options.out, outcome, rows, mountings, unreleased)
 
 
 def _drive(
@@ -94,8 +94,8 @@ def _drive(
         except OSError as error:
             outcome.stopped = f"the port was lost ({error.strerror or error})"
         finally:
-            held = release(bus, mountings)
-    return outcome, rows, held
+            unreleased = release(bus, mountings)
+    return outcome, rows, unreleased
 
 
 def _sidecar(
@@ -122,25 +122,25 @@ def _sidecar(
     }
 
 
-def _told(
-    out: Path, outcome: Outcome, rows: int, mountings: Sequence[Mounting], held: list[str]
+def _report(
+    out: Path, outcome: Outcome, rows: int, mountings: Sequence[Mounting], unreleased: list[str]
 ) -> int:
     """Print the outcome in one line; return the exit status."""
-    kept = f"{rows} rows in {out}" if rows >= FEWEST_ROWS else "nothing written"
-    off = "torque off"
-    if held:
-        where = "any servo" if len(held) == len(mountings) else ", ".join(held)
-        off = f"the torque of {where} may still be on: switch off the supply"
+    written = f"{rows} rows in {out}" if rows >= FEWEST_ROWS else "nothing written"
+    torque = "torque off"
+    if unreleased:
+        where = "any servo" if len(unreleased) == len(mountings) else ", ".join(unreleased)
+        torque = f"the torque of {where} may still be on: switch off the supply"
     if outcome.stopped:
-        print(f"sim2real record: {outcome.stopped}; {kept}; {off}", file=sys.stderr)
+        print(f"sim2real record: {outcome.stopped}; {written}; {torque}", file=sys.stderr)
         return 1
     missing = ", ".join(f"{name} {count}" for name, count in outcome.missing.items())
     late = 1e3 * float(np.quantile(outcome.late_s, 0.999))
     print(
-        f"{kept}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
-        f"99.9 % of cycles within {late:.1f} ms; {off}"
+        f"{written}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
+        f"99.9 % of cycles within {late:.1f} ms; {torque}"
     )
-    return 1 if held else 0
+    return 1 if unreleased else 0
 
 
 def _summary(outcome: Outcome, rows: int) -> dict[str, Any]:
