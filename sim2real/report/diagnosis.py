@@ -125,9 +125,7 @@ def _effect(effect: NamedEffect) -> Note:
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
         name, *alternatives = map(plain, effect.group)
-        sentences.append(
-            f"These recordings cannot distinguish {name} from {listed(alternatives, 'or')}."
-        )
+        sentences.append(f"These recordings cannot tell {name} from {listed(alternatives, 'or')}.")
     sentences.append(how_sure(effect.probability, of="that it is one of them"))
     return Note("info", " ".join(sentences))
 

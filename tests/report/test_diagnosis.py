@@ -255,11 +255,11 @@ def test_detection_limits_are_one_row_an_effect():
 def test_members_of_a_group_are_named_with_the_next_experiment():
     text, _ = said(AMBIGUOUS)
     assert "Practically certain: more than 99 % sure that it is one of them." in text
-    both = "cannot distinguish backlash from a dead band of the controller"
+    both = "cannot tell backlash from a dead band of the controller"
     assert f"These recordings {both}." in text
-    assert "j2: one of these" in text and "in a bracket shares one bar" in text
+    assert "j2: one of these" in text and "in a bracket share one bar" in text
     assert "in a bracket" not in explained()[0]
-    assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
+    assert "Record j2 under slow triangles" in text and "14 standard deviations" in text
     told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
     assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell backlash") == 1
 
@@ -318,7 +318,7 @@ def test_only_joints_with_a_finding_show_what_it_is_worth():
     (drawn,) = [b for b in blocks if isinstance(b, Figure) and "held-out recordings" in b.caption]
     assert drawn.svg.count("with the named effects") == 1
     assert drawn.svg.count("plain servo") == 2
-    assert drawn.svg.count("noise of the sensor") == 2
+    assert drawn.svg.count("sensor noise") == 2
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])
