@@ -21,7 +21,7 @@ from typing import Any
 import torch
 
 import sim2real as s2r
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import arm_of
@@ -103,7 +103,7 @@ def swum(
     plan = replace(plan, device=options.device, cell_m=options.cell_m or plan.cell_m)
     reality = read_reality(options.reality, cell_m=options.reality_cell_m)
     reality = replace(reality, at_once=options.at_once or reality.at_once)
-    testbeds = tried_in(robot, arms, plan, ranges, reality)
+    testbeds = make_testbeds(robot, arms, plan, ranges, reality)
 
     def known(*_: Any) -> list[Path]:  # noqa: ANN401 - as ``train`` is called
         return [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]

@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 import sim2real as s2r
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import make_testbeds
 from rl.commands.demo_pool import QUICK, REPEATS, SEEDS, agents_in
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
@@ -84,7 +84,7 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
         QUICK, task=replace(QUICK.task, energy=options.energy_weight), steps=options.steps,
         segment=options.steps, seeds=seeds, device=options.device, settings=settings, threads=1,
     )  # fmt: skip
-    testbeds = tried_in(robot, arms, plan, ranges, reality)[1:]
+    testbeds = make_testbeds(robot, arms, plan, ranges, reality)[1:]
     return ablate(
         options.out, robot, arms, plan, testbeds, seed=options.seed, repeats=REPEATS,
         trainer=partial(train, first=options.first),
@@ -121,7 +121,7 @@ def rates(runs: Sequence[Mapping[str, Difference]]) -> dict[str, float]:
     """Shares of runs: whose servo loses most, is off zero, both; with another arm off zero."""
     servo = np.array([max(run, key=lambda arm: run[arm].mean) == "no-servo" for run in runs])
     off = np.array([run["no-servo"].low > 0 for run in runs])
-    false = [any(one.told for arm, one in run.items() if arm != "no-servo") for run in runs]
+    false = [any(one.significant for arm, one in run.items() if arm != "no-servo") for run in runs]
     shares = {"servo first": servo, "servo off zero": off, "both": servo & off}
     shares["another arm off zero"] = np.array(false)
     return {name: round(float(one.mean()), 3) for name, one in shares.items()}

@@ -1,8 +1,8 @@
-"""Learning to swim. Importing it registers ``sim2real/Fish-v0`` with Gymnasium."""
+"""Reinforcement learning of swimming; on import registers ``sim2real/Fish-v0`` with Gymnasium."""
 
 from importlib.util import find_spec
 
-if find_spec("gymnasium") is not None:  # a policy runs without it, with NumPy alone
+if find_spec("gymnasium") is not None:  # optional: exported policies need only NumPy
     from gymnasium.envs.registration import register
 
     register(

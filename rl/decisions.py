@@ -1,4 +1,4 @@
-"""A world seen through an ``Observer``: a step is one decision."""
+"""A world with an ``Observer``: a step is one decision."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rl.world import Step, World
 class Decisions:
     """Robots that take a decision every few control periods.
 
-    Episodes that end between two decisions count until then; the next begins with the next
-    decision, so that all robots decide at once.
+    If an episode ends between two decisions, later rewards are ignored and the next episode starts
+    with the next decision, so that the decisions of all robots are synchronous.
 
     Attributes:
         world: The robots at their task, in steps of 20 ms.
-        observer: What they see and remember.
+        observer: Their observations and past decisions.
         size: Width F of an observation.
     """
 
@@ -29,51 +29,53 @@ class Decisions:
         self.size = view.size(len(world.low))
 
     def reset(self) -> Tensor:
-        """Begin an episode everywhere; its first observations, shape (E, F)."""
-        seen = self.world.reset()
-        self.observer.begin(seen)
-        return self.observer.see(seen)  # type: ignore[no-any-return]
+        """Start an episode in all environments; the first observations, shape (E, F)."""
+        observed = self.world.reset()
+        self.observer.begin(observed)
+        return self.observer.observe(observed)  # type: ignore[no-any-return]
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Take a decision and go on to the next.
+        """Apply a decision and simulate until the next.
 
         Args:
             action: Desired angles, -1 and 1 at the ends of each joint's range, shape (E, J).
-            begin: Begin an episode where one has ended.
+            begin: Whether to start an episode where one has ended.
 
         Returns:
             As ``World.step``, with reward, effort and bonus summed over the decision's periods.
         """
         self.observer.decide(action)
-        told = self.world.step(self.observer.set_points(0), begin=False)
+        total = self.world.step(self.observer.set_points(0), begin=False)
         for tick in range(1, self.view.period):
-            ended = told.terminated | told.truncated
-            told = _added(told, self.world.step(self.observer.set_points(tick), begin=False), ended)
-        final = self.observer.see(told.final)
-        seen = self.begin(told.terminated | told.truncated) if begin else final
-        return replace(told, observation=seen, final=final)
+            ended = total.terminated | total.truncated
+            total = _added(
+                total, self.world.step(self.observer.set_points(tick), begin=False), ended
+            )
+        final = self.observer.observe(total.final)
+        observed = self.begin(total.terminated | total.truncated) if begin else final
+        return replace(total, observation=observed, final=final)
 
-    def begin(self, which: Tensor) -> Tensor:
-        """Begin an episode in the environments ``which``, shape (E,).
+    def begin(self, mask: Tensor) -> Tensor:
+        """Start an episode where ``mask``, shape (E,), is true.
 
         Returns:
             The observations of all environments, shape (E, F).
         """
-        raw = self.world.begin(which)
-        self.observer.begin(raw, which)
-        return self.observer.see(raw)  # type: ignore[no-any-return]
+        raw = self.world.begin(mask)
+        self.observer.begin(raw, mask)
+        return self.observer.observe(raw)  # type: ignore[no-any-return]
 
 
-def _added(told: Step, step: Step, ended: Tensor) -> Step:
-    """Two steps as one, the second counting only where no episode had ended."""
-    goes = ~ended
+def _added(total: Step, step: Step, ended: Tensor) -> Step:
+    """Sum of two steps; the second is ignored where an episode has ``ended``."""
+    active = ~ended
     return Step(
         step.observation,
-        told.reward + goes * step.reward,
-        told.effort + goes * step.effort,
-        told.bonus + goes * step.bonus,
-        told.terminated | goes & step.terminated,
-        told.truncated | goes & step.truncated,
-        torch.where(goes, step.reached, told.reached),
-        torch.where(goes[:, None], step.final, told.final),
+        total.reward + active * step.reward,
+        total.effort + active * step.effort,
+        total.bonus + active * step.bonus,
+        total.terminated | active & step.terminated,
+        total.truncated | active & step.truncated,
+        torch.where(active, step.reached, total.reached),
+        torch.where(active[:, None], step.final, total.final),
     )

@@ -28,8 +28,8 @@ def observation_space(world: World, view: View) -> spaces.Box:
         bound = np.full(view.size(J), LARGEST, dtype=np.float32)
     else:
         sides = [1.25] if view.sides else []
-        more = [*sides, *[1.0] * (view.size(J) - 5 - 2 * J - len(sides))]
-        bound = np.array([*observation_bounds(J), *more], dtype=np.float32)
+        others = [*sides, *[1.0] * (view.size(J) - 5 - 2 * J - len(sides))]
+        bound = np.array([*observation_bounds(J), *others], dtype=np.float32)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
@@ -114,14 +114,14 @@ class FishEnv(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
-        seen = self.decisions.reset()[0].cpu().numpy()
+        observed = self.decisions.reset()[0].cpu().numpy()
         self._show()
-        return seen, {}
+        return observed, {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Apply a decision and simulate until the next; ``reset`` starts the next episode."""
-        given = torch.as_tensor(action, device=self.world.device)[None]
-        step = self.decisions.step(given, begin=False)
+        decision = torch.as_tensor(action, device=self.world.device)[None]
+        step = self.decisions.step(decision, begin=False)
         terms = reward_terms(self.world.task, step)
         info = {
             "reached": int(step.reached[0]),
@@ -217,25 +217,25 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Any, Any, dict[str, Any]]:
         """Apply a decision of each robot and simulate until the next."""
-        given = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
-        same = self.autoreset_mode is AutoresetMode.SAME_STEP
-        step = self.decisions.step(given, begin=same)
-        task, goes, seen = self.world.task, ~self._over, step.observation
-        terminated, truncated = step.terminated & goes, step.truncated & goes
-        told = {"reached": step.reached, "is_success": succeeded(task, step)}
-        told |= reward_terms(task, step)
-        infos = {name: (values * goes).cpu().numpy() for name, values in told.items()}
-        infos |= {f"_{name}": goes.cpu().numpy() for name in told}
+        decision = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        step = self.decisions.step(decision, begin=same_step)
+        task, active, observed = self.world.task, ~self._over, step.observation
+        terminated, truncated = step.terminated & active, step.truncated & active
+        reported = {"reached": step.reached, "is_success": succeeded(task, step)}
+        reported |= reward_terms(task, step)
+        infos = {name: (values * active).cpu().numpy() for name, values in reported.items()}
+        infos |= {f"_{name}": active.cpu().numpy() for name in reported}
         ended = terminated | truncated
-        if same:
+        if same_step:
             infos |= _finals(step.final.cpu().numpy(), ended.cpu().numpy())
         else:
             if self._over.any():
-                seen = self.decisions.begin(self._over)
+                observed = self.decisions.begin(self._over)
             self._over = ended
         return (
-            seen.cpu().numpy(),
-            (step.reward * goes).cpu().numpy(),
+            observed.cpu().numpy(),
+            (step.reward * active).cpu().numpy(),
             terminated.cpu().numpy(),
             truncated.cpu().numpy(),
             infos,
@@ -246,7 +246,7 @@ def _finals(final: Array, ended: NDArray[np.bool_]) -> dict[str, Any]:
     """The last observations of the episodes that ended, as Gymnasium keeps them in ``infos``."""
     if not ended.any():
         return {}
-    kept = np.full(len(ended), None, dtype=object)
+    observations = np.full(len(ended), None, dtype=object)
     for e in np.flatnonzero(ended):
-        kept[e] = final[e]
-    return {"final_obs": kept, "_final_obs": ended}
+        observations[e] = final[e]
+    return {"final_obs": observations, "_final_obs": ended}

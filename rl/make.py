@@ -1,4 +1,4 @@
-"""From files to a world: which robot, which water, which episodes."""
+"""Construction of a world from a robot, a simulator and a distribution of episodes."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from sim2real.robot import Robot
 Fidelity = Literal["twin", "fluid"]
 
 DRAWS = 512
-"""Robots that episodes are drawn from: each is met a few times in a training."""
+"""Number of robots that episodes are drawn from; each occurs a few times in a training."""
 
 
 def own_stream(device: str) -> AbstractContextManager[Any]:
-    """The stream that a world on CUDA needs, for a ``with`` around it; nothing on a CPU."""
+    """Context manager with the stream that a world on CUDA needs; no effect on a CPU."""
     if device == "cpu" or not torch.cuda.is_available():
         return nullcontext()
     return torch.cuda.stream(torch.cuda.Stream(device))  # type: ignore[no-untyped-call]
 
 
 def draws_of(model: Model, ranges: Ranges | None, robot: Robot, seed: int, n: int = DRAWS) -> Draws:
-    """Episodes of a calibrated model, randomized where there are ranges."""
+    """Episodes of a calibrated model, randomized if ranges are given."""
     if ranges is None:
         return Draws((model,))
     rng = np.random.default_rng(seed)
@@ -59,18 +59,18 @@ def make_world(
     Args:
         robot: Links, joints and data sheets.
         task: The task.
-        draws: What episodes are drawn from; several share the environments evenly.
+        draws: Distribution of episodes; several share the environments evenly.
         n_envs: Number of environments.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``. On CUDA all work goes to PyTorch's current stream, which
             must not be the default one: see ``own_stream``.
         cell_m: Side of a cell of the fluid.
-        seed: Of everything random.
+        seed: Seed of everything random.
         threads: CPU threads.
-        options: Further ones of the simulator.
+        options: Further options of the simulator.
 
     Raises:
-        InputError: If robot, models and device do not go together, or there is no such fidelity.
+        InputError: If robot, models and device are inconsistent, or the fidelity is unknown.
     """
     check_choice("make_world", "fidelity", fidelity, get_args(Fidelity))
     if device != "cpu" and not torch.cuda.is_available():

@@ -1,8 +1,8 @@
-"""What the paper counts of a swim: time, energy, turning radius; and the length of the way.
+"""Metrics of a swim: time, energy and turning radius as in the paper, and path length.
 
-Recordings have a row each control period, the start first: positions (T, E, 2) in m, headings
-(T, E) in rad without jumps, joint rates (T, E, J) in rad/s, distances to the target (T, E) in m.
-Rows after the end of an environment's episode are NaN; they count for nothing.
+Recordings have a row for each control period, the start first: positions (T, E, 2) in m, headings
+(T, E) in rad, unwrapped, joint rates (T, E, J) in rad/s, distances to the target (T, E) in m.
+Rows after the end of an episode are NaN and ignored.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class Metrics:
     """Each of shape (E,).
 
     Attributes:
-        time_s: Until the target is reached; NaN where it is not.
+        time_s: Time until the target is reached; NaN if it is not.
         energy: Sum over the steps of 20 ms of the joints' squared rates, in rad^2/s^2.
-        path_m: Length of the way of the head's centre of mass.
-        radius_m: Radius of the turn; NaN where there is none.
+        path_m: Length of the path of the head's centre of mass.
+        radius_m: Radius of the turn; NaN if there is none.
     """
 
     time_s: Array
@@ -42,24 +42,24 @@ class Metrics:
 def measure(
     position: Array, heading: Array, rate: Array, distance: Array, *, turn_rad: float = np.pi
 ) -> Metrics:
-    """All four of a recorded batch, until the target is reached or the recording ends.
+    """Metrics of a recorded batch, until the target is reached or the recording ends.
 
     Args:
         position: Shape (T, E, 2).
         heading: Shape (T, E).
         rate: Shape (T, E, J).
         distance: To the target, shape (T, E).
-        turn_rad: How far the task has the robot turn.
+        turn_rad: Angle of the turn in the task.
 
     Raises:
-        ValueError: If T and E are not the same throughout.
+        ValueError: If the arrays differ in T or E.
     """
     if not position.shape[:2] == heading.shape == rate.shape[:2] == distance.shape:
         shapes = [a.shape for a in (position, heading, rate, distance)]
         raise ValueError(f"{shapes} do not begin with the same T and E")
     time = time_to_target(distance)
-    last = np.where(np.isnan(time), len(distance), np.round(time / CONTROL_S))
-    before = np.arange(len(distance))[:, None] <= last
+    last_row = np.where(np.isnan(time), len(distance), np.round(time / CONTROL_S))
+    before = np.arange(len(distance))[:, None] <= last_row
     position = np.where(before[..., None], position, np.nan)
     return Metrics(
         time_s=time,
@@ -72,65 +72,65 @@ def measure(
 def time_to_target(
     distance: Array, *, reached_m: float = REACHED_M, dt: float = CONTROL_S
 ) -> Array:
-    """Seconds until the first row nearer than ``reached_m``, shape (E,), NaN where none is."""
-    near = np.asarray(distance < reached_m)  # never where NaN
-    return np.where(near.any(axis=0), dt * near.argmax(axis=0), np.nan)
+    """Seconds until the first row nearer than ``reached_m``, shape (E,), NaN if there is none."""
+    arrived = np.asarray(distance < reached_m)  # false for NaN
+    return np.where(arrived.any(axis=0), dt * arrived.argmax(axis=0), np.nan)
 
 
 def energy(rate: Array) -> Array:
-    """The paper's measure of energy, the sum over steps of the joints' squared rates.
+    """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
 
-    It is no work: its unit is rad^2/s^2, a step of 20 ms counts once, and times 0.02 s it is the
-    integral over time. The row of the start counts too; a robot at rest adds nothing.
+    It is not mechanical work: its unit is rad^2/s^2; multiplied by 0.02 s it is the integral over
+    time. The row of the start is included.
 
     Args:
         rate: Shape (T, E, J).
 
     Returns:
-        Shape (E,); NaN where no row is known.
+        Shape (E,); NaN if all rows are NaN.
     """
-    known = _known(rate)
-    total = np.where(known, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
-    return np.where(known.any(axis=0), total, np.nan)
+    finite = _finite(rate)
+    total = np.where(finite, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
+    return np.where(finite.any(axis=0), total, np.nan)
 
 
 def path_length(position: Array) -> Array:
-    """Length in m of the way through the known rows of (T, E, 2), shape (E,)."""
+    """Length in m of the path through the finite rows of (T, E, 2), shape (E,)."""
     step = np.linalg.norm(np.diff(position, axis=0), axis=2)
-    known = _known(position).any(axis=0)
-    return np.where(known, np.nansum(step, axis=0), np.nan)
+    finite = _finite(position).any(axis=0)
+    return np.where(finite, np.nansum(step, axis=0), np.nan)
 
 
 def turning_radius(position: Array, heading: Array, *, turn_rad: float = np.pi) -> Array:
-    """Radius of the circle through the middle of the turn, in m.
+    """Radius of a circle fitted to the middle part of the turn, in m.
 
-    The turn's middle are the rows from the first at which the heading has changed by a tenth of
-    ``turn_rad`` (either way) until the first at which it has by nine tenths. Through the path of
-    the head's centre of mass there goes the circle of least squares of Kasa (IEEE Trans. Instrum.
-    Meas. 25 (1976) 8). For a corner of a longer path, give the rows from its waypoint on.
+    The middle part are the rows from the first at which the heading has changed by a tenth of
+    ``turn_rad`` (in either direction) until the first at which it has by nine tenths. The circle is
+    the least-squares fit of Kasa (IEEE Trans. Instrum. Meas. 25 (1976) 8) to the path of the head's
+    centre of mass. For a corner of a longer path, pass the rows from its waypoint on.
 
     Args:
         position: Shape (T, E, 2).
-        heading: Shape (T, E), without jumps.
-        turn_rad: How far the task has the robot turn.
+        heading: Shape (T, E), unwrapped.
+        turn_rad: Angle of the turn in the task.
 
     Returns:
-        Shape (E,); NaN where the heading never changes so far, infinite where the path is straight.
+        Shape (E,); NaN if the heading changes by less, infinite if the path is straight.
     """
     changed = np.abs(heading - heading[0])
-    begun, done = (np.asarray(changed >= part * turn_rad) for part in (_FROM, _TO))
+    started, done = (np.asarray(changed >= part * turn_rad) for part in (_FROM, _TO))
     row = np.arange(len(heading))[:, None]
-    inside = (row >= begun.argmax(axis=0)) & (row <= done.argmax(axis=0)) & done.any(axis=0)
-    return circle_radius(np.where(inside[..., None], position, np.nan))
+    middle = (row >= started.argmax(axis=0)) & (row <= done.argmax(axis=0)) & done.any(axis=0)
+    return circle_radius(np.where(middle[..., None], position, np.nan))
 
 
 def circle_radius(position: Array) -> Array:
-    """Radius of the least-squares circle through the known rows of (T, E, 2), shape (E,)."""
-    known = _known(position)
-    count = known.sum(axis=0)
-    given = np.where(known[..., None], position, 0.0)
-    middle = given.sum(axis=0) / np.maximum(count, 1)[:, None]
-    x, y = np.moveaxis(np.where(known[..., None], position - middle, 0.0), 2, 0)
+    """Radius of the least-squares circle through the finite rows of (T, E, 2), shape (E,)."""
+    finite = _finite(position)
+    count = finite.sum(axis=0)
+    points = np.where(finite[..., None], position, 0.0)
+    middle = points.sum(axis=0) / np.maximum(count, 1)[:, None]
+    x, y = np.moveaxis(np.where(finite[..., None], position - middle, 0.0), 2, 0)
     square = x * x + y * y
     xx, xy, yy = (x * x).sum(axis=0), (x * y).sum(axis=0), (y * y).sum(axis=0)
     right, up = (x * square).sum(axis=0) / 2, (y * square).sum(axis=0) / 2
@@ -142,5 +142,5 @@ def circle_radius(position: Array) -> Array:
     return np.where(count < 3, np.nan, np.where(straight, np.inf, radius))
 
 
-def _known(rows: Array) -> NDArray[np.bool_]:
+def _finite(rows: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(rows).all(axis=2))

@@ -1,4 +1,4 @@
-"""From ranges to the robots of an environment: models drawn per episode, noise per step."""
+"""Randomization ranges applied to a model: models drawn per episode, noise per step."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is drawn anew at every step.
+    """Standard deviations of the measurement noise, drawn at every step.
 
     Attributes:
-        position_m: Of x and y of the head.
-        yaw_rad: Of its heading.
-        joint_rad: Of each joint's measured angle, one for all or one each.
+        position_m: x and y of the head.
+        yaw_rad: Heading of the head.
+        joint_rad: Measured joint angles, one value for all or one per joint.
     """
 
     position_m: float = 0.0
@@ -35,7 +35,7 @@ class Noise:
 
 
 def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
-    """The noise that ranges ask for."""
+    """The measurement noise in the ranges."""
 
     def sd(name: str) -> float:
         entry = ranges.named(name)
@@ -48,10 +48,10 @@ def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
 def draw_models(
     model: Model, ranges: Ranges, robot: Robot, n: int, rng: np.random.Generator
 ) -> list[Model]:
-    """Models for n episodes: the calibrated one with each range's draw put in.
+    """Models for n episodes: the calibrated model with values drawn from each range.
 
     Raises:
-        InputError: If a range's parameter is none of the model's or the robot's.
+        InputError: If the parameter of a range is neither of the model nor of the robot.
     """
     model = with_density(model, robot)
     links = [link.name for link in robot.links]
@@ -62,7 +62,7 @@ def draw_models(
 
 
 def with_density(model: Model, robot: Robot) -> Model:
-    """The model with the robot's own normalised densities, where it has none."""
+    """The model, with the normalised densities of the robot if it has none."""
     if "normalised_density" in model.body:
         return model
     density = normalised_density(robot).value
@@ -79,7 +79,7 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
     """The model with the values of one episode."""
     latency = draw.get("command_latency_s")
     joints = dict(model.joints)
-    rest: dict[str, float] = {}
+    scalars: dict[str, float] = {}
     density = dict(zip(links, model.body["normalised_density"], strict=True))
     for name, value in draw.items():
         head, _, tail = name.partition(".")
@@ -94,25 +94,25 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
                 joints[head], effects=_changed(joints[head].effects, effect, parameter, value)
             )
         elif head in joints and tail in ("kp_Nm_per_rad", "kd_Nms_per_rad"):
-            rest[name] = value
+            scalars[name] = value
         elif head == "body":
-            rest[tail] = value
+            scalars[tail] = value
         elif head not in joints and name != "command_latency_s":
             for joint in joints:
                 effects = _changed(joints[joint].effects, head, tail, value)
                 joints[joint] = replace(joints[joint], effects=effects)
     if latency is not None:
         for joint in joints:
-            late = latency + draw.get(f"{joint}.latency_offset_s", 0.0)
-            joints[joint] = replace(joints[joint], latency_s=max(0.0, late))
+            delay = latency + draw.get(f"{joint}.latency_offset_s", 0.0)
+            joints[joint] = replace(joints[joint], latency_s=max(0.0, delay))
     body = {**model.body, "normalised_density": list(density.values())}
-    return with_values(replace(model, joints=joints, body=body), rest)
+    return with_values(replace(model, joints=joints, body=body), scalars)
 
 
 def _changed(
     effects: tuple[FittedEffect, ...], name: str, parameter: str, value: float
 ) -> tuple[FittedEffect, ...]:
     named(name, "ranges")
-    own = {one.effect: dict(one.parameters) for one in effects}
-    own.setdefault(name, {})[parameter] = value
-    return tuple(FittedEffect(effect, values) for effect, values in own.items())
+    parameters = {one.effect: dict(one.parameters) for one in effects}
+    parameters.setdefault(name, {})[parameter] = value
+    return tuple(FittedEffect(effect, values) for effect, values in parameters.items())

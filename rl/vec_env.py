@@ -75,7 +75,7 @@ class FishVecEnv(VecEnv):
         """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:  # noqa: ANN401 - SB3's
-        """The same attribute of the world for each environment asked for."""
+        """The attribute of the shared world, once for each of the environments."""
         if attr_name == "render_mode":
             return [None for _ in self._get_indices(indices)]
         return [getattr(self.world, attr_name) for _ in self._get_indices(indices)]
@@ -103,7 +103,7 @@ class FishVecEnv(VecEnv):
         raise NotImplementedError(f"{method_name}: the environments share one world")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:  # noqa: ANN401
-        """None is wrapped; what ``Monitor`` would say is said by ``step_wait``."""
+        """False for all; ``step_wait`` returns the statistics of ``Monitor``."""
         return [False for _ in self._get_indices(indices)]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:

@@ -55,7 +55,7 @@ class Window:
             self._surface = pygame.display.set_mode((width, height))
             pygame.display.set_caption(self._title)
         pygame.surfarray.blit_array(self._surface, np.swapaxes(picture, 0, 1))
-        pygame.event.pump()  # the window answers the desktop
+        pygame.event.pump()  # keeps the window responsive
         pygame.display.flip()
         self._clock.tick(self.frames_per_s)
 

@@ -1,7 +1,7 @@
-"""Robots, their water and their task, as tensors: the one environment that all others wrap.
+"""Batch of robots with simulator and task, as tensors; all environments wrap this class.
 
-Observations, rewards and noise are computed on the simulator's device; nothing of the fluid ever
-leaves it. An episode that ends begins anew at once, with another robot drawn from ``Draws``.
+Observations, rewards and noise are computed on the device of the simulator; the state of the fluid
+is never copied to the host. Episodes restart when they end, with a new robot from ``Draws``.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
 
 FAST_M_S = 5.0
-"""No such robot swims as fast: one that does is taken out."""
+"""Speed limit: a faster robot has diverged numerically, and its episode is truncated."""
 
 
 @dataclass(frozen=True)
 class Draws:
-    """What an environment's episodes are drawn from.
+    """Distribution of the episodes of an environment.
 
     Attributes:
-        models: Robots, one an episode; none where the simulator keeps those it has.
-        noise: What its sensors add at every step.
+        models: Models, one is drawn per episode; if empty, the simulator keeps its models.
+        noise: Sensor noise, drawn at every step.
     """
 
     models: Sequence[Model] = ()
@@ -40,18 +40,18 @@ class Draws:
 
 @dataclass(frozen=True)
 class Step:
-    """What a step gave, for E environments.
+    """Result of a step of E environments.
 
     Attributes:
-        observation: Of the state that the next action is for, shape (E, O).
+        observation: Input of the next action, shape (E, O).
         reward: Shape (E,).
-        effort: The energy in it before its weight, rad^2/s^2, shape (E,).
-        bonus: The part of the reward for arriving (above zero) or leaving the pool, shape (E,).
+        effort: Energy before weighting, rad^2/s^2, shape (E,).
+        bonus: Reward for arriving (positive) or leaving the pool (negative), shape (E,).
         terminated: The robot arrived at the last waypoint or left the pool, shape (E,).
-        truncated: The episode took too long, or the guard stopped the robot, shape (E,).
+        truncated: Time limit reached, or simulation stopped by its guard, shape (E,).
         reached: Waypoints reached so far in the episode that this step belongs to, shape (E,).
-        final: Observation at the end of this step, which ``observation`` is but where episodes end;
-            of a robot that the guard stopped, the last from before.
+        final: Observation at the end of this step; differs from ``observation`` where an episode
+            ended. If the guard stopped the simulation, the observation before it.
     """
 
     observation: Tensor
@@ -87,13 +87,13 @@ class World:
         draws: Draws | Sequence[Draws] = Draws(),
         seed: int = 0,
     ) -> None:
-        """Put the robots at their starts.
+        """Place the robots at their starts.
 
         Args:
-            simulator: The robots and their water.
+            simulator: The simulator with the robots.
             task: The task.
-            draws: What episodes are drawn from; several share the environments evenly, in blocks.
-            seed: Of starts, targets, models and noise.
+            draws: Distribution of episodes; several share the environments evenly, in blocks.
+            seed: Seed of starts, targets, models and noise.
         """
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
         blocks = [draws] if isinstance(draws, Draws) else list(draws)
@@ -119,118 +119,119 @@ class World:
         self.reset()
 
     def seed(self, seed: int) -> None:
-        """Begin all random numbers anew."""
+        """Reset all random number generators."""
         self.rng = np.random.default_rng(seed)
         self.generator = torch.Generator(self.device).manual_seed(seed)
 
     def reset(self) -> Tensor:
-        """Begin an episode everywhere; its first observations, shape (E, O)."""
+        """Start an episode in all environments; the first observations, shape (E, O)."""
         self._begin(np.arange(self.n_envs))
         self._last = self._observed()
         return self._last
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Send set-points and go on by one control period.
+        """Send set-points and simulate one control period.
 
         Args:
-            action: Desired joint angles in rad, shape (E, J); cut to the joints' limits.
-            begin: Begin an episode where one has ended; else robots swim on to the last target.
+            action: Desired joint angles in rad, shape (E, J); clipped to the joints' limits.
+            begin: Whether to start an episode where one has ended; else robots continue to the
+                last target.
         """
         self._command.copy_(torch.clamp(action, self.low, self.high))
         self.simulator.advance()
         self.elapsed += 1
         self._read()
-        distance = self._far()
-        outside = (self.pose[:, :2].abs() > self._half).any(dim=1)
+        distance = self._target_distance()
+        left_pool = (self.pose[:, :2].abs() > self._half).any(dim=1)
         reached = distance < self.task.arrive_m
         stopped = self._stopped
-        stays = (~stopped).float()
-        spent = stays * effort(self.rate)
-        ends = stays * bonus(self.task, reached, outside)
-        value = stays * progress(self.task, self._distance, distance) + ends
-        value = value - self.task.energy * spent
+        active = (~stopped).float()
+        energy = active * effort(self.rate)
+        ending = active * bonus(self.task, reached, left_pool)
+        value = active * progress(self.task, self._distance, distance) + ending
+        value = value - self.task.energy * energy
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
-        terminated = (done | outside) & ~stopped
+        terminated = (done | left_pool) & ~stopped
         truncated = ((self.elapsed >= self.task.steps) | stopped) & ~terminated
         count = self.waypoint.clone()
         self.waypoint.clamp_(max=self.task.waypoints - 1)
-        self._distance = self._far()
+        self._distance = self._target_distance()
         self._remember()
         final = torch.where(stopped[:, None], self._last, self._observed())
         self._last = final
-        seen = self.begin(terminated | truncated) if begin else final
-        return Step(seen, value, spent, ends, terminated, truncated, count, final)
+        observed = self.begin(terminated | truncated) if begin else final
+        return Step(observed, value, energy, ending, terminated, truncated, count, final)
 
-    def begin(self, which: Tensor) -> Tensor:
-        """Begin an episode in some environments, shape (E,); the observations of all."""
-        ended = torch.nonzero(which)[:, 0]
+    def begin(self, mask: Tensor) -> Tensor:
+        """Start an episode where ``mask`` (E,) is true; the observations of all environments."""
+        ended = torch.nonzero(mask)[:, 0]
         if len(ended):
             self._begin(ended.cpu().numpy())
-            self._last = torch.where(which[:, None], self._observed(), self._last)
+            self._last = torch.where(mask[:, None], self._observed(), self._last)
         return self._last
 
-    def _begin(self, which: NDArray[np.intp]) -> None:
-        """Begin an episode in some environments."""
-        simulator, rng, n = self.simulator, self.rng, len(which)
+    def _begin(self, environments: NDArray[np.intp]) -> None:
+        """Start an episode in the environments with these indices."""
+        simulator, rng, n = self.simulator, self.rng, len(environments)
         J = len(simulator.robot.joints)
-        known = [(e, self._draws[e].models) for e in which if len(self._draws[e].models)]
-        if known:
-            chosen = [models[rng.integers(len(models))] for _, models in known]
-            simulator.adopt(np.array([e for e, _ in known]), chosen)
+        redrawn = [(e, self._draws[e].models) for e in environments if len(self._draws[e].models)]
+        if redrawn:
+            chosen = [models[rng.integers(len(models))] for _, models in redrawn]
+            simulator.adopt(np.array([e for e, _ in redrawn]), chosen)
         start, bent, targets = self.task.place(rng, n, J)
         mask = np.zeros(self.n_envs, dtype=bool)
         pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
-        mask[which], pose[which], joint[which] = True, start, bent
+        mask[environments], pose[environments], joint[environments] = True, start, bent
         simulator.reset(mask, pose, joint)
         current = np.broadcast_to(simulator.outside.current, (self.n_envs, 2))
         self._current = self._tensor(current)
-        rows = torch.as_tensor(which, device=self.device)
+        rows = torch.as_tensor(environments, device=self.device)
         self.targets[rows] = self._tensor(targets)
         self.waypoint[rows] = 0
         self.elapsed[rows] = 0
         self._read()
-        self._distance[rows] = self._far()[rows]
+        self._distance[rows] = self._target_distance()[rows]
         for _ in range(NEWEST):
             self._remember(rows)
 
     def _read(self) -> None:
-        """Take the true state from the simulator."""
+        """Read the true state from the simulator."""
         q, v = from_dlpack(self._live.q).float(), from_dlpack(self._live.v).float()
         clock = from_dlpack(self._live.clock).float()
-        place = q[:, :2] + self._current * clock[:, None]  # from the water's frame to the pool's
+        position = q[:, :2] + self._current * clock[:, None]  # from the water's frame to the pool's
         lost = ~torch.isfinite(q).all(dim=1) | (v[:, :2].abs() > FAST_M_S).any(dim=1)
         self._stopped = lost | (from_dlpack(self._live.stopped) >= 0)
-        self.pose = torch.nan_to_num(torch.cat([place, q[:, 2:3]], dim=1))
+        self.pose = torch.nan_to_num(torch.cat([position, q[:, 2:3]], dim=1))
         self.joint, self.rate = torch.nan_to_num(q[:, 3:]), torch.nan_to_num(v[:, 3:])
 
     def _remember(self, rows: Tensor | None = None) -> None:
-        """Take the newest measurement, noise and all, in all environments or in some."""
-        shown = torch.nan_to_num(from_dlpack(self._live.measured).float())
-        now = torch.cat([self.pose, shown], dim=1)
-        now = now + self._sd * torch.randn(
-            now.shape, generator=self.generator, device=self.device, dtype=now.dtype
+        """Append the newest noisy measurement, in all environments or in ``rows``."""
+        angles = torch.nan_to_num(from_dlpack(self._live.measured).float())
+        measured = torch.cat([self.pose, angles], dim=1)
+        measured = measured + self._sd * torch.randn(
+            measured.shape, generator=self.generator, device=self.device, dtype=measured.dtype
         )
-        moved = torch.cat([self._past[:, 1:], now[:, None]], dim=1)
+        shifted = torch.cat([self._past[:, 1:], measured[:, None]], dim=1)
         if rows is None:
-            self._past = moved
+            self._past = shifted
         else:
-            self._past[rows] = moved[rows]
+            self._past[rows] = shifted[rows]
 
     def _observed(self) -> Tensor:
-        """What the policy sees: velocities are slopes through the last measurements."""
-        now = self._past[:, -1]
+        """The observation: velocities are slopes through the last measurements."""
+        latest = self._past[:, -1]
         slope = (self._past * self._weights).sum(dim=1)
-        c, s = torch.cos(now[:, 2]), torch.sin(now[:, 2])
+        c, s = torch.cos(latest[:, 2]), torch.sin(latest[:, 2])
         surge, sway = c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0]
         velocity = torch.stack([surge, sway, slope[:, 2]], dim=1)
-        seen = observation(velocity, now[:, 3:], slope[:, 3:], now[:, :3], self._target())
-        return torch.clamp(seen, -self._bound, self._bound)
+        columns = observation(velocity, latest[:, 3:], slope[:, 3:], latest[:, :3], self._target())
+        return torch.clamp(columns, -self._bound, self._bound)
 
     def _target(self) -> Tensor:
         return self.targets[self._row, self.waypoint]
 
-    def _far(self) -> Tensor:
+    def _target_distance(self) -> Tensor:
         """True distance from each head to its target."""
         return torch.sqrt(((self._target() - self.pose[:, :2]) ** 2).sum(dim=1))
 

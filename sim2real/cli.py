@@ -1,7 +1,7 @@
-"""The command line: its commands, their modules and exit codes.
+"""The command line: list of commands, dispatch, and exit status.
 
-The options of a command are defined in a module that is imported only when that command is called,
-and its code only when it runs, so that help is printed without delay.
+The options of a command are defined in a separate file ``options``, which is imported only for that
+command; its code is imported only when it runs, so that help is fast.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
-    "check": (_SERVOS, "check recordings, and say what they can identify"),
+    "check": (_SERVOS, "check recordings, and state what they can identify"),
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
-    "diagnose": (_WATER, "find the physics that the fitted model leaves out, and model it"),
+    "diagnose": (_WATER, "find physics missing from the fitted model, and model it"),
     "predict": (_SERVOS, "simulate an identified model on the commands of a CSV file"),
     "density": (_SERVOS, "compute the normalised density of each link of a robot"),
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
@@ -34,7 +34,7 @@ COMMANDS = {
         "train policies with soft actor-critic in the fluid or its reduced-order twin",
     ),
     "evaluate": (_LEARNING, "measure policies and classical controllers on a task"),
-    "ablate": (_LEARNING, "train with and without each technique, and report what each is worth"),
+    "ablate": (_LEARNING, "train with and without each technique, and report the effect of each"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
@@ -55,15 +55,15 @@ COMMANDS = {
     "demo": (_LEARNING, "run the whole chain on the shipped data and write an HTML report"),
     "completion": (_SERVOS, "print a shell completion script"),
 }
-"""Module of the options and summary of each command, in the order of the help."""
+"""Module of options and summary of each command, in the order of the help."""
 
 _SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
-"""Commands that multiply only small matrices, between rollouts that use all cores: the threads of a
-linear algebra library would busy-wait for work and slow down the rollouts."""
+"""Commands that multiply only small matrices, between rollouts that use all cores: threads of a
+linear algebra library would occupy cores in busy waiting."""
 
 
 def _natural(text: str) -> int:
-    """A non-negative whole number, such as a seed."""
+    """A non-negative whole number."""
     if not text.strip().isdecimal():
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number of at least 0")
     return int(text)
@@ -82,10 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Returns:
-        0 on success, 2 for invalid input (with a message of one line), 1 for any other error.
+        0 if it is done, 2 for wrong input (reported in one line), 1 for anything else.
     """
-    argv = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser(only=argv[:1]).parse_args(argv)
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser(only=typed[:1]).parse_args(typed)
     if options.command in _SMALL_MATRICES:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
     try:
@@ -101,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"sim2real {options.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        outcome = "the same command continues" if options.resumes else "nothing written"
-        print(f"sim2real {options.command}: interrupted; {outcome}", file=sys.stderr)
+        state = "the same call resumes" if options.resumes else "nothing written"
+        print(f"sim2real {options.command}: interrupted; {state}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -110,34 +110,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """The parser, with the options of all commands or only of those given."""
-    whole = argparse.ArgumentParser(
+    """The parser, with the options of all commands or of these only."""
+    root = argparse.ArgumentParser(
         prog="sim2real",
         description="Identify servos, diagnose missing physics, generate randomization ranges.",
         epilog="'sim2real COMMAND --help' shows the options of a command and an example. "
         "Exit status: 0 done, 2 bad input, 1 anything else.",
     )
-    whole.add_argument("--version", action=_Version, help="print the version and exit")
-    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    root.add_argument("--version", action=_Version, help="print the version and exit")
+    commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (home, summary) in COMMANDS.items():
-        selected = only is None or name in only
-        definition = find(name, home) if selected else None
+        included = only is None or name in only
+        entry = find(name, home) if included else None
         command = commands.add_parser(
             name,
             parents=[_COMMON],
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            epilog=f"example:\n  {definition.example}" if definition else None,
+            epilog=f"example:\n  {entry.example}" if entry else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if definition:
-            command.set_defaults(module=definition.module, resumes=definition.resumes, result=None)
-            definition.add(command)
-    return whole
+        if entry:
+            command.set_defaults(module=entry.module, resumes=entry.resumes, result=None)
+            entry.add(command)
+    return root
 
 
 class _Version(argparse.Action):
-    """Print the version, which is read only on demand, unlike with argparse's own action."""
+    """Prints the version, which is read only then, unlike in argparse's own action."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
@@ -150,7 +150,7 @@ class _Version(argparse.Action):
 
 
 def find(name: str, home: str) -> Command:
-    """The command with this name in a module of options."""
+    """The command of that name in a file of options."""
     listed: tuple[Command, ...] = importlib.import_module(home).COMMANDS
     return next(command for command in listed if command.name == name)
 

@@ -29,7 +29,7 @@ from sim.inference.in_water import (
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
 from sim.inference.swims import swim_of
-from sim.inference.twin_search import Belief
+from sim.inference.twin_search import SwimPrior
 from sim2real.body import values
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.model import read_model, write_model
@@ -73,7 +73,7 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
     belief = learned([], model, robot, simulate, known)
     if referred:
         kept = np.load(verdicts / f"{place.name}.npz")
-        belief = Belief(**{name: kept[name] for name in kept.files})
+        belief = SwimPrior(**{name: kept[name] for name in kept.files})
     begun = None
     if again:
         begun = read_model(target / BESIDE)

@@ -1,1 +1,1 @@
-"""The commands that learn, one file each; the command line imports them when they run."""
+"""Commands for training and testing policies; the command line imports them when they run."""

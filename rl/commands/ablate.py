@@ -28,7 +28,7 @@ from sim2real.robot import Robot, read_robot
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train the arms, swim the turn in simulation and reality, write the report."""
+    """Train the arms, evaluate the turn in simulation and reality, write the report."""
     if options.out.exists() and not options.out.is_dir():
         raise InputError(options.out, "", "a file", "a folder")
     for name, least in (("seeds", 1), ("repeats", 1)):
@@ -40,34 +40,34 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
-    known = known_of(options, reality)
-    left = {"all-and-effects"} if enriched is None else set()
-    left |= {"ceiling"} if known is None else set()
-    names = options.arms or [name for name in ARMS if name not in {*left, "none", "midway"}]
-    if known is None and "ceiling" in names:
+    truth = known_of(options, reality)
+    unavailable = {"all-and-effects"} if enriched is None else set()
+    unavailable |= {"ceiling"} if truth is None else set()
+    names = options.arms or [name for name in ARMS if name not in {*unavailable, "none", "midway"}]
+    if truth is None and "ceiling" in names:
         raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
     if enriched is None and any(ARMS[name].effects for name in names):
-        raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL beside it")
-    arms = [arm_of(name, model, robot, ranges, enriched, known) for name in names]
+        raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL with it")
+    arms = [arm_of(name, model, robot, ranges, enriched, truth) for name in names]
     plan = plan_of(options)
-    testbeds = tried_in(robot, arms, plan, ranges, reality, options.reality_cell_m)
+    testbeds = make_testbeds(robot, arms, plan, ranges, reality, options.reality_cell_m)
     files = [options.robot, options.model, options.ranges]
     files += reality.files if isinstance(reality, RealityFile) else [options.reality]
     files += [*([options.truth] if options.truth else []), *(options.first or [])]
-    made = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
-    found = ablate(
+    note = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
+    results = ablate(
         options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
-        sampled=options.sampled, note=made,
+        sampled=options.sampled, note=note,
         trainer=trainer_of(options),
     )  # fmt: skip
-    write_report(found, plan, options.out, made)
-    print(markdown(found))
+    write_report(results, plan, options.out, note)
+    print(markdown(results))
     print(f"report: {options.out / 'index.html'}")
     return 0
 
 
 def reality_of(options: argparse.Namespace) -> Model | RealityFile:
-    """What policies are tried in: a model, or a file that makes a reality of its own."""
+    """The reality that policies are tested in: a model, or a Python file with ``make``."""
     if options.reality.suffix != ".py":
         return read_model(options.reality)
     cell = options.reality_cell_m
@@ -75,53 +75,56 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
 
 
 def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model | None:
-    """Reality's own parameters, where they are known."""
+    """The true parameters of the reality; None if they are not known."""
     if options.truth is not None:
         return read_model(options.truth)
     return reality if isinstance(reality, Model) else None
 
 
 def trainer_of(options: argparse.Namespace) -> Callable[..., list[Path]] | None:
-    """What trains: all in one batch where None, from agents that swim already, a process each."""
+    """The training function; None for ``rl.sac.train.train``, all agents in one batch.
+
+    With ``--first`` training continues from policies; with ``--executor`` each run has a process.
+    """
     if options.first and options.executor is not None:
-        raise InputError("ablate", "--first", "--executor beside it", "one of the two")
+        raise InputError("ablate", "--first", "--executor with it", "one of the two")
     if options.first:
         return partial(train, first=options.first)
     return None if options.executor is None else by_jobs(options)
 
 
 def plan_of(options: argparse.Namespace) -> Plan:
-    """How to train, the quick settings first."""
-    given = {name: value for name, value in vars(options).items() if value is not None}
+    """The plan of the training; options override the settings of ``--quick``."""
+    options_set = {name: value for name, value in vars(options).items() if value is not None}
     quick = {} if not options.quick else {"recipe": "brief"} if options.first else recipes.QUICK
     return recipes.plan_of(
-        {**quick, **given},
+        {**quick, **options_set},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
         device=options.device, cell_m=options.cell_m, threads=options.threads,
     )  # fmt: skip
 
 
-def tried_in(
+def make_testbeds(
     robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
 ) -> list[Testbed]:  # fmt: skip
-    """Each arm's own simulator, and the reality that none of them has seen.
+    """The testbeds: the simulator of each arm, and the reality, which no arm was trained in.
 
     Args:
         robot: The robot.
         arms: The arms.
         plan: How they are trained.
-        ranges: Whose noise the reality of a model has.
-        reality: A model, which the library's own laws run, or a file with laws of its own.
-        cell_m: Side of a model's cells; half of the training's where None.
+        ranges: Source of the sensor noise, if the reality is a model.
+        reality: A model for the library's simulator, or a file with its own simulator or rig.
+        cell_m: Cell size in m, if the reality is a model; default: half of that in training.
     """
     S = len(plan.seeds)
-    own = [arm.draws for arm in arms for _ in range(S)]
-    simulation = _simulated("simulation", own, plan, plan.cell_m, {})
+    draws = [arm.draws for arm in arms for _ in range(S)]
+    simulation = _simulated("simulation", draws, plan, plan.cell_m, {})
     if isinstance(reality, RealityFile):
         return [simulation, Real(reality, plan.device)]
     noise = noise_of(ranges, [joint.name for joint in robot.joints])
-    real = [Draws((reality,), noise)] * len(own)
+    real = [Draws((reality,), noise)] * len(draws)
     finer: dict[str, Any] = {"substeps": 16}
     if plan.fidelity == "fluid":
         finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
@@ -129,15 +132,15 @@ def tried_in(
 
 
 def _simulated(
-    name: str, draws: Sequence[Draws], plan: Plan, cell_m: float, more: dict[str, Any]
+    name: str, draws: Sequence[Draws], plan: Plan, cell_m: float, options: dict[str, Any]
 ) -> Simulated:
-    return Simulated(name, draws, plan.fidelity, cell_m, more, plan.device, plan.threads)
+    return Simulated(name, draws, plan.fidelity, cell_m, options, plan.device, plan.threads)
 
 
 def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
-    """A trainer that gives each arm and seed a process of its own."""
+    """A trainer that runs each arm and seed in its own process."""
 
-    def trained(
+    def train_jobs(
         folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any]
     ) -> list[Path]:
         del robot, note
@@ -150,8 +153,8 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
                     for key in ("robot", "model", "ranges", "enriched", "reality", "truth")
                     for value in (getattr(options, key),)
                 }
-                given = {**files, "arm": arm.name, "seed": seed, "plan": asked(options)}
-                jobs.append(Job(name, "rl.commands.ablate:train_one", given, folder / name))
+                call = {**files, "arm": arm.name, "seed": seed, "plan": plan_options(options)}
+                jobs.append(Job(name, "rl.commands.ablate:train_one", call, folder / name))
         outcomes = run_jobs(
             jobs, executor=options.executor, at_once=options.jobs, address=options.address,
             gpus=0 if options.device == "cpu" else 1, retries=options.retries,
@@ -161,11 +164,11 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
             raise RuntimeError("; ".join(failed))
         return [job.folder / job.name for job in jobs]
 
-    return trained
+    return train_jobs
 
 
-def asked(options: argparse.Namespace) -> dict[str, Any]:
-    """The options that make the plan, as JSON keeps them."""
+def plan_options(options: argparse.Namespace) -> dict[str, Any]:
+    """The options that ``plan_of`` reads, as JSON values."""
     names = ("quick", *recipes.OPTIONS, "fidelity", "device", "cell_m", "threads")
     return {name: getattr(options, name, None) for name in names}
 
@@ -183,11 +186,13 @@ def train_one(
     seed: int,
     plan: dict[str, Any],
 ) -> None:
-    """One arm and seed, as a job; see ``rl.executor``."""
+    """Train one arm with one seed, as a job of ``rl.executor``."""
     torch.set_num_threads(1)
     fish = read_robot(robot)
-    more = None if enriched is None else read_model(enriched)
-    known = read_model(truth or reality) if arm == "ceiling" else None
-    one = arm_of(arm, read_model(model), fish, read_ranges(ranges), more, known)
-    how = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
-    train(folder, fish, [one], how)
+    enriched_model = None if enriched is None else read_model(enriched)
+    truth_model = read_model(truth or reality) if arm == "ceiling" else None
+    trained_arm = arm_of(
+        arm, read_model(model), fish, read_ranges(ranges), enriched_model, truth_model
+    )
+    training_plan = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
+    train(folder, fish, [trained_arm], training_plan)

@@ -1,4 +1,4 @@
-"""Part of a command's work in a second process, whose results arrive one by one."""
+"""Run part of a command in a second process, which returns its results one by one."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any, Self
 
 
 class Alongside:
-    """Runs a generator in a process of its own, while this one does other work.
+    """Runs a generator in a second process, in parallel with this one.
 
-    Inside a ``with`` block, whose end stops the process. Iterating gives what the generator
-    yields, in order, waiting where it is not there yet; what the generator raises is raised here.
+    A context manager: leaving the block stops the process. Iterating waits for and returns the
+    values that the generator yields, in order; an exception of the generator is raised here.
 
     The generator must be a function of a module, its arguments and values picklable.
     """
@@ -70,7 +70,7 @@ class Alongside:
 
 
 def _serve(sending: Connection, work: Callable[..., Iterator[Any]], arguments: Any) -> None:  # noqa: ANN401
-    """What the second process does; its progress bars are not shown."""
+    """Body of the second process; its progress bars are not shown."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     try:
         for value in work(*arguments):

@@ -15,17 +15,17 @@ import torch
 
 from rl.commands import demo_pool
 from rl.commands.alongside import Alongside
-from rl.commands.demo_pool import PRETRAINED, Done, Pool, compared, pool_work
+from rl.commands.demo_pool import PRETRAINED, Done, Pool, pool_work, run_ablation
 from rl.commands.demo_summary import summary_section
 from rl.commands.demo_swim import swim_section
 from rl.experiments.ablation_report import (
     difference_figure,
-    keeps,
     markdown,
-    power,
+    retention_text,
     return_figure,
     rows,
-    way_figure,
+    seeds_text,
+    trajectory_figure,
     write_report,
 )
 from rl.experiments.differences import differences
@@ -58,19 +58,19 @@ from sim2real.robot import Robot, read_robot
 from sim2real.servo.replay import Replay, replay
 
 STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")
-_TELLING = ("chirp", "steps")
+_DIAGNOSED = ("chirp", "steps")
 _SHOWN = "square"
-"""Recording that the page shows beside the one held out: the paper's own test signal."""
+"""Recording that the page shows with the held-out one: the test signal of the paper."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Bench, pool, ablation; write ``index.html`` and what stands behind it."""
+    """Run bench, pool and ablation; write ``index.html`` and the result files."""
     page = check_writable(options.out / "index.html")
     torch.set_num_threads(1)
     work = (options.pool, _ablation_in(options), options.seed, demo_pool.REPEATS, options.train)
-    with Alongside(pool_work, *work) as beside:
+    with Alongside(pool_work, *work) as second_process:
         bench, robot, model, servos = _bench(options)
-        pool, body, ablation, swim = _pool(options, beside)
+        pool, body, ablation, swim = _pool(options, second_process)
     with _stage("report", str(page)):
         write_page(
             page,
@@ -89,7 +89,7 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Di
     """Servos on a bench: recordings, identification, diagnosis."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
-        raise InputError(options.data, "", "no recordings", "NAME.csv files, NAME.json beside each")
+        raise InputError(options.data, "", "no recordings", "NAME.csv files, each with NAME.json")
     robot = read_robot(options.data / "robot.toml")
     with _stage("read", f"{len(paths)} recordings of {options.data}"):
         recordings = [read_recording(path) for path in paths]
@@ -97,22 +97,22 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Di
         checks = [check(recording, robot) for recording in recordings]
     with _stage("identify", "gains and latency of each servo"):
         model = identify(recordings, robot, seed=options.seed)
-    with _stage("diagnose", "which physics the servos leave out"):
-        found = diagnose(_two(recordings), robot, seed=options.seed)
-    write_all(found, options.out / "diagnosis.json")
-    with _stage("replay", "the model beside what was recorded"):
+    with _stage("diagnose", "physics missing from the servo model"):
+        diagnosis = diagnose(_two(recordings), robot, seed=options.seed)
+    write_all(diagnosis, options.out / "diagnosis.json")
+    with _stage("replay", "the model on the recordings"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
     sections = [
         recordings_section(recordings, checks),
         identification_section(model, _shown(replays)),
-        diagnosis_section(found),
+        diagnosis_section(diagnosis),
     ]
-    return sections, robot, model, found
+    return sections, robot, model, diagnosis
 
 
 def _pool(
-    options: argparse.Namespace, beside: Iterator[Done]
+    options: argparse.Namespace, second_process: Iterator[Done]
 ) -> tuple[list[Section], Diagnosis, str, Section]:
     """A robot in a pool: calibration, diagnosis, ranges, a quick ablation, a swim.
 
@@ -122,55 +122,55 @@ def _pool(
     pool, out = Pool.of(options.pool), options.out
     agents = None if options.train else read_pretrained(options.pool / PRETRAINED)
     robot, swim = pool.robot, swim_of(pool.recordings[0], pool.robot)
-    fitted, drift = _received(beside, "calibrate", f"the body in the twin, on {swim.name}")
+    fitted, drift = _received(second_process, "calibrate", f"the body in the twin, on {swim.name}")
     followed = by_followed_twin(robot)
-    with _stage("diagnose", f"which physics the body leaves out, on {swim.name}"):
+    with _stage("diagnose", f"physics missing from the body model, on {swim.name}"):
         missing = diagnose_swims([swim], pool.model, robot, followed)
     write_model(missing.model, out / "swim.enriched.json")
     write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
-    found = _received(beside, "ranges", "what to randomize, and how far")
+    gathered = _received(second_process, "ranges", "randomization ranges")
     write_model(fitted.model, out / "calibrated.json")
-    write_ranges(found.ranges, out / "ranges.json")
+    write_ranges(gathered.ranges, out / "ranges.json")
     if agents is None:
-        what = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
-        with _stage("ablate", f"{what}, in the twin"):
-            told = compared(
-                pool, fitted.model, found, _ablation_in(options), options.seed, demo_pool.REPEATS,
-                plan=demo_pool.QUICK, seeds=demo_pool.SEEDS,
+        title = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
+        with _stage("ablate", f"{title}, in the twin"):
+            results = run_ablation(
+                pool, fitted.model, gathered, _ablation_in(options), options.seed,
+                demo_pool.REPEATS, plan=demo_pool.QUICK, seeds=demo_pool.SEEDS,
             )  # fmt: skip
     else:
-        what = f"{len(agents.seeds)} seeds of 4 arms, trained beforehand, in the twin"
-        told = _received(beside, "ablate", what)
+        title = f"{len(agents.seeds)} seeds of 4 arms, trained beforehand, in the twin"
+        results = _received(second_process, "ablate", title)
     plan = replace(demo_pool.QUICK, seeds=agents.seeds if agents else ())
-    write_report(told, plan, _ablation_in(options), fitted.model.provenance)
-    print(markdown(told))
+    write_report(results, plan, _ablation_in(options), fitted.model.provenance)
+    print(markdown(results))
     if drift > 1:
-        print(f"note: {_drifted(drift)}")
-    ablation = _ablation(told, agents, drift)
+        print(f"note: {_drift_warning(drift)}")
+    ablation = _ablation(results, agents, drift)
     sections = [
         calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
-        ranges_section(found),
+        ranges_section(gathered),
         ablation,
     ]
-    return sections, missing, ablation.lead, _swim(told, options, robot, fitted.model)
+    return sections, missing, ablation.lead, _swim(results, options, robot, fitted.model)
 
 
 def _ablation_in(options: argparse.Namespace) -> Path:
-    """The ablation's folder: of agents that this run trains another than of the shipped ones."""
+    """Folder of the ablation, a different one for agents trained in this run."""
     return Path(options.out / ("trained" if options.train else "ablation"))
 
 
-def _drifted(drift: float) -> str:
-    """That the shipped agents were trained for another robot than that of this calibration."""
+def _drift_warning(drift: float) -> str:
+    """Warning that the shipped agents were trained for another calibration."""
     return (
         "the shipped agents were trained for another calibration: its swim differs from this one's "
-        f"by {drift:.1f} times what this one gets wrong; --train trains agents for this one"
+        f"by {drift:.1f} times its held-out error; --train trains agents for this one"
     )
 
 
-def _ablation(told: dict[str, Any], agents: Pretrained | None, drift: float) -> Section:
-    """The chain's last stage, not its result."""
+def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) -> Section:
+    """Section on the ablation."""
     steps = demo_pool.QUICK.steps if agents is None else agents.plan["steps"]
     when = "in this run"
     if agents is not None:
@@ -180,33 +180,42 @@ def _ablation(told: dict[str, Any], agents: Pretrained | None, drift: float) -> 
         )
     note = (
         f"The agents were trained {when}. "
-        "Agents of a seed start from one shipped with the data, whose servos and densities lay "
-        f"half way between the calibrated ones and the old simulator's, and learn for {steps} "
-        "steps in their own arm's: pairs differ by their arms. A difference whose interval leaves "
-        "out zero is significant. Reality is the twin with other parameters, friction, play and a "
-        "skin here, as a pool of its own is too slow for two cores. Of a hundred such ablations 97 "
-        "or more find the servo's calibration significant, twenty another technique by chance. "
-        "Trained from scratch and evaluated in the fluid, the servo's is worth most by far "
+        "The agents of a seed start from one shipped with the data, trained with servos and "
+        "densities half way between the calibrated ones and those of the old simulator, and train "
+        f"for {steps} steps in the simulator of their arm: pairs differ only by their arms. A "
+        "difference whose interval excludes zero is significant. The reality is here the twin with "
+        "other parameters, friction, play and a skin, as a surrogate with its own fluid is too "
+        "slow for two cores. Of a hundred such ablations 97 or more find the servo calibration "
+        "significant, twenty find another technique significant by chance. Trained from scratch "
+        "and evaluated in the fluid, the servo calibration has by far the largest effect "
         "(reports/ablation)."
     )
-    apart = differences(told)
+    effects_of_arms = differences(results)
     blocks: list[Block] = [Note("info", note)]
     if drift > 1:
-        blocks.append(Note("warn", _drifted(drift)[0].upper() + _drifted(drift)[1:] + "."))
-    captions = ("", power(apart), "")
-    drawn = (return_figure(rows(told)), difference_figure(apart), way_figure(told))
+        blocks.append(
+            Note("warn", _drift_warning(drift)[0].upper() + _drift_warning(drift)[1:] + ".")
+        )
+    captions = ("", seeds_text(effects_of_arms), "")
+    plots = (
+        return_figure(rows(results)),
+        difference_figure(effects_of_arms),
+        trajectory_figure(results),
+    )
     figures = [
-        Figure(svg(one), caption, svg(one, width=NARROW))
-        for one, caption in zip(drawn, captions, strict=True)
+        Figure(svg(figure), caption, svg(figure, width=NARROW))
+        for figure, caption in zip(plots, captions, strict=True)
     ]
-    lead = keeps({row["arm"]: row for row in rows(told)})
+    lead = retention_text({row["arm"]: row for row in rows(results)})
     return Section("A quick ablation", lead, [*blocks, *figures])
 
 
-def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model) -> Section:
-    """What an agent with all techniques has learned, to watch: the best of them in simulation."""
-    mine = [agent for agent in told["agents"] if agent["arm"] == "all"]
-    best = max(mine, key=lambda agent: fmean(agent["simulation"]["return"]))
+def _swim(
+    results: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model
+) -> Section:
+    """Film of a swim of the agent with all techniques that did best in simulation."""
+    candidates = [agent for agent in results["agents"] if agent["arm"] == "all"]
+    best = max(candidates, key=lambda agent: fmean(agent["simulation"]["return"]))
     if options.train:
         (policy,) = (_ablation_in(options) / "train").glob(f"*/{best['folder']}/policy.zip")
     else:
@@ -217,29 +226,29 @@ def _swim(told: dict[str, Any], options: argparse.Namespace, robot: Robot, model
 
 
 def _two(recordings: Sequence[Recording]) -> list[Recording]:
-    """Two recordings of different kinds: enough, and quick."""
-    telling = [one for one in recordings if one.name in _TELLING]
-    return telling or list(recordings[:2])
+    """Two recordings of different kinds: sufficient for a diagnosis, and quick."""
+    chosen = [recording for recording in recordings if recording.name in _DIAGNOSED]
+    return chosen or list(recordings[:2])
 
 
 def _shown(replays: Sequence[Replay]) -> list[Fit]:
-    telling = list(most_held_out(replays).values())
-    more = [one for one in replays if one.recording.name == _SHOWN and one not in telling]
-    return [(r.recording, r.joint, r.predicted, r.held_out) for r in [*more[:1], *telling]]
+    chosen = list(most_held_out(replays).values())
+    square = [run for run in replays if run.recording.name == _SHOWN and run not in chosen]
+    return [(r.recording, r.joint, r.predicted, r.held_out) for r in [*square[:1], *chosen]]
 
 
 @contextmanager
-def _stage(name: str, what: str) -> Iterator[None]:
-    """Print a line for one stage, and how long it took."""
-    print(f"{name:10}{what}", end=" ", flush=True)
+def _stage(name: str, title: str) -> Iterator[None]:
+    """Print the name of a stage and its duration."""
+    print(f"{name:10}{title}", end=" ", flush=True)
     start = time.perf_counter()
     yield
     print(f"({time.perf_counter() - start:.1f} s)", flush=True)
 
 
-def _received(beside: Iterator[Done], name: str, what: str) -> Any:  # noqa: ANN401 - a result
-    """A stage of the second process: its line, its own seconds, its result."""
-    print(f"{name:10}{what}", end=" ", flush=True)
-    done = next(beside)
+def _received(second_process: Iterator[Done], name: str, title: str) -> Any:  # noqa: ANN401 - a result
+    """Wait for a stage of the second process, print its duration and return its result."""
+    print(f"{name:10}{title}", end=" ", flush=True)
+    done = next(second_process)
     print(f"({done.seconds:.1f} s)", flush=True)
     return done.value

@@ -1,4 +1,4 @@
-"""The pool's part of ``sim2real demo`` that a second process works on: body, ranges, agents."""
+"""The part of ``sim2real demo`` that runs in a second process: body, ranges, agents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
@@ -27,12 +27,12 @@ from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
 
 SWIMS = ("p1", "p2")
-"""Swims of the pool: the first is calibrated on, ranges take both."""
+"""Swims of the pool: the first is used for the calibration, both for the ranges."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
-"""What each arm of the ablation learns beyond the agents that all go on from."""
+"""Plan of the training of each arm, which continues from agents that all arms share."""
 SEEDS, REPEATS = 8, 12
 PRETRAINED = Path("agents") / "ablation"
-"""Where in the pool's folder the ablation's agents are that were trained beforehand."""
+"""Folder of the pretrained agents of the ablation, relative to that of the pool."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ class Pool:
         return calibrate([swim], self.model, free, by_twin(self.robot))
 
     def ranges(self, model: Model) -> Gathered:
-        """What to randomize about a calibrated model."""
+        """Randomization ranges for a calibrated model."""
         return gather(self.recordings, self.robot, model)
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a stage has made.
+    """Result of a stage.
 
     Attributes:
         value: Its result.
@@ -84,48 +84,48 @@ class Done:
 
 
 def pool_work(folder: Path, out: Path, seed: int, repeats: int, train: bool) -> Iterator[Done]:
-    """Calibration, ranges and, of agents trained beforehand, how they do in both testbeds.
+    """Calibration, ranges and the evaluation of the pretrained agents in both testbeds.
 
     Args:
-        folder: The pool's.
-        out: The ablation's.
-        seed: Of starts and noise.
+        folder: Folder of the pool.
+        out: Folder of the ablation.
+        seed: Seed of starts and noise.
         repeats: Turns of each agent in each testbed.
-        train: Whether agents will be trained, which this process then leaves to another.
+        train: Whether agents will be trained, which the calling process does.
 
     Yields:
         The ``Calibrated`` and the drift of its model from that of the shipped agents (0 with
-        ``train``), see ``pretrained.drift``; the ``Gathered``; and, without ``train``, what
-        ``ablate`` tells.
+        ``train``), see ``pretrained.drift``; the ``Gathered``; and, without ``train``, the result
+        of ``ablate``.
     """
     torch.set_num_threads(1)
-    begun = time.perf_counter()
+    start = time.perf_counter()
 
     def done(value: Any) -> Done:  # noqa: ANN401 - a stage's result
-        nonlocal begun
-        before, begun = begun, time.perf_counter()
-        return Done(value, begun - before)
+        nonlocal start
+        before, start = start, time.perf_counter()
+        return Done(value, start - before)
 
     pool = Pool.of(folder)
     agents = None if train else read_pretrained(folder / PRETRAINED)
     fitted = pool.calibrated()
-    yield done((fitted, 0.0 if agents is None else drifted(pool, fitted, agents)))
-    found = pool.ranges(fitted.model)
-    yield done(found)
+    yield done((fitted, 0.0 if agents is None else calibration_drift(pool, fitted, agents)))
+    gathered = pool.ranges(fitted.model)
+    yield done(gathered)
     if agents is not None:
-        yield done(compared(pool, fitted.model, found, out, seed, repeats, agents))
+        yield done(run_ablation(pool, fitted.model, gathered, out, seed, repeats, agents))
 
 
-def drifted(pool: Pool, fitted: Calibrated, agents: Pretrained) -> float:
-    """How far a calibration is from that which agents were trained for; see ``drift``."""
+def calibration_drift(pool: Pool, fitted: Calibrated, agents: Pretrained) -> float:
+    """Difference of a calibration from the one that agents were trained for; see ``drift``."""
     swim = swim_of(pool.recordings[0], pool.robot)
     return drift(agents.model, fitted.model, swim, by_twin(pool.robot), fitted.rmse[1])
 
 
-def compared(
+def run_ablation(
     pool: Pool,
     model: Model,
-    found: Gathered,
+    gathered: Gathered,
     out: Path,
     seed: int,
     repeats: int,
@@ -134,32 +134,36 @@ def compared(
     plan: Plan = QUICK,
     seeds: int = SEEDS,
 ) -> dict[str, Any]:
-    """The ablation in the twin: what ``ablate`` tells of it.
+    """Result of ``ablate`` in the twin.
 
     Args:
-        pool: The robot, and what its reality is.
+        pool: The robot and its reality.
         model: The calibrated model.
-        found: What is randomized about it.
-        out: The ablation's folder.
-        seed: Of starts and noise, and the first of the seeds where agents are trained.
+        gathered: Randomization ranges of the model.
+        out: Folder of the ablation.
+        seed: Seed of starts and noise, and the first seed of agents that are trained.
         repeats: Turns of each agent in each testbed.
-        agents: Those trained beforehand; trained now, in two processes, where None.
-        plan: How agents are trained.
-        seeds: How many of each arm are trained.
+        agents: Pretrained agents; if None, agents are trained in two processes.
+        plan: Plan of the training.
+        seeds: Number of agents of each arm that are trained.
     """
-    arms = [arm_of(name, model, pool.robot, found.ranges) for name in PAPER]
-    own = agents.seeds if agents else tuple(range(seed, seed + seeds))
-    plan = replace(plan, seeds=own)
-    beds = tried_in(pool.robot, arms, plan, found.ranges, read_model(pool.folder / "reality.json"))
+    arms = [arm_of(name, model, pool.robot, gathered.ranges) for name in PAPER]
+    agent_seeds = agents.seeds if agents else tuple(range(seed, seed + seeds))
+    plan = replace(plan, seeds=agent_seeds)
+    testbeds = make_testbeds(
+        pool.robot, arms, plan, gathered.ranges, read_model(pool.folder / "reality.json")
+    )
     trainer = agents.restore if agents else partial(train_in_parts, first=agents_in(pool.folder))
-    return ablate(out, pool.robot, arms, plan, beds, seed=seed, repeats=repeats, trainer=trainer)
+    return ablate(
+        out, pool.robot, arms, plan, testbeds, seed=seed, repeats=repeats, trainer=trainer
+    )
 
 
 def agents_in(pool: Path) -> list[Path]:
-    """The agents that arms go on from: they swim half way between no technique and all."""
-    found = sorted((pool / "agents").glob("*.zip"))
-    if not found:
+    """The agents that arms start from, trained half way between no technique and all."""
+    files = sorted((pool / "agents").glob("*.zip"))
+    if not files:
         raise InputError(
             pool / "agents", "", "no agents", "NAME.zip files, such as of the arm midway"
         )
-    return found
+    return files

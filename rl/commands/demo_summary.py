@@ -13,7 +13,7 @@ from sim2real.report.quantity import milliradians, quantities
 def summary_section(
     model: Model, servos: Diagnosis, body: Diagnosis, ablation: str, swim: Section
 ) -> Section:
-    """What the run found, before the sections that show how.
+    """Results of the run: the first section of the page.
 
     Args:
         model: The identified servos.
@@ -47,7 +47,7 @@ def _servos(model: Model) -> Iterator[tuple[str, str]]:
         yield f"servo {name}", f"{values}\nheld-out error {error}, sensor noise {noise}"
 
 
-def _verdict(found: Diagnosis) -> str:
+def _verdict(diagnosis: Diagnosis) -> str:
     """The verdict, and below it each effect with its probability."""
-    effects = [f"{percent(e.probability)}: {e.statement}" for e in found.effects]
-    return "\n".join([found.verdict.replace("_", " "), *effects])
+    effects = [f"{percent(e.probability)}: {e.statement}" for e in diagnosis.effects]
+    return "\n".join([diagnosis.verdict.replace("_", " "), *effects])

@@ -1,4 +1,4 @@
-"""The end of ``sim2real demo``: a swim to watch, by what was learned just before."""
+"""Last stage of ``sim2real demo``: film of a swim of a trained policy."""
 
 from __future__ import annotations
 
@@ -19,38 +19,40 @@ from sim2real.report.page import Section
 from sim2real.robot import Robot
 
 LONGEST = 500
-"""Control periods of the film at most: ten seconds."""
+"""Longest film in control periods: ten seconds."""
 _WIDTH = 480
 
 
 def swim_section(policy: Path, robot: Robot, model: Model, film: Path, seed: int) -> Section:
-    """A turn by 180 degrees in the fluid, where the policy has never been.
+    """A turn by 180 degrees in the fluid, which the policy was not trained in.
 
     Args:
-        policy: Its ``policy.zip``, learned in the twin.
+        policy: ``policy.zip`` or ``policy.npz``, trained in the twin.
         robot: The robot.
         model: Its calibrated model.
-        film: GIF to write; the page has it inside too.
-        seed: Of where the turn is.
+        film: GIF to write; the page embeds it as well.
+        seed: Seed of the start and the target.
     """
     task = shortened(TASKS["turn"], LONGEST)
     world = make_world(
         robot, task, Draws((model,)), n_envs=1, fidelity="fluid", seed=seed, threads=2
     )
-    name = "learned in the twin, swims in the fluid"
+    name = "trained in the twin, tested in the fluid"
     limits = [joint.limits_rad for joint in robot.joints]
     with Video(film) as video, Film(video, world, name, width=_WIDTH) as watch:
         swum = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
-    took = float(swum.time_s[0])
-    if np.isfinite(took):
-        said = f"It arrives after {took:.1f} s."
+    time_s = float(swum.time_s[0])
+    if np.isfinite(time_s):
+        outcome = f"It arrives after {time_s:.1f} s."
     else:
-        said = f"It has not arrived after {LONGEST / 50:.0f} s."
+        outcome = f"It has not arrived after {LONGEST / 50:.0f} s."
     lead = (
-        "Of the agents with all techniques the one that did best in simulation is to turn by 180° "
-        "and swim to a target behind it, in lattice-Boltzmann water with cells of 2 cm. It has "
-        "been trained in the twin alone. "
+        "Of the agents with all techniques, the one with the highest return in simulation turns by "
+        "180° and swims to a target behind it, in a lattice-Boltzmann fluid with cells of 2 cm. "
+        "It was trained in the twin only. "
     )
-    caption = "From above: the robot, its way, the target, and the vorticity of the water near it."
+    caption = (
+        "From above: the robot, its path, the target, and the vorticity of the water around it."
+    )
     alt = "Film of the simulated fish as it turns and swims to a target, seen from above"
-    return Section("A swim", lead + said, [Shown(film.read_bytes(), alt, caption)])
+    return Section("A swim", lead + outcome, [Shown(film.read_bytes(), alt, caption)])

@@ -28,7 +28,7 @@ from sim2real.robot import read_robot
 
 
 def run(options: argparse.Namespace) -> int:
-    """Swim the task with each policy; print, write and draw what came of it."""
+    """Run the task with each policy; print, write and plot the results."""
     out = None if options.out is None else check_writable(options.out)
     picture = None if options.plot is None else check_writable(options.plot)
     if options.video is not None:
@@ -43,9 +43,9 @@ def run(options: argparse.Namespace) -> int:
     names = list(dict.fromkeys(options.policies))
     limits = [joint.limits_rad for joint in robot.joints]
 
-    def controllers(n: int, given: Sequence[str]) -> dict[str, Controller]:
-        how: Any = {"gains": options.gains, "sampled": options.sampled}
-        return {name: controller_of(name, limits, n, **how) for name in given}
+    def controllers(n: int, policies: Sequence[str]) -> dict[str, Controller]:
+        choices: Any = {"gains": options.gains, "sampled": options.sampled}
+        return {name: controller_of(name, limits, n, **choices) for name in policies}
 
     water: Any = {
         "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
     options.result = {"task": options.task, "fidelity": options.fidelity, "results": table}
     for name, row in table.items():
-        print(said(name, row))
+        print(table_line(name, row))
     if out is not None:
         files = dict.fromkeys(with_price(name)[0] for name in names)
         inputs = [options.robot, options.model, *(file for file in files if Path(file).exists())]
@@ -67,39 +67,39 @@ def run(options: argparse.Namespace) -> int:
             "task": options.task, "fidelity": options.fidelity, "randomized": ranges is not None,
             "energy_weight": weight,
         }  # fmt: skip
-        made = provenance(inputs, options.seed)
-        write_json(out, {**content, "results": table, "provenance": made})
+        note = provenance(inputs, options.seed)
+        write_json(out, {**content, "results": table, "provenance": note})
     if picture is not None:
         draw(swims, picture)
     if options.video is not None:
         draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
         with Video(options.video) as video:
-            for name, one in controllers(1, names).items():
+            for name, controller in controllers(1, names).items():
                 with own_stream(options.device):
                     world = make_world(robot, task, draws, n_envs=1, seed=options.seed, **water)
                     with Film(video, world, shown(name)) as film:
-                        run_episodes(world, one, name=name, watch=film)
+                        run_episodes(world, controller, name=name, watch=film)
     return 0
 
 
 def shown(name: str) -> str:
-    """A policy's name for people: that of its folder where its own says no more than ``policy``."""
+    """Display name of a policy: that of its file, or of its folder if the file is ``policy``."""
     file, price = with_price(name)
-    path, at = Path(file), "" if price is None else f" at {price:g}"
-    return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + at
+    path, suffix = Path(file), "" if price is None else f" at {price:g}"
+    return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + suffix
 
 
-def said(name: str, row: dict[str, Any]) -> str:
+def table_line(name: str, row: dict[str, Any]) -> str:
     """One line of the table."""
 
-    def told(key: str, unit: str, digits: int = 2) -> str:
+    def number(key: str, unit: str, digits: int = 2) -> str:
         return "-" if row[key] is None else f"{row[key]:.{digits}f} {unit}".rstrip()
 
     return (
         f"{name}: {100 * row['success']:.0f} % of {row['episodes']} arrive, "
-        f"{told('waypoints', '', 1)} waypoints, time {told('time_s', 's')}, "
-        f"reward {told('reward', '')}, energy {told('energy', 'rad2/s2', 0)}, "
-        f"faces the target after {told('faced_target_s', 's')}"
+        f"{number('waypoints', '', 1)} waypoints, time {number('time_s', 's')}, "
+        f"reward {number('reward', '')}, energy {number('energy', 'rad2/s2', 0)}, "
+        f"faces the target after {number('faced_target_s', 's')}"
     )
 
 
@@ -109,11 +109,11 @@ def draw(swims: dict[str, Episodes], picture: Path) -> None:
     from rl.experiments.trajectories import draw as draw_ways
 
     ways: dict[str, Way | list[Way]] = {}
-    for name, one in swims.items():
-        time = one.time_s
-        first = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
-        some = range(min(5, len(time)))
-        ways[shown(name)] = [Way(one.pose[:, e, :2], first) for e in some]
+    for name, episodes in swims.items():
+        time = episodes.time_s
+        outcome = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
+        drawn = range(min(5, len(time)))
+        ways[shown(name)] = [Way(episodes.pose[:, e, :2], outcome) for e in drawn]
     figure = draw_ways(ways, next(iter(swims.values())).targets[0])
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=144)

@@ -25,6 +25,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _by_ending(out: Path) -> str:
     if out.suffix not in ENDINGS:
-        found = f"the ending {out.suffix!r}" if out.suffix else "no ending"
-        raise InputError(out, "--out", found, f"{', '.join(ENDINGS)}, or --format")
+        ending = f"the ending {out.suffix!r}" if out.suffix else "no ending"
+        raise InputError(out, "--out", ending, f"{', '.join(ENDINGS)}, or --format")
     return ENDINGS[out.suffix]

@@ -1,4 +1,4 @@
-"""Commands about policies: trained, tried, taken to the robot."""
+"""Command-line options for training, evaluating and deploying policies."""
 
 from __future__ import annotations
 

@@ -28,11 +28,11 @@ _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Swim, and write what was sent and seen as a pool recording.
+    """Swim, and write commands and measurements as a pool recording.
 
     Returns:
-        0 if the target was reached or the time was up, 1 if it had to stop; the recording is
-        written either way.
+        0 if the target was reached or the time was up, 1 if the swim was stopped early; the
+        recording is written in both cases.
     """
     target = _target(options.target)
     if not 0 < options.seconds <= LONGEST_S:
@@ -50,29 +50,33 @@ def run(options: argparse.Namespace) -> int:
         track = swim(link, pilot, interrupted=stop, progress=bar.update)
         if track is None:
             strange = f", only {link.strange} strange datagrams" if link.strange else ""
-            found = f"no word from {url} in {ANSWER_S:g} s{strange}"
-            raise InputError("--port", "", found, "a robot that speaks as rl/deploy/link.py says")
-    kept = "nothing written"
+            failure = f"no answer from {url} in {ANSWER_S:g} s{strange}"
+            raise InputError(
+                "--port", "", failure, "a robot with the protocol of rl/deploy/link.py"
+            )
+    written = "nothing written"
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
         write_recording(_recording(options, policy, track), options.out)
-        kept = f"{len(track.t)} rows in {options.out}"
-    return _told(track, kept)
+        written = f"{len(track.t)} rows in {options.out}"
+    return _report(track, written)
 
 
-def _told(track: Track, kept: str) -> int:
-    """Say in one line how it ended."""
-    away = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not begun"
+def _report(track: Track, written: str) -> int:
+    """Print the outcome in one line; return the exit status."""
+    outcome = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not started"
     if track.stopped:
-        print(f"sim2real swim: {track.stopped}; {away}; sent to rest; {kept}", file=sys.stderr)
+        print(
+            f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}", file=sys.stderr
+        )
         return 1
     if track.reached_s is not None:
-        away = f"target reached in {track.reached_s:.2f} s"
-    print(f"{away}; {kept}")
+        outcome = f"target reached in {track.reached_s:.2f} s"
+    print(f"{outcome}; {written}")
     return 0
 
 
 def _policy(path: Path) -> Policy:
-    """A policy for NumPy, or one just trained, for which PyTorch is needed."""
+    """A policy from ``.npz``, or from the ``.zip`` of a training, which needs PyTorch."""
     if path.suffix != ".zip":
         return read_npz(path)
     from rl.deploy.export import read_zip
@@ -82,7 +86,7 @@ def _policy(path: Path) -> Policy:
 
 @contextmanager
 def _robot(options: argparse.Namespace, policy: Policy) -> Iterator[str]:
-    """Where the robot is; a virtual one lives as long as the block."""
+    """URL of the robot; a virtual one runs until the block ends."""
     if not options.virtual:
         if options.port is None:
             raise InputError("--port", "", "nothing", "udp://HOST:PORT, or --virtual")

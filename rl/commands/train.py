@@ -24,28 +24,30 @@ from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
 TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}
-"""Modules with ``train_run`` and ``QUICK``, by what ``--controller`` says."""
+"""Modules with ``train_run`` and ``QUICK``, by the value of ``--controller``."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train one agent for each seed; draw how it went."""
+    """Train one agent for each seed; plot the learning curves."""
     if options.out.exists() and not options.out.is_dir():
         raise InputError(options.out, "", "a file", "a folder")
     torch.set_num_threads(1)  # the networks are small
-    given = call(options)
+    arguments = call(options)
     if options.executor is None:
-        folders = TRAINERS[options.controller].train_run(options.out, **given)
+        folders = TRAINERS[options.controller].train_run(options.out, **arguments)
     else:
-        folders = _side_by_side(options, given)
+        folders = _side_by_side(options, arguments)
     if not options.no_plots:
         draw_curves({"policy": folders}, options.out / "curve.png")
     if options.tensorboard:
         write_tensorboard(folders)
     for folder in folders:
-        seen = read_progress(folder)
-        some = np.flatnonzero(seen["episodes"] > 0)
-        last = f"return {seen['mean_return'][some[-1]]:.2f}" if some.size else "no episode ended"
-        print(f"{folder / 'policy.zip'}: {int(seen['steps'][-1])} steps, {last}")
+        progress = read_progress(folder)
+        ended = np.flatnonzero(progress["episodes"] > 0)
+        outcome = (
+            f"return {progress['mean_return'][ended[-1]]:.2f}" if ended.size else "no episode ended"
+        )
+        print(f"{folder / 'policy.zip'}: {int(progress['steps'][-1])} steps, {outcome}")
     if options.trials:
         select(options, folders)
     return 0
@@ -59,27 +61,27 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
     water["threads"] = options.threads
     prices = choose_prices(folders, fish, model, ranges, episodes=options.trials, **water)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].energy
-    found = held_out(folders, fish, model, ranges, energy=energy, episodes=options.trials, **water)
-    write_json(options.out / "trials.json", {**found, "prices": prices})
-    for agent, rows in found["agents"].items():
-        told = ", ".join(
+    trials = held_out(folders, fish, model, ranges, energy=energy, episodes=options.trials, **water)
+    write_json(options.out / "trials.json", {**trials, "prices": prices})
+    for agent, rows in trials["agents"].items():
+        summary = ", ".join(
             f"{name} {100 * rows[name]['success']:.0f} % in {rows[name]['time_s']:.1f} s at "
             f"{rows[name]['energy']:.0f} rad2/s2"
             for name in HELD_OUT
         )
         if agent in prices:
-            told = f"at {prices[agent]:.2g} times its price of energy {told}"
-        print(f"{agent}: {told}; reward {rows['score']:.2f}")
-    print(f"best of {options.trials} held-out trials each: {found['best']}")
+            summary = f"at {prices[agent]:.2g} times its price of energy: {summary}"
+        print(f"{agent}: {summary}; reward {rows['score']:.2f}")
+    print(f"best of {options.trials} held-out trials each: {trials['best']}")
 
 
 def call(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of ``train_run``, as JSON keeps them: the quick ones, then what was asked for.
+    """Arguments of ``train_run`` as JSON values; options override those of ``--quick``.
 
     Raises:
-        InputError: If an option is not of this controller.
+        InputError: If the controller has no such option.
     """
-    asked = {
+    choices = {
         "recipe": options.recipe, "task": options.task, "steps": options.steps,
         "envs": options.envs, "segment": options.segment,
         "updates_per_step": options.updates_per_step,
@@ -88,15 +90,15 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
     }  # fmt: skip
     count = options.seeds
     trainer = TRAINERS[options.controller]
-    given = {name: value for name, value in asked.items() if value is not None}
+    options_set = {name: value for name, value in choices.items() if value is not None}
     if options.first:
-        given["first"] = [str(path.absolute()) for path in options.first]
-    for name in given.keys() - inspect.signature(trainer.train_run).parameters:
-        found, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
-        raise InputError("train", option, found, "--controller sac")
+        options_set["first"] = [str(path.absolute()) for path in options.first]
+    for name in options_set.keys() - inspect.signature(trainer.train_run).parameters:
+        controller, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
+        raise InputError("train", option, controller, "--controller sac")
     return {
         **(trainer.QUICK if options.quick else {}),
-        **given,
+        **options_set,
         "robot": str(options.robot),
         "model": str(options.model),
         "ranges": None if options.ranges is None else str(options.ranges),
@@ -108,20 +110,22 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Path]:
-    """A job for each seed, on this machine or on a cluster."""
+def _side_by_side(options: argparse.Namespace, arguments: dict[str, Any]) -> list[Path]:
+    """Run a job for each seed, on this machine or on a cluster."""
     jobs = []
-    for seed in given["seeds"]:
+    for seed in arguments["seeds"]:
         name = f"seed-{seed}"
         files = {
-            k: str(Path(given[k]).absolute()) for k in ("robot", "model", "ranges") if given[k]
+            k: str(Path(arguments[k]).absolute())
+            for k in ("robot", "model", "ranges")
+            if arguments[k]
         }
-        one = {**given, **files, "seeds": [seed]}
-        if "first" in given:
-            chosen = given["seeds"].index(seed) % len(given["first"])
-            one["first"] = given["first"][chosen : chosen + 1]
+        job_arguments = {**arguments, **files, "seeds": [seed]}
+        if "first" in arguments:
+            chosen = arguments["seeds"].index(seed) % len(arguments["first"])
+            job_arguments["first"] = arguments["first"][chosen : chosen + 1]
         work = f"{TRAINERS[options.controller].__name__}:train_run"
-        jobs.append(Job(name, work, one, options.out / name))
+        jobs.append(Job(name, work, job_arguments, options.out / name))
     outcomes = run_jobs(
         jobs, executor=options.executor, at_once=options.jobs, address=options.address,
         gpus=0 if options.device == "cpu" else 1, retries=options.retries,
@@ -133,7 +137,7 @@ def _side_by_side(options: argparse.Namespace, given: dict[str, Any]) -> list[Pa
 
 
 def write_tensorboard(folders: list[Path]) -> None:
-    """The same figures for TensorBoard, beside each agent's ``progress.csv``.
+    """Write the learning curves for TensorBoard, into the folder of each agent.
 
     Raises:
         InputError: If TensorBoard is not installed.
@@ -145,10 +149,10 @@ def write_tensorboard(folders: list[Path]) -> None:
             "train", "--tensorboard", "no TensorBoard", "pip install tensorboard"
         ) from (None)
     for folder in folders:
-        seen = read_progress(folder)
-        steps = seen.pop("steps")
+        progress = read_progress(folder)
+        steps = progress.pop("steps")
         with SummaryWriter(str(folder / "tensorboard")) as writer:
-            for name, values in seen.items():
+            for name, values in progress.items():
                 for step, value in zip(steps, values, strict=True):
                     if np.isfinite(value):
                         writer.add_scalar(name, value, int(step))

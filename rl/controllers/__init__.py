@@ -1,4 +1,4 @@
-"""Controllers to compare a policy with; all see what the policy sees and send what it sends."""
+"""Classical and learned controllers with the observations and set-points of the task."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 
 class Controller(Protocol):
-    """Steers E robots at 50 Hz."""
+    """Controls E robots at 50 Hz."""
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Robots in ``mask``, shape (E,), begin anew; the others go on."""
+        """Reset the robots in ``mask``, shape (E,); the others continue."""
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Desired joint angles in rad, shape (E, J), inside the joints' limits.
 
         Args:
             observation: Surge, sway, yaw rate, J angles, J rates, target x and y in the body's
-                frame, all SI, shape (E, 5 + 2 J).
+                frame, in SI units, shape (E, 5 + 2 J).
         """

@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ADRCGains(Stroke):
-    """Gains; each a number or one for each robot (E,).
+    """Gains; each a number or an array (E,).
 
     Attributes:
-        navigation: Turning of the wanted heading for each turning of the line of sight.
-        memory_s: How long the lead that this gives is kept, in s.
+        navigation: Rate of the desired heading relative to that of the line of sight.
+        memory_s: Time constant with which the resulting lead decays, in s.
         agility_rad_s2: Largest angular acceleration of the transient profile.
-        bandwidth_rad_s: Of the heading's closed loop.
-        observer_rad_s: Of the extended state observer.
-        effect_per_s2: Angular acceleration for each rad of bend.
+        bandwidth_rad_s: Bandwidth of the closed loop of the heading.
+        observer_rad_s: Bandwidth of the extended state observer.
+        effect_per_s2: Angular acceleration per rad of bend.
     """
 
     navigation: ArrayLike
@@ -37,13 +37,13 @@ class ADRCGains(Stroke):
     effect_per_s2: ArrayLike
 
 
-def fhan(error: Array, rate: Array, most: ArrayLike, h: float) -> Array:
-    """Acceleration that brings ``error`` and its ``rate`` to zero in least time, in steps of ``h``.
+def fhan(error: Array, rate: Array, limit: ArrayLike, h: float) -> Array:
+    """Time-optimal acceleration that brings ``error`` and ``rate`` to zero, in steps of ``h``.
 
     Han's function of that name (IEEE Trans. Ind. Electron. 56 (2009) 900, section on the
-    tracking differentiator), never above ``most`` in size.
+    tracking differentiator), with magnitude up to ``limit``.
     """
-    r = np.asarray(most, dtype=np.float64)
+    r = np.asarray(limit, dtype=np.float64)
     d = r * h * h
     a0 = h * rate
     y = error + a0
@@ -54,16 +54,16 @@ def fhan(error: Array, rate: Array, most: ArrayLike, h: float) -> Array:
 
 
 class TransientProfile:
-    """Han's tracking differentiator: a goal approached with bounded acceleration.
+    """Han's tracking differentiator, which approaches a goal with bounded acceleration.
 
     Attributes:
         value, rate: The profile and its slope, shape (E,).
     """
 
-    def __init__(self, n_envs: int, most: ArrayLike, *, dt: float) -> None:
-        """``most`` is the largest acceleration, a number or one for each robot."""
+    def __init__(self, n_envs: int, limit: ArrayLike, *, dt: float) -> None:
+        """``limit`` is the largest acceleration, a number or an array (E,)."""
         self.value, self.rate = np.zeros(n_envs), np.zeros(n_envs)
-        self._most, self._dt = most, dt
+        self._limit, self._dt = limit, dt
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Robots in ``mask`` (E,) begin anew from zero."""
@@ -71,13 +71,13 @@ class TransientProfile:
 
     def update(self, goal: Array) -> None:
         """Advance by a period towards ``goal``, shape (E,)."""
-        push = fhan(self.value - goal, self.rate, self._most, self._dt)
+        push = fhan(self.value - goal, self.rate, self._limit, self._dt)
         self.value = self.value + self._dt * self.rate
         self.rate = self.rate + self._dt * push
 
 
 class ExtendedStateObserver:
-    """Linear observer of ``y'' = disturbance + effect u``, the disturbance a third state.
+    """Linear observer of ``y'' = disturbance + effect u``, with the disturbance as third state.
 
     Gains 3 w, 3 w^2, w^3 put all three poles at -w (Gao, "Scaling and bandwidth-parameterization
     based controller tuning", ACC 2003).
@@ -89,7 +89,7 @@ class ExtendedStateObserver:
     def __init__(
         self, n_envs: int, bandwidth_rad_s: ArrayLike, effect: ArrayLike, *, dt: float
     ) -> None:
-        """Begin at zero; ``bandwidth_rad_s`` times ``dt`` has to stay below 1."""
+        """Start at zero; ``bandwidth_rad_s`` times ``dt`` must be below 1."""
         w = np.broadcast_to(np.asarray(bandwidth_rad_s, dtype=np.float64), (n_envs,))
         self._gain = np.stack([3 * w, 3 * w**2, w**3], axis=1)
         self._effect, self._dt = np.asarray(effect, dtype=np.float64), dt
@@ -100,33 +100,33 @@ class ExtendedStateObserver:
         self.state[mask] = 0.0
 
     def update(self, y: Array, u: Array) -> None:
-        """Take in a measurement and the input in force until then, each of shape (E,)."""
+        """Update with a measurement and the input applied until then, each of shape (E,)."""
         z = self.state
         slope = np.stack([z[:, 1], z[:, 2] + self._effect * u, np.zeros_like(u)], axis=1)
         self.state = z + self._dt * (slope + self._gain * (y - z[:, 0])[:, None])
 
 
 class DisturbanceRejection:
-    """The controller "Li et al." of the paper: ADRC of the heading, led by proportional navigation.
+    """The controller "Li et al." of the paper: ADRC of the heading with proportional navigation.
 
-    After Li et al. (Bioinspir. Biomim. 14, 2019), whose parts these are:
-    proportional navigation gives the wanted heading, a tracking differentiator smooths it, an
-    extended state observer estimates heading, yaw rate and what disturbs them, and the feedback
-    takes the disturbance out; a central pattern generator swims about the bend that comes out.
-    The equations are Han's and Gao's, the gains our own.
+    The components are those of Li et al. (Bioinspir. Biomim. 14, 2019):
+    proportional navigation gives the desired heading, a tracking differentiator smooths it, an
+    extended state observer estimates heading, yaw rate and disturbance, and the feedback
+    compensates the disturbance; its output is the offset of a central pattern generator.
+    The equations are those of Han and Gao, the gains are tuned here.
 
-    Proportional navigation would turn the wanted heading N times as fast as the line of sight.
-    Its integral is the line of sight itself and a lead, which we let fade so that old turns do not
-    count; N = 1 is pure pursuit::
+    Proportional navigation turns the desired heading N times as fast as the line of sight. Its
+    integral is the line of sight plus a lead, which decays here so that past turns are forgotten;
+    N = 1 is pure pursuit::
 
-        wanted = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
+        desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
 
     Headings are integrals of the yaw rate since the start. Their drift cancels: the line of sight
     is heading plus bearing.
 
     Attributes:
-        gains: What it steers by.
-        observer: Of heading, yaw rate and disturbance.
+        gains: Gains.
+        observer: Observer of heading, yaw rate and disturbance.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class DisturbanceRejection:
         *,
         dt: float = CONTROL_S,
     ) -> None:
-        """Args as ``CentralPatternGenerator``; ``gains`` are the tuned ones where None."""
+        """Arguments as for ``CentralPatternGenerator``; default: the tuned ``gains``."""
         self.gains = g = tuned("adrc", ADRCGains) if gains is None else gains
         self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
         self._sight = LineOfSight(n_envs, 0.0, dt=dt)
@@ -173,10 +173,10 @@ class DisturbanceRejection:
         return self._generator.step(gains.bent(self._turn)).astype(np.float32)
 
     def _feedback(self) -> Array:
-        """The bend, as the linear form of ADRC has it: poles at the bandwidth, disturbance out."""
+        """The bend by linear ADRC: poles at the bandwidth, disturbance compensated."""
         w = np.asarray(self.gains.bandwidth_rad_s, dtype=np.float64)
         heading, rate, disturbance = self.observer.state.T
         push = w**2 * (self._profile.value - heading) + 2 * w * (self._profile.rate - rate)
-        most = np.asarray(self.gains.bend_rad, dtype=np.float64)
+        largest = np.asarray(self.gains.bend_rad, dtype=np.float64)
         bend = (push - disturbance) / np.asarray(self.gains.effect_per_s2, dtype=np.float64)
-        return np.asarray(np.clip(bend, -most, most))
+        return np.asarray(np.clip(bend, -largest, largest))

@@ -1,4 +1,4 @@
-"""A central pattern generator: coupled phase oscillators, one a joint."""
+"""A central pattern generator of coupled phase oscillators, one per joint."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from rl.task import CONTROL_S
 Array = NDArray[np.float64]
 
 SETTLE_PER_S = 12.0
-"""Rate at which amplitudes and offsets go to what is asked: 90 % of the way in 0.32 s."""
+"""Rate at which amplitudes and offsets approach their goals: 90 % in 0.32 s."""
 COUPLING_PER_S = 5.0
 """Weight of the coupling between neighbours."""
 
 
 @dataclass(frozen=True)
 class Gait:
-    """A travelling wave along the body; each value a number or one for each environment (E,).
+    """A travelling wave along the body; each value a number or an array (E,).
 
     Attributes:
-        frequency_hz: Beats a second.
+        frequency_hz: Beats per second.
         amplitude_rad: Amplitude of the last joint.
-        front: Amplitude of the first joint, as a share of the last's; those between on a line.
-        lag_rad: Phase by which a joint follows the one before it.
-        offset_rad: Bend about which every joint beats; below zero the robot turns left.
+        front: Amplitude of the first joint relative to the last; linear in between.
+        lag_rad: Phase lag of a joint relative to the previous one.
+        offset_rad: Mean angle of every joint; for negative values the robot turns left.
     """
 
     frequency_hz: ArrayLike
@@ -37,18 +37,18 @@ class Gait:
 
     def amplitudes(self, n_envs: int, n_joints: int) -> Array:
         """The joints' amplitudes in rad, shape (E, J)."""
-        along = np.linspace(0.0, 1.0, n_joints) if n_joints > 1 else np.ones(1)
+        position = np.linspace(0.0, 1.0, n_joints) if n_joints > 1 else np.ones(1)
         front = column(self.front, n_envs)
-        return column(self.amplitude_rad, n_envs) * (front + (1.0 - front) * along)
+        return column(self.amplitude_rad, n_envs) * (front + (1.0 - front) * position)
 
 
 @dataclass
 class Gliding:
-    """Values that glide to their goals without overshoot: a critically damped second order.
+    """Values that approach their goals without overshoot: critically damped, second order.
 
     Attributes:
-        value: Where they are, shape (E, J).
-        rate: How fast they change, 1/s, shape (E, J).
+        value: Values, shape (E, J).
+        rate: Rates of change, 1/s, shape (E, J).
     """
 
     value: Array
@@ -58,7 +58,7 @@ class Gliding:
         self.rate = np.zeros_like(self.value)
 
     def step(self, goal: Array, rate_per_s: float, dt: float) -> Array:
-        """Advance by ``dt``, exactly for a goal that stands still; returns the value."""
+        """Advance by ``dt``, exact for a constant goal; returns the value."""
         error = self.value - goal
         push = self.rate + rate_per_s * error
         fade = np.exp(-rate_per_s * dt)
@@ -77,7 +77,7 @@ class CentralPatternGenerator:
         phase_i'  = 2 pi f + w sum_j sin(phase_j - phase_i - lag_ij)
         angle_i   = offset_i + amplitude_i sin(phase_i)
 
-    Their output is ``r (1 + cos phase)``; ours is symmetric about the offset.
+    Their output is ``r (1 + cos phase)``; here it is symmetric about the offset.
 
     Attributes:
         limits_rad: Lowest and highest angle of each joint, shape (J, 2).
@@ -85,7 +85,7 @@ class CentralPatternGenerator:
     """
 
     def __init__(self, limits_rad: ArrayLike, n_envs: int, *, dt: float = CONTROL_S) -> None:
-        """Straight and still; ``dt`` is the control period in s."""
+        """Start with straight joints at rest; ``dt`` is the control period in s."""
         self.limits_rad = np.asarray(limits_rad, dtype=np.float64)
         self.dt = dt
         shape = (n_envs, len(self.limits_rad))
@@ -97,12 +97,12 @@ class CentralPatternGenerator:
     def reset(
         self, mask: NDArray[np.bool_], phase: ArrayLike = 0.0, angle: ArrayLike = 0.0
     ) -> None:
-        """Robots in ``mask`` (E,) begin anew.
+        """Reset the robots in ``mask`` (E,).
 
         Args:
-            mask: Which, shape (E,).
-            phase: First phase of the first joint in rad, a number or shape (E,).
-            angle: Where the joints are, in rad, a number or shape (E, J).
+            mask: Robots to reset, shape (E,).
+            phase: Initial phase of the first joint in rad, a number or shape (E,).
+            angle: Present joint angles in rad, a number or shape (E, J).
         """
         self._fresh |= mask
         self._start = np.where(mask, phase, self._start)
@@ -115,20 +115,20 @@ class CentralPatternGenerator:
         return np.where(self._fresh, self._start, self.phase[:, 0])
 
     def step(self, gait: Gait) -> Array:
-        """Advance by a period towards ``gait``; the joints' angles in rad, inside their limits.
+        """Advance by a period towards ``gait``; joint angles in rad.
 
         Returns:
-            Shape (E, J). Where offset and amplitude together pass a limit, the angle stays there.
+            Shape (E, J), clipped to the joint limits.
         """
         n_envs, n_joints = self.phase.shape
         lag = column(gait.lag_rad, n_envs)
         locked = self._start[:, None] - lag * np.arange(n_joints)
         self.phase[self._fresh] = locked[self._fresh]
         self._fresh[:] = False
-        behind = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
+        lead = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
         pull = np.zeros_like(self.phase)
-        pull[:, :-1] += behind
-        pull[:, 1:] -= behind
+        pull[:, :-1] += lead
+        pull[:, 1:] -= lead
         turn = 2 * np.pi * column(gait.frequency_hz, n_envs) + COUPLING_PER_S * pull
         self.phase = np.mod(self.phase + self.dt * turn, 2 * np.pi)
         goal = np.broadcast_to(column(gait.offset_rad, n_envs), self.phase.shape)

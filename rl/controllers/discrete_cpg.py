@@ -1,8 +1,8 @@
-"""A policy that picks a central pattern generator's parameters from a table.
+"""A policy that chooses the parameters of a central pattern generator from a table.
 
-The controller "Zhang et al." of the paper in spirit (IEEE Trans. Robot., 2022): reinforcement
-learning that decides between a few gaits and leaves the joints to the generator. The table, the
-time for which a choice holds and the network are ours. ``discrete_train`` trains it.
+Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022): reinforcement
+learning chooses between a few gaits, and the generator computes joint angles. The table, the
+duration of a choice and the network are different. ``discrete_train`` trains it.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ActionTable:
-    """N gaits to choose from.
+    """A table of N gaits.
 
     Attributes:
-        frequency_hz: Beats a second, shape (N,).
+        frequency_hz: Beats per second, shape (N,).
         amplitude_rad: Amplitude of the last joint, shape (N,).
-        offset_rad: Bend, shape (N,); below zero to the left.
-        front: Amplitude of the first joint, as a share of the last's.
-        lag_rad: Phase by which a joint follows the one before it.
-        hold: Control periods for which a choice holds.
+        offset_rad: Bend, shape (N,); negative to the left.
+        front: Amplitude of the first joint relative to the last.
+        lag_rad: Phase lag of a joint relative to the previous one.
+        hold: Duration of a choice in control periods.
     """
 
     frequency_hz: Array
@@ -58,7 +58,7 @@ class ActionTable:
         lag_rad: float,
         hold: int,
     ) -> ActionTable:
-        """Every frequency with every offset, and last of all straight and still, to glide."""
+        """All combinations of frequency and offset, and as last gait straight joints at rest."""
         rows = [(f, amplitude, b) for f, b in product(frequencies, offsets)]
         frequency, height, offset = np.array([*rows, (frequencies[0], 0.0, 0.0)]).T
         return cls(frequency, height, offset, front, lag_rad, hold)
@@ -77,20 +77,20 @@ class ActionTable:
         )
 
     def content(self) -> dict[str, Any]:
-        """It as JSON keeps it."""
+        """The table as JSON values."""
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> ActionTable:
-        """The table of ``content``.
+        """The table in ``content``.
 
         Raises:
-            KeyError, TypeError, ValueError: If it is none.
+            KeyError, TypeError, ValueError: If it is invalid.
         """
         columns = (content[k] for k in ("frequency_hz", "amplitude_rad", "offset_rad"))
         frequency, amplitude, offset = (np.array(c, dtype=np.float64) for c in columns)
         if frequency.ndim != 1 or {amplitude.shape, offset.shape} != {frequency.shape}:
-            raise ValueError("columns of unlike length")
+            raise ValueError("columns of different lengths")
         front, lag = float(content["front"]), float(content["lag_rad"])
         return cls(frequency, amplitude, offset, front, lag, int(content["hold"]))
 
@@ -98,15 +98,15 @@ class ActionTable:
 TABLE = ActionTable.of(
     (0.8, 1.6, 2.4), 0.6, (-0.6, -0.3, 0.0, 0.3, 0.6), front=1.2, lag_rad=0.8, hold=10
 )
-"""Sixteen gaits, each held for 0.2 s: half a beat of the fastest."""
+"""Sixteen gaits, each used for 0.2 s: half a beat of the fastest."""
 
 
 class DiscreteCPG:
     """A trained policy as a controller.
 
     Attributes:
-        model: The policy, by stable-baselines3.
-        table: What it chooses from.
+        model: The policy, of Stable-Baselines3.
+        table: The gaits.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class DiscreteCPG:
         *,
         dt: float = CONTROL_S,
     ) -> None:
-        """``table`` has to be that of the training."""
+        """``table`` must be that of the training."""
         self.model, self.table = model, table
         self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
         self._choice, self._left = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
@@ -135,8 +135,8 @@ class DiscreteCPG:
         self._generator.reset(self._fresh, angle=observation[:, 3 : 3 + joints])
         due = self._left == 0
         if due.any():
-            seen = with_phase(observation[due], self._generator, np.flatnonzero(due))
-            self._choice[due] = self.model.predict(seen, deterministic=True)[0]
+            inputs = with_phase(observation[due], self._generator, np.flatnonzero(due))
+            self._choice[due] = self.model.predict(inputs, deterministic=True)[0]
             self._left[due] = self.table.hold
         self._left -= 1
         self._fresh[:] = False
@@ -148,7 +148,7 @@ def with_phase(
     generator: CentralPatternGenerator,
     rows: ArrayLike | None = None,
 ) -> NDArray[np.float32]:
-    """The observations (E, N) of the generator's ``rows`` with two columns for its phase."""
+    """The observations (E, N) with two columns for the phase of the generator's ``rows``."""
     phase = generator.first_phase()
     phase = phase if rows is None else phase[np.asarray(rows, dtype=np.intp)]
     columns = [observation, np.sin(phase)[:, None], np.cos(phase)[:, None]]
@@ -156,45 +156,45 @@ def with_phase(
 
 
 def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
-    """The gaits that a trained policy chooses from; None where its file names none.
+    """Read the gaits of a trained policy; None if the file has none.
 
     Raises:
-        InputError: If it names some that are none.
+        InputError: If its gaits are invalid.
     """
     try:
         with zipfile.ZipFile(path) as file:
-            told = json.loads(file.read("data"))["gaits"]
+            content = json.loads(file.read("data"))["gaits"]
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
         return None
     try:
-        return ActionTable.from_content(told)
+        return ActionTable.from_content(content)
     except (KeyError, TypeError, ValueError) as error:
         expected = "frequencies, amplitudes and offsets"
-        raise InputError(Path(path), "gaits", f"no table of them ({error})", expected) from None
+        raise InputError(Path(path), "gaits", f"an invalid table ({error})", expected) from None
 
 
 def read_policy(
     path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
 ) -> DiscreteCPG:
-    """A policy that ``discrete_train`` wrote, as a controller.
+    """Read a policy of ``discrete_train`` as a controller.
 
-    Such a zip holds pickled Python: read only those from people you trust.
+    The zip file contains pickled Python objects: read only files from trusted sources.
 
     Args:
         path: The file.
-        table: What ``read_table`` found in it.
+        table: Its gaits, by ``read_table``.
         limits_rad: Lowest and highest angle of each joint, shape (J, 2).
         n_envs: Number of robots E.
 
     Raises:
-        InputError: If it is none, or of a robot with another number of joints.
+        InputError: If it is no policy, or for a robot with another number of joints.
     """
     try:
         model = DQN.load(Path(path), device="cpu")
-    except Exception as error:  # whatever unpickling a file that is none may raise
-        found = f"none that can be loaded ({type(error).__name__}: {error})"
+    except Exception as error:  # unpickling can raise any exception
+        problem = f"a file that cannot be loaded ({type(error).__name__}: {error})"
         expected = "a policy saved by Stable-Baselines3's DQN"
-        raise InputError(Path(path), "", found, expected) from None
+        raise InputError(Path(path), "", problem, expected) from None
     joints, shape = len(np.asarray(limits_rad)), model.observation_space.shape
     if shape != (7 + 2 * joints,):
         expected = f"{7 + 2 * joints} for the robot's {joints} joints"

@@ -1,4 +1,4 @@
-"""Choices between gaits as the actions of a vector environment."""
+"""Vector environment whose actions are choices between gaits."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _PHASE = 2
 
 
 class DiscreteCPGEnv(VecEnvWrapper):
-    """A vector environment whose actions are rows of a table, each held for ``table.hold`` periods.
+    """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
 
-    Rewards of the periods and their terms add up. The observation gets the sine and cosine of the
-    first joint's phase, without which it would not tell what a choice does next. An episode that
-    ends within a choice gives its reward until then; what the next one earns before its own first
-    choice, with the same gait, is not counted.
+    Rewards and their terms are summed over the periods. The observation includes sine and cosine of
+    the first joint's phase, which determine the effect of a choice. If an episode ends within a
+    choice, its reward until then counts; the reward of the next episode before its own first choice
+    is ignored.
     """
 
     def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
-        """Wrap ``venv``, whose actions -1 and 1 are the ends ``low`` and ``high`` of its joints."""
-        seen = venv.observation_space
-        if not isinstance(seen, spaces.Box):
-            raise TypeError(f"observations in {seen}, a box is needed")
-        low, high = (np.append(x, [y] * _PHASE) for x, y in ((seen.low, -1), (seen.high, 1)))
+        """Wrap ``venv``, whose actions -1 and 1 are the joint limits ``low`` and ``high``."""
+        space = venv.observation_space
+        if not isinstance(space, spaces.Box):
+            raise TypeError(f"observations in {space}, a box is needed")
+        low, high = (np.append(x, [y] * _PHASE) for x, y in ((space.low, -1), (space.high, 1)))
         box = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         super().__init__(venv, box, spaces.Discrete(len(table)))
         self.table = table
@@ -47,32 +47,32 @@ class DiscreteCPGEnv(VecEnvWrapper):
         return with_phase(observation, self._generator)
 
     def step_async(self, actions: NDArray[np.integer]) -> None:  # type: ignore[override]
-        """Take the choices (E,)."""
+        """Store the choices (E,)."""
         self._choice = np.asarray(actions, dtype=np.int64)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Swim them for ``table.hold`` periods."""
+        """Simulate the choices for ``table.hold`` periods."""
         gait = self.table.gait(self._choice)
         observation: Any = None
         reward = np.zeros(self.num_envs, dtype=np.float32)
-        over = np.zeros(self.num_envs, dtype=bool)
+        ended = np.zeros(self.num_envs, dtype=bool)
         ends: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         terms: list[dict[str, float]] = [{} for _ in range(self.num_envs)]
         for _ in range(self.table.hold):
             self.venv.step_async(self._scaled(self._generator.step(gait)))
-            observation, gained, done, infos = self.venv.step_wait()
-            reward += np.where(over, 0.0, gained).astype(np.float32)
-            for e in np.flatnonzero(~over):
+            observation, rewards, done, infos = self.venv.step_wait()
+            reward += np.where(ended, 0.0, rewards).astype(np.float32)
+            for e in np.flatnonzero(~ended):
                 _add_terms(terms[e], infos[e])
-            for e in np.flatnonzero(done & ~over):
+            for e in np.flatnonzero(done & ~ended):
                 ends[e] = dict(infos[e])
                 last = np.atleast_2d(ends[e]["terminal_observation"])
                 ends[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
-            over |= done
+            ended |= done
             if done.any():
                 self._begin(done, observation)
-        told = [{**end, **sums} for end, sums in zip(ends, terms, strict=True)]
-        return with_phase(observation, self._generator), reward, over, told
+        infos_out = [{**end, **sums} for end, sums in zip(ends, terms, strict=True)]
+        return with_phase(observation, self._generator), reward, ended, infos_out
 
     def _scaled(self, angle: Array) -> NDArray[np.float32]:
         low, high = self._generator.limits_rad.T

@@ -1,4 +1,4 @@
-"""Train ``discrete_cpg``'s policy with Stable-Baselines3's deep Q-learning, on a CPU in minutes.
+"""Train the policy of ``discrete_cpg`` with deep Q-learning (Stable-Baselines3).
 
 Mnih et al., "Human-level control through deep reinforcement learning" (Nature 518, 2015).
 """
@@ -35,7 +35,7 @@ COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "explor
 ROWS = 50
 """Rows of ``progress.csv``."""
 QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy_weight": 1e-4}
-"""What ``train --quick`` sets: a minute or two on one core, in the twin."""
+"""Settings of ``train --quick``: a minute or two on one core, in the twin."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,16 @@ class GaitSettings:
     """Hyper-parameters.
 
     Attributes:
-        gamma: Discount from choice to choice: 0.95 of 0.2 s looks 4 s ahead.
+        gamma: Discount factor per choice: 0.95 per 0.2 s is a horizon of 4 s.
         rate: Learning rate.
-        memory: Choices remembered.
+        memory: Size of the replay memory in choices.
         batch: Choices of an update.
         hidden: Widths of the hidden layers.
         warm_up: Random choices before learning begins.
-        updates: Updates each time that all robots have chosen.
+        updates: Updates per choice of all robots.
         follow: Choices between copies to the target network.
-        exploring: Share of the training over which exploration falls to ``least``.
-        least: Share of random choices in the end.
+        exploring: Share of the training over which exploration decreases to ``least``.
+        least: Final share of random choices.
     """
 
     gamma: float = 0.95
@@ -68,7 +68,7 @@ class GaitSettings:
 
 
 def make_dqn(env: VecEnv, seed: int, settings: GaitSettings = GaitSettings()) -> DQN:
-    """A fresh agent for ``env``, a ``DiscreteCPGEnv``."""
+    """An untrained agent for ``env``, a ``DiscreteCPGEnv``."""
     return DQN(
         "MlpPolicy", env, learning_rate=settings.rate, buffer_size=settings.memory,
         learning_starts=settings.warm_up, batch_size=settings.batch, gamma=settings.gamma,
@@ -98,31 +98,31 @@ def train_run(
 ) -> list[Path]:
     """Train an agent for each seed, one after the other; see the command ``train`` for the options.
 
-    A run that was killed keeps the agents that were done and begins the others anew.
+    A run that was killed keeps finished agents and restarts the others.
 
     Returns:
-        The agents' folders, each with ``policy.zip`` and ``progress.csv``.
+        Folders of the agents, each with ``policy.zip`` and ``progress.csv``.
 
     Raises:
-        InputError: If a file or an option is at fault.
+        InputError: If a file or an option is wrong.
     """
     for option, value in (("--steps", steps), ("--envs", envs)):
         if value < 1:
             raise InputError("train", option, str(value), "at least 1")
     fish, fitted = read_robot(robot), read_model(model)
-    given = None if ranges is None else read_ranges(ranges)
+    drawn = None if ranges is None else read_ranges(ranges)
     chosen, settings = TASKS[task], GaitSettings()
     if energy_weight is not None:
         chosen = replace(chosen, energy=energy_weight)
-    draws = draws_of(fitted, given, fish, seed=0)
+    draws = draws_of(fitted, drawn, fish, seed=0)
     inputs = [robot, model, *([] if ranges is None else [ranges])]
-    about = {
+    description = {
         "controller": "discrete-cpg", "task": task, "energy": chosen.energy, "steps": steps,
         "envs": envs, "fidelity": fidelity, "gaits": table.content(), "settings": asdict(settings),
     }  # fmt: skip
     folders = [folder / f"{name}-{seed}" for seed in seeds]
-    for place, seed in zip(folders, seeds, strict=True):
-        if _is_done(place, {**about, "seed": seed}, provenance(inputs, seed)):
+    for directory, seed in zip(folders, seeds, strict=True):
+        if _is_done(directory, {**description, "seed": seed}, provenance(inputs, seed)):
             continue
         with own_stream(device):
             world = make_world(
@@ -130,44 +130,46 @@ def train_run(
                 cell_m=cell_m, threads=threads,
             )  # fmt: skip
             agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), table), seed, settings)
-            telling = Telling(steps, table.hold)
-            agent.learn(-(-steps // table.hold), callback=telling)
+            callback = Progress(steps, table.hold)
+            agent.learn(-(-steps // table.hold), callback=callback)
         agent.gaits, agent.joints = table.content(), [joint.name for joint in fish.joints]
-        write_whole(place / "progress.csv", telling.csv())
-        save(agent, place / "policy.zip")
+        write_whole(directory / "progress.csv", callback.csv())
+        save(agent, directory / "policy.zip")
     return folders
 
 
-def _is_done(place: Path, about: dict[str, Any], made: dict[str, Any]) -> bool:
-    """Whether this very agent is trained; ``run.json`` says which it is."""
-    path = place / "run.json"
+def _is_done(directory: Path, description: dict[str, Any], note: dict[str, Any]) -> bool:
+    """Whether the agent of ``run.json`` has been trained."""
+    path = directory / "run.json"
     if not path.exists():
-        write_json(path, {**about, "provenance": made})
-    known = json.loads(path.read_text())
-    same = json.loads(json.dumps(about))
-    if {k: known.get(k) for k in same} != same or known["provenance"]["inputs"] != made["inputs"]:
+        write_json(path, {**description, "provenance": note})
+    existing = json.loads(path.read_text())
+    expected_content = json.loads(json.dumps(description))
+    if {k: existing.get(k) for k in expected_content} != expected_content or existing["provenance"][
+        "inputs"
+    ] != note["inputs"]:
         expected = "the same options and files, or a new folder"
-        raise InputError(place, "run.json", "another run", expected)
-    return (place / "policy.zip").exists()
+        raise InputError(directory, "run.json", "another run", expected)
+    return (directory / "policy.zip").exists()
 
 
 def save(agent: DQN, path: Path) -> None:
-    """Write a policy, whole or not at all."""
+    """Write a policy atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
     agent.save(temporary)
     os.replace(temporary, path)
 
 
-class Telling(BaseCallback):
-    """A progress bar, and the rows of ``progress.csv``.
+class Progress(BaseCallback):
+    """Progress bar and rows of ``progress.csv``.
 
     Attributes:
-        rows: ``COLUMNS`` of each part of the training.
+        rows: Rows with the columns ``COLUMNS``.
     """
 
     def __init__(self, steps: int, hold: int) -> None:
-        """``steps`` of all robots together in control periods, ``hold`` of them a choice."""
+        """``steps`` are control periods of all robots together, ``hold`` those of a choice."""
         super().__init__()
         self.rows: list[list[float]] = []
         self._every, self._hold = max(1, steps // ROWS), hold

@@ -8,39 +8,39 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 _COMMIT_RAD = 1.25 * np.pi
-"""A turn goes on the same way up to this bearing, though the other way be shorter by then."""
+"""Bearing up to which a turn keeps its direction, even if the other is shorter: hysteresis."""
 _NEAR_M = 0.05
-"""Distance below which the target is reached; the line of sight turns no faster than there."""
+"""Distance at which the target is reached; smallest distance in the line-of-sight rate."""
 
 
 def bearing(observation: NDArray[np.floating]) -> Array:
     """Angle from the heading to the target in rad, left positive, shape (E,)."""
-    seen = np.asarray(observation, dtype=np.float64)
-    return np.asarray(np.arctan2(seen[:, -1], seen[:, -2]))
+    columns = np.asarray(observation, dtype=np.float64)
+    return np.asarray(np.arctan2(columns[:, -1], columns[:, -2]))
 
 
 def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
-    """How fast the line to a target at rest turns in the world, in rad/s, shape (E,).
+    """Angular rate of the line to a target at rest, in the pool's frame, in rad/s, shape (E,).
 
     With the target at r in the body's frame and the robot's velocity v, it is
-    ``-(r x v) / |r|^2``: no signal needs to be differentiated.
+    ``-(r x v) / |r|^2``, without differentiation of a signal.
     """
-    seen = np.asarray(observation, dtype=np.float64)
-    surge, sway, x, y = seen[:, 0], seen[:, 1], seen[:, -2], seen[:, -1]
+    columns = np.asarray(observation, dtype=np.float64)
+    surge, sway, x, y = columns[:, 0], columns[:, 1], columns[:, -2], columns[:, -1]
     return np.asarray((y * surge - x * sway) / np.maximum(x * x + y * y, _NEAR_M**2))
 
 
 class LineOfSight:
-    """Bearing and rate of the line of sight, without jumps, smoothed over the tail's beat.
+    """Bearing and rate of the line of sight, unwrapped, smoothed over the tail's beat.
 
     Attributes:
-        bearing: Angle to the target in rad, shape (E,), within 225 degrees either side.
-        smooth: The same through a low-pass filter of first order.
-        rate: Turning of the line in rad/s through the same filter.
+        bearing: Angle to the target in rad, shape (E,), within 225 degrees to either side.
+        smooth: The bearing after a first-order low-pass filter.
+        rate: Angular rate of the line in rad/s after the same filter.
     """
 
     def __init__(self, n_envs: int, filter_s: ArrayLike, *, dt: float) -> None:
-        """``filter_s`` is the filter's time constant in s, a number or one for each robot."""
+        """``filter_s`` is the time constant of the filter in s, a number or an array (E,)."""
         self._share = -np.expm1(-dt / np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9))
         self._fresh = np.ones(n_envs, dtype=bool)
         self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
@@ -50,19 +50,21 @@ class LineOfSight:
         self._fresh |= mask
 
     def update(self, observation: NDArray[np.floating]) -> None:
-        """Take in one control period."""
-        seen, rate = bearing(observation), line_of_sight_rate(observation)
-        near = self.bearing + wrap(seen - self.bearing)
-        now = np.where(self._fresh | (np.abs(near) > _COMMIT_RAD), seen, near)
-        whole = 2 * np.pi * np.round((now - near) / (2 * np.pi))  # the other way round, from now on
-        self.smooth = np.where(self._fresh, now, self.smooth + whole)
+        """Update with the observation of a control period."""
+        measured, rate = bearing(observation), line_of_sight_rate(observation)
+        continued = self.bearing + wrap(measured - self.bearing)
+        current = np.where(self._fresh | (np.abs(continued) > _COMMIT_RAD), measured, continued)
+        turns = (
+            2 * np.pi * np.round((current - continued) / (2 * np.pi))
+        )  # turns if the direction changes
+        self.smooth = np.where(self._fresh, current, self.smooth + turns)
         self.rate = np.where(self._fresh, rate, self.rate)
-        self.smooth += self._share * (now - self.smooth)
+        self.smooth += self._share * (current - self.smooth)
         self.rate += self._share * (rate - self.rate)
-        self.bearing = now
+        self.bearing = current
         self._fresh[:] = False
 
 
 def wrap(angle: Array) -> Array:
-    """Angles brought into [-pi, pi)."""
+    """Angles wrapped to [-pi, pi)."""
     return np.asarray(np.mod(angle + np.pi, 2 * np.pi) - np.pi)

@@ -1,4 +1,4 @@
-"""Proportional navigation that bends a central pattern generator's wave."""
+"""Proportional navigation with a central pattern generator."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rl.task import CONTROL_S
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Gains; each a number or one for each robot (E,).
+    """Gains; each a number or an array (E,).
 
     Attributes:
-        navigation_s: Bend for each rad/s by which the line of sight turns, in s.
-        pursuit: Bend for each rad of bearing.
-        filter_s: Time constant of the filter over the tail's beat, in s.
+        navigation_s: Bend per angular rate of the line of sight, in s.
+        pursuit: Bend per rad of bearing.
+        filter_s: Time constant of the filter that averages over the tail's beat, in s.
     """
 
     navigation_s: ArrayLike
@@ -33,15 +33,14 @@ class ProportionalNavigation:
     """The controller "PNL" of the paper: the bend follows the line of sight.
 
     Proportional navigation (Guelman, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 364) turns the
-    velocity in proportion to the turning of the line of sight; at a given beat a fish turns about
-    in proportion to its bend, so the bend is what we command. A target straight behind turns the
-    line of sight not at all, so the bearing gets a gain of its own, without which the 180 degree
-    turn would not begin::
+    velocity in proportion to the rate of the line of sight; at constant frequency the yaw rate of a
+    fish is about proportional to its bend, so the bend is the command. For a target directly behind
+    the rate of the line of sight is zero; a gain on the bearing makes the 180 degree turn start::
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
 
     Attributes:
-        gains: What it steers by.
+        gains: Gains.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class ProportionalNavigation:
         *,
         dt: float = CONTROL_S,
     ) -> None:
-        """Args as ``CentralPatternGenerator``; ``gains`` are the tuned ones where None."""
+        """Arguments as for ``CentralPatternGenerator``; default: the tuned ``gains``."""
         self.gains = tuned("pnl", PNLGains) if gains is None else gains
         self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
         self._sight = LineOfSight(n_envs, self.gains.filter_s, dt=dt)

@@ -1,4 +1,4 @@
-"""How a controller that only steers swims: a steady wave, bent to one side to turn."""
+"""The swimming stroke of the classical controllers: a steady wave with a bend for turning."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rl.controllers.cpg import CentralPatternGenerator, Gait
 
 @dataclass(frozen=True)
 class Stroke:
-    """The wave and its bend; each value a number or one for each robot (E,).
+    """The wave and its bend; each value a number or an array (E,).
 
     Attributes:
-        frequency_hz: Beats a second.
+        frequency_hz: Beats per second.
         amplitude_rad: Amplitude of the last joint.
-        front: Amplitude of the first joint, as a share of the last's.
-        lag_rad: Phase by which a joint follows the one before it.
+        front: Amplitude of the first joint relative to the last.
+        lag_rad: Phase lag of a joint relative to the previous one.
         bend_rad: Largest offset.
-        ease: Share of the amplitude given up in the largest bend.
+        ease: Relative reduction of the amplitude at the largest bend.
     """
 
     frequency_hz: ArrayLike
@@ -32,12 +32,12 @@ class Stroke:
 
     def bent(self, turn: NDArray[np.float64]) -> Gait:
         """The wave about an offset of ``turn`` in rad, shape (E,), positive to the left."""
-        most = np.asarray(self.bend_rad, dtype=np.float64)
-        offset = np.clip(turn, -most, most)
-        kept = 1.0 - np.asarray(self.ease) * np.abs(offset) / most
+        largest = np.asarray(self.bend_rad, dtype=np.float64)
+        offset = np.clip(turn, -largest, largest)
+        share = 1.0 - np.asarray(self.ease) * np.abs(offset) / largest
         return Gait(
             frequency_hz=self.frequency_hz,
-            amplitude_rad=np.asarray(self.amplitude_rad) * kept,
+            amplitude_rad=np.asarray(self.amplitude_rad) * share,
             front=self.front,
             lag_rad=self.lag_rad,
             offset_rad=-offset,
@@ -50,9 +50,9 @@ def begin(
     left: NDArray[np.bool_],
     observation: NDArray[np.floating],
 ) -> None:
-    """Robots in ``mask`` begin from the angles they have, the first beat to their target's side.
+    """Reset robots in ``mask`` to their present angles, with the first beat towards the target.
 
-    So a robot whose target is mirrored swims the mirrored path. ``mask`` and ``left`` (E,).
+    Mirrored targets thus give mirrored paths. ``mask`` and ``left`` have shape (E,).
     """
     n_joints = generator.phase.shape[1]
     generator.reset(mask, np.where(left, np.pi, 0.0), observation[:, 3 : 3 + n_joints])

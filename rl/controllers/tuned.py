@@ -1,4 +1,4 @@
-"""Gains that the tuning found, the controllers' defaults."""
+"""Tuned gains, the defaults of the controllers."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     Gains = TypeVar("Gains", bound=DataclassInstance)
 
 TUNED = Path(__file__).with_name("tuned.toml")
-"""Written by ``benchmarks/tune_controllers.py``, which says how."""
+"""Written by ``benchmarks/tune_controllers.py``."""
 PACES = ("fast", "middle", "frugal")
-"""What was asked of the gains: the less time, the more energy."""
+"""Trade-offs of the tuning, from little time and much energy to the opposite."""
 
 
 def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED) -> Gains:
     """The gains under ``[name.pace]`` in ``path``.
 
     Raises:
-        InputError: If the table or one of its values is missing or no number.
+        InputError: If the table is missing, or a value is missing or not a number.
     """
     with path.open("rb") as file:
         table: dict[str, Any] = tomllib.load(file).get(name, {}).get(pace, {})
     values = {}
-    for wanted in (one.name for one in fields(kind)):
-        value = table.get(wanted)
+    for field in (one.name for one in fields(kind)):
+        value = table.get(field)
         if not isinstance(value, int | float):
-            raise InputError(path, f"{name}.{pace}.{wanted}", repr(value), "a number")
-        values[wanted] = float(value)
+            raise InputError(path, f"{name}.{pace}.{field}", repr(value), "a number")
+        values[field] = float(value)
     return kind(**values)

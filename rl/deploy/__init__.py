@@ -1,1 +1,1 @@
-"""A policy outside the simulator: exports, radio, pilot."""
+"""Deployment of policies: exports, radio, pilot."""

@@ -1,4 +1,4 @@
-"""A trained policy as a controller at 50 Hz, in NumPy alone."""
+"""A trained policy as a controller at 50 Hz, with NumPy only."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float32]
 
 
 class PolicyController:
-    """Its mean action through the observer it was trained with; each robot keeps its own time.
+    """The mean action of a policy, with the observer of its training; robots are asynchronous.
 
     Attributes:
         policy: The policy.
@@ -28,7 +28,7 @@ class PolicyController:
         self._fresh = np.ones(n, dtype=bool)
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Robots in ``mask``, shape (E,), begin anew."""
+        """Reset the robots in ``mask``, shape (E,)."""
         if len(mask) != len(self._fresh):
             self._start(len(mask))
         self._fresh = self._fresh | mask
@@ -38,22 +38,22 @@ class PolicyController:
 
         Args:
             observation: The task's columns, shape (E, O).
-            gone: Control periods since the last call; more than one where frames were lost.
+            gone: Control periods since the last call; more than one if frames were lost.
         """
         if len(observation) != len(self._fresh):
             self._start(len(observation))
-        seen = np.asarray(observation, dtype=np.float32)
+        clipped = np.asarray(observation, dtype=np.float32)
         limit = self.policy.observation_limit
-        seen = np.clip(seen, -limit, limit)
+        clipped = np.clip(clipped, -limit, limit)
         if self._fresh.any():
-            self._observer.begin(seen, self._fresh)
+            self._observer.begin(clipped, self._fresh)
         period = self.policy.view.period
         self._since = np.where(self._fresh, 0, self._since + gone)
         due = self._fresh | (self._since >= period)
         self._since %= period
         self._fresh = np.zeros_like(self._fresh)
         if due.any():
-            inputs = self._observer.see(seen, due)
+            inputs = self._observer.observe(clipped, due)
             self._observer.decide(self.decided(inputs), due)
         tick = self._since[:, None].astype(np.float32)
         return np.asarray(self._observer.set_points(tick), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Trained policies, taken out of Stable-Baselines3 and written for NumPy, C and ONNX."""
+"""Export of policies trained with Stable-Baselines3 to NumPy, C and ONNX."""
 
 from __future__ import annotations
 
@@ -29,69 +29,69 @@ def read_zip(
 ) -> Policy:
     """Read the policy of an SAC agent, without its memory and critics.
 
-    Where the agent says what angles its actions of -1 and 1 mean (as ``rl.sac.sac`` makes them), so
-    does the policy; otherwise its action space is in rad.
+    If the agent states the angles of its actions -1 and 1 (as those of ``rl.sac.sac`` do), the
+    policy has them; otherwise its action space is in rad.
 
-    Such a zip holds pickled Python: read only those from people you trust.
+    The zip file contains pickled Python objects: read only files from trusted sources.
 
     Args:
         path: Saved by ``SAC.save``.
         seed: For the provenance.
-        price: What energy costs it, over the training's own; that of the file where None.
+        price: Price of energy relative to that of the training; default: that of the file.
 
     Raises:
-        InputError: If it is none, or a policy that is not a plain network with ReLU, or did not
-            learn for this price.
+        InputError: If it is no policy, not a fully connected network with ReLU, or was not trained
+            for this price.
     """
     file = Path(path)
     agent = read_agent(file)
     if price is not None:
         set_price(agent, price, where=str(file))
-    return policy_of(agent, where=str(file), made={**provenance([file], seed)})
+    return policy_of(agent, where=str(file), note={**provenance([file], seed)})
 
 
 def read_agent(path: str | os.PathLike[str]) -> SAC:
-    """Read an SAC agent without room for a memory; see ``read_zip``.
+    """Read an SAC agent without replay memory; see ``read_zip``.
 
     Raises:
-        InputError: If there is none.
+        InputError: If it cannot be read.
     """
     file = Path(path)
     if not file.is_file():
         raise InputError(file, "", "no file", _EXPECTED)
     try:
         return SAC.load(file, device="cpu", custom_objects={"buffer_size": 1})
-    except Exception as error:  # whatever unpickling a file that is none may raise
-        found = f"none that can be loaded ({type(error).__name__}: {error})"
-        raise InputError(file, "", found, _EXPECTED) from None
+    except Exception as error:  # unpickling can raise any exception
+        problem = f"a file that cannot be loaded ({type(error).__name__}: {error})"
+        raise InputError(file, "", problem, _EXPECTED) from None
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
-    """Let an agent swim at another price of energy that it learned for.
+    """Set another price of energy that an agent was trained for.
 
     The price is a constant input of its actor, and goes into the first layer's bias.
 
     Args:
-        agent: As ``rl.sac`` saves them.
-        price: Over the training's own.
+        agent: An agent saved by ``rl.sac``.
+        price: Price relative to that of the training.
         where: Its file, for errors.
 
     Raises:
-        InputError: If the agent did not learn for this price.
+        InputError: If the agent was not trained for this price.
     """
-    known: dict[str, Any] = getattr(agent, "by_price", {})
-    prices = known.get("prices", 1.0)
+    by_price: dict[str, Any] = getattr(agent, "by_price", {})
+    prices = by_price.get("prices", 1.0)
     if not 1 / prices <= price <= prices:
-        expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, as it learned"
+        expected = f"{1 / prices:g} to {prices:g}" if prices > 1 else "1, as in training"
         raise InputError(where, "price", f"{price:g}", expected)
     if prices > 1:
         share, actor = math.log(price) / math.log(prices), cast(Any, agent.actor)
         bias = actor.latent_pi[0].bias.data
-        bias += bias.new_tensor(known["column"]) * (share - known["share"])
-        known["share"] = share
+        bias += bias.new_tensor(by_price["column"]) * (share - by_price["share"])
+        by_price["share"] = share
 
 
-def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | None = None) -> Policy:
+def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | None = None) -> Policy:
     """The deterministic policy of an SAC agent.
 
     Raises:
@@ -102,8 +102,8 @@ def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | Non
     view = view_of(agent)
     F, J = layers[0].in_features, len(low)
     if view.size(J) != F:
-        found = f"{F} columns for {J} joints"
-        raise InputError(where, "observation", found, f"{view.size(J)}, as its view has them")
+        problem = f"{F} columns for {J} joints"
+        raise InputError(where, "observation", problem, f"{view.size(J)}, as in its view")
     return Policy(
         weights=tuple(_array(layer.weight) for layer in layers),
         biases=tuple(_array(layer.bias) for layer in layers),
@@ -113,12 +113,12 @@ def policy_of(agent: SAC, *, where: str = "agent", made: Mapping[str, Any] | Non
         observation=tuple(observation_names(joints)),
         observation_limit=np.array(observation_bounds(J), dtype=np.float32),
         view=view,
-        provenance=dict(made or {}),
+        provenance=dict(note or {}),
     )
 
 
 def view_of(agent: SAC) -> View:
-    """How an agent looks at the task; as the paper's where it doesn't say."""
+    """View of an agent; that of the paper if it has none."""
     view = getattr(agent, "view", PAPER)
     return view if isinstance(view, View) else PAPER
 
@@ -126,8 +126,8 @@ def view_of(agent: SAC) -> View:
 def _layers(agent: SAC, where: str) -> list[nn.Linear]:
     actor: Any = agent.actor
     if not isinstance(actor.features_extractor, FlattenExtractor):
-        found = type(actor.features_extractor).__name__
-        raise InputError(where, "policy", f"a {found}", "an MlpPolicy")
+        extractor = type(actor.features_extractor).__name__
+        raise InputError(where, "policy", f"a {extractor}", "an MlpPolicy")
     if not isinstance(actor.mu, nn.Linear):
         raise InputError(where, "policy", "state-dependent exploration", "a policy without")
     modules: list[Any] = list(actor.latent_pi) if isinstance(actor.latent_pi, nn.Sequential) else []
@@ -139,15 +139,15 @@ def _layers(agent: SAC, where: str) -> list[nn.Linear]:
 
 
 def _actions(agent: SAC) -> tuple[Any, Any, tuple[str, ...]]:
-    """Angles in rad at the ends of tanh's range, and the joints' names."""
+    """Angles in rad of the actions -1 and 1, and names of the joints."""
     box: Any = agent.action_space
     low, high = box.low.astype(np.float32), box.high.astype(np.float32)
     joints = getattr(agent, "joints", None)
     if joints is None:
         return low, high, tuple(f"j{k + 1}" for k in range(len(low)))
-    told: Any = agent
-    first, span = told.joint_low, told.joint_high - told.joint_low
-    ends = (np.asarray(first + (end + 1) / 2 * span, dtype=np.float32) for end in (low, high))
+    attributes: Any = agent
+    lowest, span = attributes.joint_low, attributes.joint_high - attributes.joint_low
+    ends = (np.asarray(lowest + (end + 1) / 2 * span, dtype=np.float32) for end in (low, high))
     return next(ends), next(ends), tuple(map(str, joints))
 
 
@@ -160,15 +160,15 @@ FORMATS: Mapping[str, tuple[str, Callable[[Policy], str | bytes]]] = {
     "c": (".h", c_header),
     "onnx": (".onnx", onnx_model),
 }
-"""Each format's file name ending and writer."""
+"""File name extension and writer of each format."""
 
 
 def write_policy(policy: Policy, path: Path, formats: tuple[str, ...]) -> list[Path]:
-    """Write a policy, ``path`` with the ending of each format; all are made before one is written.
+    """Write a policy in several formats, to ``path`` with the extension of each.
 
     Raises:
-        InputError: If a format's package is missing or a file can't be written.
+        InputError: If the package of a format is missing or a file cannot be written.
     """
-    files = [check_writable(path.with_suffix(FORMATS[one][0])) for one in formats]
-    contents = [FORMATS[one][1](policy) for one in formats]
+    files = [check_writable(path.with_suffix(FORMATS[name][0])) for name in formats]
+    contents = [FORMATS[name][1](policy) for name in formats]
     return [write_whole(file, content) for file, content in zip(files, contents, strict=True)]

@@ -1,4 +1,4 @@
-"""A policy outside the building it was trained in: a file of arrays and ten lines of NumPy."""
+"""A policy as a file of arrays, and its evaluation with NumPy."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from sim2real.errors import InputError
 
 SCHEMA = "sim2real.policy/2"
 FIRST = "sim2real.policy/1"
-"""What was written before policies had a view: the paper's."""
+"""Former schema without a view, which is that of the paper."""
 
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Policy:
-    """A network of fully connected layers, ReLU between them, tanh at the end.
+    """A fully connected network with ReLU between layers and tanh at the output.
 
     Attributes:
-        weights: Of each layer, shape (outputs, inputs).
-        biases: Of each layer, shape (outputs,).
-        low, high: Angles in rad that tanh's -1 and 1 stand for, shape (J,).
-        joints: Names of the J joints, in the action's order.
-        observation: Names of the O columns that the task observes, with units, in order.
-        observation_limit: Largest size of each column in training, where it was cut, shape (O,).
-        view: How the policy looks at them, and when; its F columns are the network's inputs.
-        provenance: Where it came from.
+        weights: Weights of each layer, shape (outputs, inputs).
+        biases: Biases of each layer, shape (outputs,).
+        low, high: Angles in rad of the outputs -1 and 1, shape (J,).
+        joints: Names of the J joints, in the order of the action.
+        observation: Names of the O columns of the task's observation, with units, in order.
+        observation_limit: Magnitude that each column was clipped to in training, shape (O,).
+        view: Definition of the observations; its F columns are the inputs of the network.
+        provenance: Provenance.
     """
 
     weights: tuple[Array, ...]
@@ -51,25 +51,25 @@ class Policy:
 
 
 def forward(policy: Policy, inputs: NDArray[Any]) -> Array:
-    """Decisions between -1 and 1, shape (..., J): what the trained policy does without noise.
+    """Deterministic decisions of a policy, between -1 and 1, shape (..., J).
 
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C). What
-    they mean in rad, and when, says ``rl.observer``.
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
+    ``rl.observer`` converts them to set-points.
 
     Args:
         policy: The policy.
-        inputs: Columns as ``policy.view`` says, shape (..., F).
+        inputs: Columns of ``policy.view``, shape (..., F).
     """
     x = np.asarray(inputs, dtype=np.float32)
-    *hidden, last = zip(policy.weights, policy.biases, strict=True)
+    *hidden, output = zip(policy.weights, policy.biases, strict=True)
     for weight, bias in hidden:
         x = np.maximum(x @ weight.T + bias, np.float32(0))
-    weight, bias = last
+    weight, bias = output
     return np.asarray(np.tanh(x @ weight.T + bias), dtype=np.float32)
 
 
 def npz(policy: Policy) -> bytes:
-    """The content of ``policy.npz``; ``numpy.load`` needs no pickle for it."""
+    """The content of ``policy.npz``, readable by ``numpy.load`` without pickle."""
     layers: dict[str, Any] = {}
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         layers |= {f"weight_{k}": weight, f"bias_{k}": bias}
@@ -93,7 +93,7 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
     """Read ``policy.npz``.
 
     Raises:
-        InputError: If it can't be read, or its arrays do not fit together.
+        InputError: If it cannot be read, or the shapes of its arrays are inconsistent.
     """
     file = Path(path)
     try:
@@ -119,7 +119,7 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
     except KeyError as error:
         raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None
     except (TypeError, ValueError) as error:
-        raise InputError(file, "", f"an array that is none ({error})", "finite numbers") from None
+        raise InputError(file, "", f"an invalid array ({error})", "finite numbers") from None
     _check(file, policy)
     return policy
 
@@ -127,24 +127,24 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
 def _view(content: Mapping[str, NDArray[Any]]) -> View:
     if str(content["schema"]) == FIRST:
         return PAPER
-    told = json.loads(str(content["view"]))
+    fields = json.loads(str(content["view"]))
     kinds = {"period": int, "ramp": bool, "memory": int, "scaled": bool, "sides": bool}
-    if not isinstance(told, dict) or {k: type(v) for k, v in told.items()} != kinds:
-        raise ValueError(f"a view {told!r}")
-    if told["period"] < 1 or told["memory"] < 0:
-        raise ValueError(f"a view {told!r}")
-    return View(**told)
+    if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
+        raise ValueError(f"a view {fields!r}")
+    if fields["period"] < 1 or fields["memory"] < 0:
+        raise ValueError(f"a view {fields!r}")
+    return View(**fields)
 
 
 def _numbers(values: NDArray[Any]) -> Array:
-    found = np.asarray(values, dtype=np.float32)
-    if not np.isfinite(found).all():
+    numbers = np.asarray(values, dtype=np.float32)
+    if not np.isfinite(numbers).all():
         raise ValueError("not finite")
-    return found
+    return numbers
 
 
 def _check(file: Path, policy: Policy) -> None:
-    """Make sure that the layers follow on each other, from observation to joints."""
+    """Check the shapes of the layers, from observation to joints."""
     J = len(policy.joints)
     width = policy.view.size(J)
     if len(policy.observation) != 5 + 2 * J:
@@ -154,12 +154,12 @@ def _check(file: Path, policy: Policy) -> None:
         raise InputError(file, "weight_0", "nothing", "an array of that name")
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
-            found = f"the shapes {weight.shape} and {bias.shape}"
+            shapes = f"the shapes {weight.shape} and {bias.shape}"
             expected = f"(outputs, {width}) and (outputs,)"
-            raise InputError(file, f"weight_{k} and bias_{k}", found, expected)
+            raise InputError(file, f"weight_{k} and bias_{k}", shapes, expected)
         width = weight.shape[0]
     if width != J:
-        raise InputError(file, "joints", f"{J} for {width} outputs", "one an output")
+        raise InputError(file, "joints", f"{J} for {width} outputs", "one per output")
     columns = (len(policy.observation),)
     for name, array, shape in (
         ("low_rad", policy.low, (J,)),

@@ -1,4 +1,4 @@
-"""A policy as one C header, for the microcontroller in the robot."""
+"""Export of a policy as a C header, for a microcontroller."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from sim2real.velocity import NEWEST
 _PER_LINE = 8
 
 _TEMPLATE = """\
-/* A policy that swims, made by 'sim2real export'. C99; also C++. No allocation.
+/* A swimming policy, written by 'sim2real export'. C99; also C++. No allocation.
  *
- * policy_begin(&memory, observation), once at the start; then, 50 times a second,
- * policy(&memory, 1, observation, action): desired joint angles in rad from what was measured.
+ * policy_begin(&memory, observation), once at the start; then, 50 times per second,
+ * policy(&memory, 1, observation, action): desired joint angles in rad from measurements.
  * The second argument is the number of control periods of 20 ms since the last call, more than
- * one where a measurement was lost. {floats} constants of 4 bytes; {stack} bytes of stack.
+ * one if a measurement was lost. {floats} constants of 4 bytes; {stack} bytes of stack.
 {comment}
  */
 #ifndef SIM2REAL_POLICY_H
@@ -38,16 +38,16 @@ _TEMPLATE = """\
 
 #define POLICY_PERIOD {period}
 
-/* What is remembered: decisions between -1 and 1, the newest first; the bearing; the side of the
- * last stroke; control periods since the last decision, -1 before the first. */
+/* State: decisions between -1 and 1, the newest first; the bearing; the side of the last stroke;
+ * control periods since the last decision, -1 before the first. */
 typedef struct {{
-    float given[{K}][{J}], bearing, side;
+    float decisions[{K}][{J}], bearing, side;
     int since;
 }} policy_memory;
 
 {arrays}
 
-/* Sums of the inputs, weighted, and a bias: y = W x + b. */
+/* Linear layer: y = W x + b. */
 static void policy_layer(const float *weight, const float *bias, int outputs, int inputs,
                          const float *x, float *y) {{
     for (int i = 0; i < outputs; i++) {{
@@ -63,22 +63,22 @@ static void policy_network(const float inputs[{F}], float action[{J}]) {{
 {body}
 }}
 
-static float policy_cut(float x, float most) {{
-    return x > most ? most : x < -most ? -most : x;
+static float policy_clip(float x, float limit) {{
+    return x > limit ? limit : x < -limit ? -limit : x;
 }}
 
 static float policy_bearing(const float observation[{O}]) {{
-    return atan2f(policy_cut(observation[{O} - 1], policy_limit[{O} - 1]),
-                  policy_cut(observation[{O} - 2], policy_limit[{O} - 2]));
+    return atan2f(policy_clip(observation[{O} - 1], policy_limit[{O} - 1]),
+                  policy_clip(observation[{O} - 2], policy_limit[{O} - 2]));
 }}
 
 static void policy_begin(policy_memory *memory, const float observation[{O}]) {{
     for (int j = 0; j < {J}; j++) {{
         const float span = policy_high_rad[j] - policy_low_rad[j];
-        const float angle = policy_cut(observation[3 + j], policy_limit[3 + j]);
+        const float angle = policy_clip(observation[3 + j], policy_limit[3 + j]);
         for (int k = 0; k < {K}; k++) {{
-            memory->given[k][j] =
-                policy_cut(2.0f * (angle - policy_low_rad[j]) / span - 1.0f, 1.0f);
+            memory->decisions[k][j] =
+                policy_clip(2.0f * (angle - policy_low_rad[j]) / span - 1.0f, 1.0f);
         }}
     }}
     memory->bearing = policy_bearing(observation);
@@ -86,16 +86,16 @@ static void policy_begin(policy_memory *memory, const float observation[{O}]) {{
     memory->since = -1;
 }}
 
-/* The policy's {F} inputs; the bearing keeps its side until the target has gone far round. */
-static void policy_see(policy_memory *memory, const float observation[{O}], float inputs[{F}]) {{
-    float seen[{O}], bearing = policy_bearing(observation);
+/* The {F} inputs of the policy; the bearing has a hysteresis beyond pi. */
+static void policy_inputs(policy_memory *memory, const float observation[{O}], float inputs[{F}]) {{
+    float clipped[{O}], bearing = policy_bearing(observation);
     int n = 0;
     for (int i = 0; i < {O}; i++) {{
-        seen[i] = policy_cut(observation[i], policy_limit[i]);
+        clipped[i] = policy_clip(observation[i], policy_limit[i]);
     }}
-    const float other = bearing > 0.0f ? bearing - {turn} : bearing + {turn};
-    if (bearing * memory->bearing < 0.0f && fabsf(other) <= {kept}) {{
-        bearing = other;
+    const float wrapped = bearing > 0.0f ? bearing - {turn} : bearing + {turn};
+    if (bearing * memory->bearing < 0.0f && fabsf(wrapped) <= {kept}) {{
+        bearing = wrapped;
     }}
     memory->bearing = bearing;
 {columns}
@@ -104,24 +104,24 @@ static void policy_see(policy_memory *memory, const float observation[{O}], floa
 
 static void policy_decide(policy_memory *memory, const float observation[{O}]) {{
     float inputs[{F}], decision[{J}], mean = 0.0f;
-    policy_see(memory, observation, inputs);
+    policy_inputs(memory, observation, inputs);
     policy_network(inputs, decision);
     for (int j = 0; j < {J}; j++) {{
         mean += decision[j] / {J}.0f;
         for (int k = {K} - 1; k > 0; k--) {{
-            memory->given[k][j] = memory->given[k - 1][j];
+            memory->decisions[k][j] = memory->decisions[k - 1][j];
         }}
-        memory->given[0][j] = decision[j];
+        memory->decisions[0][j] = decision[j];
     }}
     if (fabsf(mean) > {stroke}) {{
         memory->side = mean > 0.0f ? 1.0f : -1.0f;
     }}
 }}
 
-static void policy(policy_memory *memory, int gone, const float observation[{O}],
+static void policy(policy_memory *memory, int periods, const float observation[{O}],
                    float action[{J}]) {{
     int due = memory->since < 0;
-    memory->since = due ? 0 : memory->since + gone;
+    memory->since = due ? 0 : memory->since + periods;
     due = due || memory->since >= POLICY_PERIOD;
     memory->since %= POLICY_PERIOD;
     if (due) {{
@@ -130,7 +130,7 @@ static void policy(policy_memory *memory, int gone, const float observation[{O}]
     for (int j = 0; j < {J}; j++) {{
 {set_point}
         action[j] = policy_low_rad[j]
-            + (now + 1.0f) / 2.0f * (policy_high_rad[j] - policy_low_rad[j]);
+            + (current + 1.0f) / 2.0f * (policy_high_rad[j] - policy_low_rad[j]);
     }}
 }}
 
@@ -138,27 +138,28 @@ static void policy(policy_memory *memory, int gone, const float observation[{O}]
 """
 
 _SCALED = """\
-    const float distance = sqrtf(seen[{O} - 2] * seen[{O} - 2] + seen[{O} - 1] * seen[{O} - 1]);
-    inputs[n++] = seen[0] / {surge};
-    inputs[n++] = seen[1] / {sway};
-    inputs[n++] = seen[2] / {yaw};
+    const float ahead = clipped[{O} - 2], left = clipped[{O} - 1];
+    const float distance = sqrtf(ahead * ahead + left * left);
+    inputs[n++] = clipped[0] / {surge};
+    inputs[n++] = clipped[1] / {sway};
+    inputs[n++] = clipped[2] / {yaw};
     for (int j = 0; j < {J}; j++) {{
         const float span = policy_high_rad[j] - policy_low_rad[j];
-        inputs[n++] = 2.0f * (seen[3 + j] - policy_low_rad[j]) / span - 1.0f;
+        inputs[n++] = 2.0f * (clipped[3 + j] - policy_low_rad[j]) / span - 1.0f;
     }}
     for (int j = 0; j < {J}; j++) {{
-        inputs[n++] = seen[3 + {J} + j] / {rate};
+        inputs[n++] = clipped[3 + {J} + j] / {rate};
     }}
     inputs[n++] = sinf(bearing);
     inputs[n++] = cosf(bearing);
     inputs[n++] = logf((distance + {near}) / {half});
     for (int i = 0; i < n; i++) {{
-        inputs[i] = policy_cut(inputs[i], {largest});
+        inputs[i] = policy_clip(inputs[i], {largest});
     }}"""
 
 _PLAIN = """\
     for (; n < {O}; n++) {{
-        inputs[n] = seen[n];
+        inputs[n] = clipped[n];
     }}"""
 
 _SIDES = """\
@@ -168,17 +169,17 @@ _SIDES = """\
 _MEMORY = """\
     for (int k = 0; k < {memory}; k++) {{
         for (int j = 0; j < {J}; j++) {{
-            inputs[n++] = memory->given[k][j];
+            inputs[n++] = memory->decisions[k][j];
         }}
     }}"""
 
 _LINE = """\
-        const float before = memory->given[1][j];
+        const float before = memory->decisions[1][j];
         const float share = (float)(memory->since + 1) / (float)POLICY_PERIOD;
-        const float now = before + (memory->given[0][j] - before) * share;"""
+        const float current = before + (memory->decisions[0][j] - before) * share;"""
 
 _AT_ONCE = """\
-        const float now = memory->given[0][j];"""
+        const float current = memory->decisions[0][j];"""
 
 _RELU = """\
     for (int i = 0; i < {n}; i++) {{
@@ -205,10 +206,10 @@ def c_header(policy: Policy) -> str:
         "near": NEAR_M, "half": HALF_M, "largest": LARGEST, "turn": 2 * np.pi, "kept": KEPT_RAD,
         "pi": np.pi, "stroke": STROKE,
     }  # fmt: skip
-    told = {name: _number(np.float32(value)) for name, value in numbers.items()}
+    literals = {name: _number(np.float32(value)) for name, value in numbers.items()}
     parts = [_SCALED if view.scaled else _PLAIN]
     parts += [_SIDES] * view.sides + [_MEMORY] * (view.memory > 0)
-    columns = "\n".join(parts).format(O=O, J=J, memory=view.memory, **told)
+    columns = "\n".join(parts).format(O=O, J=J, memory=view.memory, **literals)
     return _TEMPLATE.format(
         floats=sum(array.size for array in arrays.values()),
         stack=4 * (sum(max(hidden[k::2], default=0) for k in (0, 1)) + F + O + 2 * J),
@@ -222,19 +223,19 @@ def c_header(policy: Policy) -> str:
         O=O,
         F=F,
         J=J,
-        **told,
+        **literals,
     )
 
 
 def _comment(policy: Policy) -> str:
-    """Order and units of what goes in and what comes out."""
+    """Order and units of observation and action."""
     limits = zip(policy.observation, policy.observation_limit, strict=True)
     ranges = zip(policy.joints, policy.low, policy.high, strict=True)
     lines = [
         "",
-        "The unit is the end of the name; ahead and left are the target's place in the body's",
-        f"frame. Velocities are slopes of the line through the last {NEWEST} samples, one every",
-        "20 ms. Each column is cut to the size in brackets, as it was in training.",
+        "Names end with the unit; ahead and left are the position of the target in the body's",
+        f"frame. Velocities are slopes of a line fitted to the last {NEWEST} samples, one every",
+        "20 ms. Each column is clipped to the magnitude in brackets, as in training.",
         "",
         *(f"  observation[{k}]  {name} ({limit:g})" for k, (name, limit) in enumerate(limits)),
         "",
@@ -259,7 +260,7 @@ def _plain(text: str) -> str:
 
 
 def _constants(name: str, array: Array) -> str:
-    """An array, row by row, in digits that give back the same 32 bits."""
+    """An array, row by row, with enough digits to restore the same 32 bits."""
     numbers = [_number(x) for x in array.ravel()]
     rows = [numbers[k : k + _PER_LINE] for k in range(0, len(numbers), _PER_LINE)]
     lines = ",\n".join("    " + ", ".join(row) for row in rows)
@@ -271,16 +272,16 @@ def _number(x: np.float32) -> str:
 
 
 def _body(policy: Policy, hidden: list[int]) -> str:
-    """Layer after layer, to and fro between two buffers."""
+    """Calls of all layers, alternating between two buffers."""
     buffers = {name: hidden[k::2] for k, name in enumerate(("even", "odd"))}
     lines = [f"    float {name}[{max(sizes)}];" for name, sizes in buffers.items() if sizes]
     x = "inputs"
     for k, weight in enumerate(policy.weights):
-        last = k == len(hidden)
-        y = "action" if last else ("even", "odd")[k % 2]
+        is_output = k == len(hidden)
+        y = "action" if is_output else ("even", "odd")[k % 2]
         outputs, inputs = weight.shape
         call = f"policy_weight_{k}, policy_bias_{k}, {outputs}, {inputs}, {x}, {y}"
         lines.append(f"    policy_layer({call});")
-        lines.append((_SQUASH if last else _RELU).format(n=outputs, y=y, J=outputs))
+        lines.append((_SQUASH if is_output else _RELU).format(n=outputs, y=y, J=outputs))
         x = y
     return "\n".join(lines)

@@ -1,18 +1,18 @@
-"""What goes to and fro between a robot that swims and the computer that steers it.
+"""Protocol between a swimming robot and the computer that controls it.
 
-Datagrams over UDP, one JSON object each. The robot tells where it is 50 times a second, to whoever
-sent it set-points last; the computer answers each::
+UDP datagrams, one JSON object each. The robot sends its state 50 times per second to the address
+that sent the last set-points; the computer answers each::
 
     {"t_s": 12.34, "pose": [0.51, -0.02, 0.13], "joints_rad": [0.11, 0.20, -0.05]}
     {"number": 617, "joints_rad": [0.15, 0.31, -0.12]}
 
-``t_s`` is the robot's clock, which grows. ``pose`` is x and y of the head's centre of mass in m and
-its heading in rad, in the pool's frame; the overhead camera knows it. ``joints_rad`` are measured
-angles, or desired ones, from head to tail. What was not seen is ``null``.
+``t_s`` is the robot's clock, which increases. ``pose`` is x and y of the head's centre of mass in m
+and its heading in rad, in the pool's frame, from the overhead camera. ``joints_rad`` are measured
+or desired angles, from head to tail. Missing measurements are ``null``.
 
-``number`` counts up, and the robot passes over set-points that come too late. Number 0 begins a
-swim: the robot answers with where it is, and moves nothing. A robot that hears nothing for
-``SILENCE_S`` goes to its rest angles by itself.
+``number`` increases, and the robot ignores set-points that arrive out of order. Number 0 starts a
+swim: the robot answers with its state and does not move. A robot that receives nothing for
+``SILENCE_S`` moves to its rest angles.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from sim2real.errors import InputError
 Array = NDArray[np.float64]
 
 SILENCE_S = 0.5
-"""Either side takes the other for lost after so long without a word."""
+"""Time without a datagram after which either side regards the connection as lost."""
 LARGEST = 2048
-"""Bytes of a datagram."""
+"""Largest datagram in bytes."""
 
 
 @dataclass(frozen=True)
 class Telemetry:
-    """Where the robot is: ``t_s`` by its own clock, pose (3,), joint angles (J,), NaN if unseen."""
+    """State: robot clock ``t_s``, pose (3,), joint angles (J,); NaN if not measured."""
 
     t_s: float
     pose: Array
@@ -49,7 +49,7 @@ class Telemetry:
 
 @dataclass(frozen=True)
 class SetPoints:
-    """Desired joint angles, shape (J,); none with number 0, which begins a swim."""
+    """Desired joint angles, shape (J,); empty with number 0, which starts a swim."""
 
     number: int
     joint: Array
@@ -67,7 +67,7 @@ def set_point_bytes(sent: SetPoints) -> bytes:
 
 
 def read_telemetry(datagram: bytes, J: int) -> Telemetry | None:
-    """The robot's datagram taken apart; None if it is none of a robot with J joints."""
+    """Parse the robot's datagram; None if it is not of a robot with J joints."""
     content = _object(datagram)
     t, pose = _numbers([content.get("t_s")], 1), _numbers(content.get("pose"), 3)
     joint = _numbers(content.get("joints_rad"), J)
@@ -77,7 +77,7 @@ def read_telemetry(datagram: bytes, J: int) -> Telemetry | None:
 
 
 def read_set_points(datagram: bytes, J: int) -> SetPoints | None:
-    """The computer's datagram taken apart; None if it is none for a robot with J joints."""
+    """Parse the computer's datagram; None if it is not for a robot with J joints."""
     content = _object(datagram)
     number = content.get("number")
     if type(number) is not int or number < 0:
@@ -101,7 +101,7 @@ def _object(datagram: bytes) -> dict[str, object]:
 
 
 def _numbers(values: object, count: int) -> Array | None:
-    """So many numbers, NaN for null; None if they are not."""
+    """An array of ``count`` numbers, NaN for null; None if ``values`` is anything else."""
     if not isinstance(values, list) or len(values) != count:
         return None
     if not all(value is None or type(value) in (int, float) for value in values):
@@ -115,10 +115,10 @@ class Link:
     """The computer's end.
 
     Attributes:
-        strange: Datagrams that were no telemetry of such a robot.
+        strange: Number of datagrams that were not telemetry of such a robot.
 
     Raises:
-        InputError: If the address is none.
+        InputError: If the address is invalid.
     """
 
     def __init__(self, url: str, J: int) -> None:
@@ -133,11 +133,11 @@ class Link:
             self._socket.getpeername()
         except (OSError, ValueError, UnicodeError, TypeError) as error:
             self._socket.close()
-            found = f"{url!r} ({error})"
-            raise InputError("--port", "", found, "a robot at udp://HOST:PORT") from None
+            problem = f"{url!r} ({error})"
+            raise InputError("--port", "", problem, "a robot at udp://HOST:PORT") from None
 
     def begin(self) -> None:
-        """Ask the robot where it is; it moves nothing yet."""
+        """Ask the robot for its state; it does not move yet."""
         self._number = 0
         self._send(SetPoints(0, np.empty(0)))
 
@@ -147,28 +147,28 @@ class Link:
         self._send(SetPoints(self._number, joint))
 
     def _send(self, sent: SetPoints) -> None:
-        # refused: nobody listens there just now, as while the robot starts anew
+        # refused: no listener at present, for example while the robot restarts
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             self._socket.send(set_point_bytes(sent))
 
     def receive(self, wait_s: float) -> list[Telemetry]:
-        """All that has arrived, as soon as something has; empty if by ``wait_s`` nothing has."""
-        deadline, found = time.monotonic() + wait_s, list[Telemetry]()
-        while not found:
-            left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self._socket], [], [], left)[0]:
+        """Wait for telemetry and return all that has arrived; empty after ``wait_s``."""
+        deadline, telemetry = time.monotonic() + wait_s, list[Telemetry]()
+        while not telemetry:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0 or not select.select([self._socket], [], [], remaining)[0]:
                 break
-            found = self._waiting()
-        return found
+            telemetry = self._waiting()
+        return telemetry
 
     def _waiting(self) -> list[Telemetry]:
-        found = []
+        telemetry = []
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             while True:
-                one = read_telemetry(self._socket.recv(LARGEST), self._J)
-                self.strange += one is None
-                found += [one] if one else []
-        return found
+                message = read_telemetry(self._socket.recv(LARGEST), self._J)
+                self.strange += message is None
+                telemetry += [message] if message else []
+        return telemetry
 
     def __enter__(self) -> Link:
         return self

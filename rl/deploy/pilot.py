@@ -1,4 +1,4 @@
-"""Who steers one robot to a target: from telemetry to set-points, and what is remembered of it."""
+"""Control of one robot to a target: set-points from telemetry, and a record of the swim."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from rl.deploy.measurements import CONTROL_S, Measurements
 Array = NDArray[np.float64]
 
 REST_S = 0.5
-"""Rest before a swim: a recording begins at rest, and velocities need a past."""
+"""Rest before a swim: a recording starts at rest, and velocities need past measurements."""
 _SOON = 0.75
 """Share of the control period before which telemetry is not answered again."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """A swim, one row for each set-points sent.
+    """Record of a swim, one row for each set-point message.
 
     Attributes:
         t: Arrival of the telemetry on this computer in s, from the first, shape (T,).
         device_t: The robot's clock, shape (T,).
         command: Set-points sent in answer, shape (T, J).
-        joint: Measured angles, shape (T, J), NaN where unseen.
-        pose: x, y, heading, shape (T, 3), NaN where unseen.
-        reached_s: When the target was reached, from the end of rest; None if it was not.
-        closest_m: Smallest distance to the target; infinite if the swim never began.
-        stopped: Why it ended early; None at the target or when the time was up.
+        joint: Measured angles, shape (T, J), NaN if missing.
+        pose: x, y, heading, shape (T, 3), NaN if missing.
+        reached_s: Time at which the target was reached, from the end of rest; None if it was not.
+        closest_m: Smallest distance to the target; infinite if the swim never started.
+        stopped: Reason of an early end; None at the target or when the time was up.
     """
 
     t: Array
@@ -50,11 +50,11 @@ class Pilot:
     """Answers telemetry until the robot is at the target or the time is up.
 
     Attributes:
-        policy: The robot's.
+        policy: Policy of the robot.
         target: x and y in the pool's frame in m.
         seconds: Longest swim, after rest.
         arrive_m: Distance at which the target is reached.
-        stopped: Why to end early, if there is a reason.
+        stopped: Reason of an early end, or None.
     """
 
     policy: Policy
@@ -67,7 +67,7 @@ class Pilot:
     _rows: list[tuple[float, Array, Telemetry]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._seen = Measurements(self.policy.observation_limit)
+        self._measurements = Measurements(self.policy.observation_limit)
         self._controller = PolicyController(self.policy)
         self._period: int | None = None
         self.rest: Array = np.clip(0.0, self.policy.low, self.policy.high).astype(np.float64)
@@ -84,8 +84,8 @@ class Pilot:
         return self.stopped is not None or self._reached_s is not None or late
 
     def answer(self, news: list[Telemetry], arrived_s: float) -> Array | None:
-        """Set-points for the newest of what has arrived, shape (J,); None if it is nothing new."""
-        fresh = [one for one in news if self._seen.take(one)]
+        """Set-points for the newest telemetry, shape (J,); None if there is nothing new."""
+        fresh = [telemetry for telemetry in news if self._measurements.take(telemetry)]
         if not fresh:
             return None
         newest = fresh[-1]
@@ -94,16 +94,16 @@ class Pilot:
         self._rows.append((arrived_s, self.rest, newest))
         if self.swum_s < -CONTROL_S / 2:
             return self.rest
-        if self._seen.blind_s > SILENCE_S:
-            self.stopped = f"robot or joints unseen for {SILENCE_S:g} s"
+        if self._measurements.blind_s > SILENCE_S:
+            self.stopped = f"no pose or joint angles for {SILENCE_S:g} s"
             return self.rest
-        command = self._steered()
+        command = self._command()
         self._rows[-1] = (arrived_s, command, newest)
         return command
 
-    def _steered(self) -> Array:
-        seen = self._seen.observation(self.target)
-        distance = float(np.hypot(*seen[-2:]))
+    def _command(self) -> Array:
+        observation = self._measurements.observation(self.target)
+        distance = float(np.hypot(*observation[-2:]))
         self._closest_m = min(self._closest_m, distance)
         if distance < self.arrive_m:
             self._reached_s = max(self.swum_s, 0.0)
@@ -112,18 +112,18 @@ class Pilot:
         period = round(self.swum_s / CONTROL_S)
         gone = 1 if self._period is None else period - self._period
         self._period = period
-        return np.asarray(self._controller.act(seen[None], gone)[0], dtype=np.float64)
+        return np.asarray(self._controller.act(observation[None], gone)[0], dtype=np.float64)
 
     def track(self) -> Track:
-        """The swim so far."""
+        """Record of the swim so far."""
         J = len(self.rest)
         arrived = np.array([t for t, _, _ in self._rows])
         return Track(
             t=arrived - arrived[:1].sum(),
-            device_t=np.array([seen.t_s for _, _, seen in self._rows]),
+            device_t=np.array([telemetry.t_s for _, _, telemetry in self._rows]),
             command=np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
-            joint=np.array([seen.joint for _, _, seen in self._rows]).reshape(-1, J),
-            pose=np.array([seen.pose for _, _, seen in self._rows]).reshape(-1, 3),
+            joint=np.array([telemetry.joint for _, _, telemetry in self._rows]).reshape(-1, J),
+            pose=np.array([telemetry.pose for _, _, telemetry in self._rows]).reshape(-1, 3),
             reached_s=self._reached_s,
             closest_m=self._closest_m,
             stopped=self.stopped,

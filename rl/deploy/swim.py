@@ -1,4 +1,4 @@
-"""The loop that lets a policy drive a robot to a target, over the air."""
+"""The loop in which a policy drives a robot to a target, over the network."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from rl.deploy.measurements import CONTROL_S
 from rl.deploy.pilot import Pilot, Track
 
 ANSWER_S = 3.0
-"""The robot's first word must come within this time."""
+"""Time within which the robot must answer first."""
 _ASK_S = 0.1
 _GOODBYES = 5
-"""Times that rest is sent at the end: datagrams get lost."""
+"""Number of rest messages at the end, as datagrams may be lost."""
 
 
 def swim(
@@ -23,15 +23,15 @@ def swim(
     interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[float], object] = lambda _: None,
 ) -> Track | None:
-    """Drive the robot until the pilot has done; then, and whatever happens, send it to rest.
+    """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
-    The robot's telemetry sets the pace: it is answered at once.
+    The timing is that of the robot's telemetry, which is answered immediately.
 
     Args:
-        link: To the robot.
-        pilot: Who answers.
+        link: Link to the robot.
+        pilot: Computes the answers.
         interrupted: Whether the user has asked to stop.
-        progress: Told the seconds that have passed since it was told last.
+        progress: Called with the seconds since its last call.
 
     Returns:
         The swim, or None if the robot never answered.
@@ -45,14 +45,14 @@ def swim(
     answered = time.monotonic()
     try:
         while not pilot.over:
-            before, now = pilot.swum_s, time.monotonic()
-            command = pilot.answer(news, now)
+            before, time_s = pilot.swum_s, time.monotonic()
+            command = pilot.answer(news, time_s)
             if command is not None:
-                answered = now
+                answered = time_s
                 link.send(command)
                 progress(max(pilot.swum_s, 0.0) - max(before, 0.0))
-            elif now - answered > SILENCE_S:
-                pilot.stopped = f"no word from the robot for {SILENCE_S:g} s"
+            elif time_s - answered > SILENCE_S:
+                pilot.stopped = f"no answer from the robot for {SILENCE_S:g} s"
             if interrupted():
                 pilot.stopped = "interrupted"
             if not pilot.over:
@@ -65,7 +65,7 @@ def swim(
 
 
 def _contact(link: Link, interrupted: Callable[[], bool]) -> list[Telemetry]:
-    """The robot's first words; none if it does not answer."""
+    """First telemetry of the robot; empty if it does not answer."""
     deadline = time.monotonic() + ANSWER_S
     while time.monotonic() < deadline:
         if interrupted():

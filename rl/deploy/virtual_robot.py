@@ -1,4 +1,4 @@
-"""A robot that isn't there: the twin, behind the radio of ``rl.deploy.link``."""
+"""A virtual robot: the twin with the protocol of ``rl.deploy.link``."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from sim.twin.twin import Twin
 
 
 class VirtualRobot:
-    """One swimming robot that takes and gives datagrams.
+    """A simulated robot that receives and sends datagrams.
 
     Attributes:
-        twin: Its body and its water.
-        begun: Whether a swim was ever begun.
+        twin: Its simulator.
+        begun: Whether a swim has started.
     """
 
     def __init__(self, twin: Twin) -> None:
-        """Lie in the water, straight, at rest.
+        """Start with straight joints at rest.
 
         Args:
-            twin: Of one robot.
+            twin: A twin of one robot.
         """
         self.twin, self.begun = twin, False
         limits = np.array([joint.limits_rad for joint in twin.robot.joints])
@@ -37,7 +37,7 @@ class VirtualRobot:
         self._desired, self._number, self._silent = self._rest, 0, 0
 
     def receive(self, datagram: bytes) -> bool:
-        """Take set-points; False if it is none, or an old one."""
+        """Process set-points; False if they are invalid or old."""
         sent = read_set_points(datagram, len(self._rest))
         if sent is None or 0 < sent.number <= self._number:
             return False
@@ -48,23 +48,23 @@ class VirtualRobot:
         return True
 
     def advance(self) -> None:
-        """Swim on by one control period."""
+        """Simulate one control period."""
         self._silent += 1
         if self._silent * CONTROL_S > SILENCE_S:
             self._desired = self._rest
         self.twin.step(self._desired)
 
     def telemetry(self) -> bytes:
-        """The datagram that says where it is."""
+        """The datagram with the state."""
         state = self.twin.state()
         return telemetry_bytes(Telemetry(float(state.time[0]), state.pose[0], state.measured[0]))
 
 
 def serve(radio: socket.socket, robot: VirtualRobot, stop: Callable[[], bool]) -> None:
-    """Swim in real time until ``stop``, from the first datagram on.
+    """Simulate in real time from the first datagram until ``stop``.
 
-    Telemetry goes out at the beginning of each period. Set-points count for the period whose
-    beginning is nearest to when they come, so that an answer acts at once, as it does in training.
+    Telemetry is sent at the start of each period. Set-points apply to the period whose start is
+    nearest to their arrival, so that an answer acts without delay, as in training.
     """
     sender: tuple[str, int] | None = None
     begin = time.monotonic()
@@ -80,7 +80,7 @@ def serve(radio: socket.socket, robot: VirtualRobot, stop: Callable[[], bool]) -
 
 
 def _listen(radio: socket.socket, robot: VirtualRobot, until: float) -> tuple[str, int] | None:
-    """Take what comes until then; where the last of it came from."""
+    """Process datagrams until a time; address of the last sender."""
     sender = None
     while select.select([radio], [], [], max(until - time.monotonic(), 0.0))[0]:
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
@@ -91,20 +91,20 @@ def _listen(radio: socket.socket, robot: VirtualRobot, until: float) -> tuple[st
 
 @contextmanager
 def virtual_robot(twin: Twin) -> Iterator[str]:
-    """Within this block, a robot on loopback; gives its ``udp://HOST:PORT``."""
+    """Context manager that runs a robot on loopback; returns its ``udp://HOST:PORT``."""
     twin.step(np.zeros(len(twin.robot.joints)))  # compiles the kernels, so that no period is late
     twin.reset()
-    over = threading.Event()
+    stop = threading.Event()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
         radio.setblocking(False)
         radio.bind(("127.0.0.1", 0))
         host, port = radio.getsockname()
         thread = threading.Thread(
-            target=serve, args=(radio, VirtualRobot(twin), over.is_set), daemon=True
+            target=serve, args=(radio, VirtualRobot(twin), stop.is_set), daemon=True
         )
         thread.start()
         try:
             yield f"udp://{host}:{port}"
         finally:
-            over.set()
+            stop.set()
             thread.join()

@@ -1,11 +1,11 @@
-"""Independent, resumable jobs, run side by side on this machine or on a Ray cluster.
+"""Independent, resumable jobs, run in parallel on this machine or on a Ray cluster.
 
-A job is a function called in a fresh process on a folder of its own. It keeps there whatever it
-needs to go on after being killed at any moment. The folder looks the same wherever the job runs::
+A job is a function called in a new process with its own folder. It writes there all that it needs
+to resume after being killed. The folder has the same content wherever the job runs::
 
-    folder/job.json    which function, with which options
-    folder/log.txt     what the job printed, all attempts one after the other
-    folder/done.json   there once the job is complete; written last
+    folder/job.json    function and options
+    folder/log.txt     output of the job, of all attempts
+    folder/done.json   written last, when the job is complete
 """
 
 from rl.executor.job import Job, Outcome

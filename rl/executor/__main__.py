@@ -1,6 +1,6 @@
-"""``python -m rl.executor FOLDER``: the process in which one job runs.
+"""``python -m rl.executor FOLDER``: the process of one job.
 
-It leaves with status 0 if the job is done, 2 if its input is at fault, 1 if it raised an exception.
+Exit status: 0 if the job is done, 2 for wrong input, 1 if it raised an exception.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 from rl.executor.job import Job, is_done, mark_begun, mark_done, read_job
 from sim2real.errors import InputError
 
-PATIENCE_S = 30.0  # for an earlier process to let go of the folder
+PATIENCE_S = 30.0  # to wait for an earlier process to release the folder
 
 
 def main() -> int:
@@ -42,7 +42,7 @@ def main() -> int:
 
 
 def _run(job: Job) -> None:
-    with only_one(job.folder):
+    with locked(job.folder):
         if is_done(job):
             return
         mark_begun(job)
@@ -53,24 +53,24 @@ def _run(job: Job) -> None:
 def _function(job: Job) -> Callable[..., Any]:
     name, _, function = job.function.partition(":")
     module = importlib.import_module(name)
-    if not callable(found := getattr(module, function, None)):
+    if not callable(work := getattr(module, function, None)):
         raise InputError(job.name, "function", f"no {function} in {name}", "a function")
-    return found  # type: ignore[no-any-return]
+    return work  # type: ignore[no-any-return]
 
 
 @contextmanager
-def only_one(folder: Path) -> Iterator[None]:
-    """Hold the folder against other processes; its ``lock`` names the one that has it.
+def locked(folder: Path) -> Iterator[None]:
+    """Lock the folder; its file ``lock`` names the process that holds it.
 
     Raises:
-        InputError: If another process does not let go of it in ``PATIENCE_S``.
+        InputError: If another process does not release it in ``PATIENCE_S``.
     """
     with (folder / "lock").open("a+") as lock:
-        last = time.monotonic() + PATIENCE_S
-        while not _locked(lock.fileno()):
-            if time.monotonic() > last:
+        deadline = time.monotonic() + PATIENCE_S
+        while not _try_lock(lock.fileno()):
+            if time.monotonic() > deadline:
                 lock.seek(0)
-                raise InputError(folder, "", f"process {lock.read()} at work in it", "it idle")
+                raise InputError(folder, "", f"in use by process {lock.read()}", "no process")
             time.sleep(0.1)
         lock.truncate(0)
         lock.write(f"{os.getpid()} on {os.uname().nodename}")
@@ -78,7 +78,7 @@ def only_one(folder: Path) -> Iterator[None]:
         yield
 
 
-def _locked(file: int) -> bool:
+def _try_lock(file: int) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -87,7 +87,7 @@ def _locked(file: int) -> bool:
 
 
 def _end_with_parent() -> None:
-    """Kill this process group once the parent has closed standard input, or is gone."""
+    """Kill this process group when the parent closes standard input or has ended."""
     lifeline = os.dup(0)  # a descriptor that no process started by the job inherits
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)

@@ -26,21 +26,21 @@ def run_on_ray(
     gpus: float,
     retries: int,
 ) -> Generator[Outcome | None]:
-    """Run each job wherever the cluster has ``cpus`` and ``gpus`` for it.
+    """Run each job on a node with ``cpus`` and ``gpus`` available.
 
     A job whose process dies, or whose node is lost, gets up to ``retries`` more attempts.
 
     Args:
-        jobs: The jobs, their folders in a file system that every node sees at the same place.
-        address: The cluster; None for what ``ray.init`` finds, else a Ray of this machine alone.
-        variables: Environment of the jobs' processes on top of the node's.
+        jobs: The jobs; every node must have their folders at the same path.
+        address: The cluster; None for one that ``ray.init`` finds, else a local one.
+        variables: Environment variables of the jobs, in addition to those of the node.
         cpus: CPU cores that a job needs.
         gpus: GPUs that a job needs.
         retries: Attempts after the first.
 
     Yields:
         The outcome of each job as it ends, and None about once a second in between. Closing the
-        iterator kills what still runs.
+        iterator kills running jobs.
 
     Raises:
         InputError: If there is no Ray, no such cluster, or no node large enough for a job.
@@ -54,10 +54,10 @@ def run_on_ray(
         _check_room(ray, cpus, gpus)
         needs = {"num_cpus": cpus, "num_gpus": gpus}
         task = ray.remote(**needs, max_retries=retries, retry_exceptions=[Died])(_attempt)
-        here = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
+        environment = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
         for job in jobs:
             write_job(job)
-            pending[task.remote(job, os.getcwd(), here)] = job
+            pending[task.remote(job, os.getcwd(), environment)] = job
         while pending:
             ended, _ = ray.wait(list(pending), num_returns=1, timeout=_LOOK_EVERY_S)
             yield None
@@ -73,11 +73,11 @@ def run_on_ray(
 
 
 def _attempt(job: Job, directory: str, variables: Mapping[str, str]) -> str | None:
-    """On a node: one attempt at a job; why it failed, if it did."""
+    """One attempt at a job, on a node; the reason if it failed."""
     try:
         process = start(job.folder, directory, variables)
     except OSError as error:
-        return f"{error.filename} not in reach of node {os.uname().nodename}: {error.strerror}"
+        return f"{error.filename} not accessible from node {os.uname().nodename}: {error.strerror}"
     try:
         return failure(job, process.wait())
     finally:
@@ -86,12 +86,12 @@ def _attempt(job: Job, directory: str, variables: Mapping[str, str]) -> str | No
 
 def _failure(ray: Any, answer: Any, retries: int) -> str | None:  # noqa: ANN401 - a module
     try:
-        found: str | None = ray.get(answer)
+        reason: str | None = ray.get(answer)
     except ray.exceptions.RayTaskError as error:
         return f"{error.cause}, {retries + 1} times"
     except ray.exceptions.RayError as error:
         return f"lost by Ray ({type(error).__name__}), {retries + 1} times"
-    return found
+    return reason
 
 
 def _library() -> Any:  # noqa: ANN401 - a module
@@ -105,18 +105,20 @@ def _library() -> Any:  # noqa: ANN401 - a module
 def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     try:
-        if port.isdecimal():  # Ray itself asks for minutes before it gives up
+        if port.isdecimal():  # Ray itself waits for minutes
             socket.create_connection((host, int(port)), timeout=_ANSWER_WITHIN_S).close()
         ray.init(
             address=address, include_dashboard=False, log_to_driver=False, logging_level="error"
         )
     except (OSError, OverflowError, ValueError, RuntimeError) as error:
-        found = str(getattr(error, "strerror", None) or error)
-        raise InputError("--address", address or "", found, "a Ray cluster that answers") from None
+        problem = str(getattr(error, "strerror", None) or error)
+        raise InputError(
+            "--address", address or "", problem, "a Ray cluster that answers"
+        ) from None
 
 
 def _check_room(ray: Any, cpus: int, gpus: float) -> None:  # noqa: ANN401 - a module
-    """Make sure that a job will not wait for ever for a node that is not there."""
+    """Check that a node is large enough for a job, which would otherwise wait forever."""
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
     if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
         expected = f"{cpus} CPUs and {gpus:g} GPUs on one of them"

@@ -1,4 +1,4 @@
-"""A job, its run folder, and what became of it."""
+"""A job, its run folder and its outcome."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ _JOB, _DONE = "job.json", "done.json"
 class Job:
     """One call of a function on a run folder: ``function(folder, **options)``.
 
-    The function may be killed at any moment and is then called again on the same folder. It goes
-    on from what the folder holds, having checked that this was made with the same options.
+    The function may be killed at any moment and is then called again with the same folder. It
+    resumes from the content of the folder, after checking that the options are the same.
 
     Args:
-        name: What messages call the job.
-        function: Where the function is: ``package.module:function``.
-        options: What it is called with; text, numbers, booleans, None, lists and objects, as in
-            JSON.
-        folder: The run folder, of this job alone.
+        name: Name of the job in messages.
+        function: The function, as ``package.module:function``.
+        options: Keyword arguments; JSON values.
+        folder: The run folder, not shared with other jobs.
 
     Raises:
-        InputError: If ``function`` is not of that form or ``options`` are not JSON.
+        InputError: If ``function`` is not of that form or ``options`` are not JSON values.
     """
 
     name: str
@@ -43,17 +42,17 @@ class Job:
         if not (function.isidentifier() and all(map(str.isidentifier, module.split(".")))):
             raise InputError(self.name, "function", shown(self.function), "package.module:function")
         try:
-            same = json.loads(json.dumps(self.options, allow_nan=False)) == self.options
+            exact = json.loads(json.dumps(self.options, allow_nan=False)) == self.options
         except (TypeError, ValueError):
-            same = False
-        if not same:
-            expected = "values that JSON keeps as they are"
+            exact = False
+        if not exact:
+            expected = "values that JSON represents exactly"
             raise InputError(self.name, "options", shown(self.options), expected)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job; ``failure`` says in one line why it is not done, None if it is."""
+    """Outcome of a job; ``failure`` is the reason in one line, None if the job is done."""
 
     job: Job
     failure: str | None = None
@@ -65,16 +64,16 @@ class Outcome:
 
 
 def write_job(job: Job) -> None:
-    """Write ``job.json`` into the run folder, which is made if it is not there.
+    """Write ``job.json`` into the run folder, which is created if missing.
 
     Raises:
-        InputError: If the folder can't be written.
+        InputError: If the folder cannot be written.
     """
     write_json(job.folder / _JOB, _content(job))
 
 
 def read_job(folder: Path) -> Job:
-    """The job that a run folder is for.
+    """Read the job of a run folder.
 
     Raises:
         InputError: If its ``job.json`` is missing or wrong.
@@ -88,7 +87,7 @@ def read_job(folder: Path) -> Job:
 
 
 def is_done(job: Job) -> bool:
-    """Whether the run folder holds the complete result of this function with these options."""
+    """Whether the run folder has the complete result of this function with these options."""
     try:
         done = read_json(job.folder / _DONE)
     except InputError:
@@ -97,18 +96,18 @@ def is_done(job: Job) -> bool:
 
 
 def mark_done(job: Job) -> None:
-    """Write ``done.json``: the job that the folder now answers, and the versions that did it."""
+    """Write ``done.json``: the completed job and the versions of the software."""
     versions = provenance((), seed=None)["versions"]
     write_json(job.folder / _DONE, _content(job) | {"versions": versions})
 
 
 def mark_begun(job: Job) -> None:
-    """Take away the ``done.json`` of other options, if there is one."""
+    """Remove the ``done.json`` of other options, if there is one."""
     (job.folder / _DONE).unlink(missing_ok=True)
 
 
 def _text(value: object) -> str:
-    """JSON that tells 1 from 1.0 and from true, as ``==`` does not."""
+    """JSON text, which distinguishes 1, 1.0 and true, unlike ``==``."""
     return json.dumps(value, sort_keys=True)
 
 

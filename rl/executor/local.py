@@ -1,4 +1,4 @@
-"""Jobs as processes on this machine, a few at a time."""
+"""Jobs as processes on this machine, with a limited number at a time."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def run_local(
     """Run each job in one of the ``seats``; one that dies gets up to ``retries`` more attempts.
 
     Yields:
-        The outcome of each job as it ends, and None at every look in between. Closing the
-        iterator kills what still runs.
+        The outcome of each job as it ends, and None at every poll in between. Closing the
+        iterator kills running jobs.
     """
     waiting, deaths = deque(jobs), Counter[str]()
     running: dict[int, tuple[Job, subprocess.Popen[bytes]]] = {}
@@ -32,8 +32,8 @@ def run_local(
                 if waiting and number not in running:
                     job = waiting.popleft()
                     write_job(job)
-                    here = {**variables, "CUDA_VISIBLE_DEVICES": gpus}
-                    running[number] = job, start(job.folder, os.getcwd(), here)
+                    environment = {**variables, "CUDA_VISIBLE_DEVICES": gpus}
+                    running[number] = job, start(job.folder, os.getcwd(), environment)
             yield None
             time.sleep(_LOOK_EVERY_S)
             for number, (job, process) in list(running.items()):

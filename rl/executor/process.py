@@ -1,4 +1,4 @@
-"""The process of a job, seen from the one that started it."""
+"""Start, stop and check the process of a job."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from rl.executor.job import LOG, Job, is_done
 
 
 class Died(Exception):
-    """A job's process was killed by a signal: worth another attempt."""
+    """A job's process was killed by a signal; the job can be retried."""
 
 
 def child_environment(cpus: int) -> dict[str, str]:
-    """Variables for a job's process: it imports what this one can, and uses ``cpus`` cores."""
+    """Environment variables of a job: the import path of this process, and ``cpus`` threads."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     return {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": str(cpus)}
 
@@ -26,17 +26,17 @@ def child_environment(cpus: int) -> dict[str, str]:
 def start(
     folder: Path, directory: str | os.PathLike[str], variables: Mapping[str, str]
 ) -> subprocess.Popen[bytes]:
-    """Start the process of a run folder, in a session of its own and on a lifeline to this one.
+    """Start the process of a run folder in a new session; it ends with this process.
 
     Args:
-        folder: The run folder, its ``job.json`` written.
-        directory: Where the process works.
-        variables: Environment variables on top of this process's own.
+        folder: The run folder with ``job.json``.
+        directory: Working directory of the process.
+        variables: Environment variables in addition to those of this process.
     """
     with (folder / LOG).open("ab") as log:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "rl.executor", str(folder), "--lifeline"],
-            stdin=subprocess.PIPE,  # the lifeline: closed when this process ends, however it ends
+            stdin=subprocess.PIPE,  # the lifeline: closed when this process ends
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=directory,
@@ -46,7 +46,7 @@ def start(
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """Kill the process, if it still runs, and all that it left behind."""
+    """Kill the process, if it still runs, and its child processes."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -55,7 +55,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def failure(job: Job, status: int) -> str | None:
-    """Why a process that ended with ``status`` has not done its job; None if it has.
+    """Reason why a process that ended with ``status`` failed; None if its job is done.
 
     Raises:
         Died: If it was killed by a signal.
@@ -69,4 +69,4 @@ def failure(job: Job, status: int) -> str | None:
 
 def _last_line(path: Path) -> str:
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    return next((line.strip() for line in reversed(lines) if line.strip()), "said nothing")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "no output")

@@ -1,4 +1,4 @@
-"""Run jobs here or on a cluster, leaving out those that are done."""
+"""Run jobs on this machine or on a cluster, skipping those that are done."""
 
 from __future__ import annotations
 
@@ -31,45 +31,45 @@ def run_jobs(
 ) -> list[Outcome]:
     """Run every job that is not done yet, with a progress bar on a terminal.
 
-    A job whose process is killed or whose node is lost goes on in a new process; one that raises an
-    exception has failed. Neither stops the others. A job whose ``done.json`` has the same function
-    and options is left as it is. An interrupt kills what runs; the same call then goes on.
+    A job whose process is killed or whose node is lost resumes in a new process; one that raises an
+    exception has failed. Other jobs continue. A job whose ``done.json`` has the same function and
+    options is skipped. An interrupt kills running jobs; the same call resumes them.
 
     Args:
-        jobs: The jobs, each with a name and a folder of its own.
+        jobs: The jobs, with distinct names and folders.
         executor: ``local`` for processes on this machine, ``ray`` for a Ray cluster whose nodes
             share the file system and the Python environment.
-        at_once: How many run at a time here; None for as many as the GPUs, or the CPUs if
-            ``gpus`` is 0, have room for. A cluster decides by itself.
-        address: The Ray cluster; None for what ``ray.init`` finds.
+        at_once: Number of local jobs at a time; default: as many as fit on the GPUs, or on the
+            CPUs if ``gpus`` is 0. Not used with a cluster.
+        address: The Ray cluster; None for one that ``ray.init`` finds.
         cpus: CPU cores, and threads, of each job.
-        gpus: GPUs of each job: a whole number, or a part of one that jobs share. A job of none
-            sees none.
-        retries: How many more attempts a job gets that died.
+        gpus: GPUs of each job: a whole number, or a fraction to share one GPU. With 0 no GPU is
+            visible to the job.
+        retries: Maximum number of further attempts if a process is killed.
 
     Returns:
-        What became of each job, in their order.
+        The outcome of each job, in the order of ``jobs``.
 
     Raises:
-        InputError: If two jobs share a name or a folder, a folder can't be written, or there is no
+        InputError: If two jobs share a name or a folder, a folder cannot be written, or there is no
             such executor, no Ray, no cluster or not enough GPUs.
     """
     jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
     _check(jobs)
-    left = [job for job in jobs if not is_done(job)]
+    remaining = [job for job in jobs if not is_done(job)]
     outcomes = {job.name: Outcome(job) for job in jobs}
-    if not left:
+    if not remaining:
         return list(outcomes.values())
     variables = child_environment(cpus)
     if executor == "local":
-        room = seats(at_once, cpus=cpus, gpus=gpus)
-        running = run_local(left, room, variables, retries=retries)
+        places = seats(at_once, cpus=cpus, gpus=gpus)
+        running = run_local(remaining, places, variables, retries=retries)
     elif executor == "ray":
-        running = run_on_ray(left, address, variables, cpus=cpus, gpus=gpus, retries=retries)
+        running = run_on_ray(remaining, address, variables, cpus=cpus, gpus=gpus, retries=retries)
     else:
         raise InputError("--executor", "", shown(executor), "local or ray")
-    look = {"desc": "jobs", "unit": "job", "miniters": 0, "mininterval": 1.0, "disable": None}
-    bar = tqdm(total=len(jobs), initial=len(jobs) - len(left), **look)
+    style = {"desc": "jobs", "unit": "job", "miniters": 0, "mininterval": 1.0, "disable": None}
+    bar = tqdm(total=len(jobs), initial=len(jobs) - len(remaining), **style)
     with bar, closing(running):
         for outcome in running:
             bar.update(outcome is not None)
@@ -79,7 +79,7 @@ def run_jobs(
 
 
 def _check(jobs: Sequence[Job]) -> None:
-    """Make sure, before any work, that every job has a name and a writable folder of its own."""
+    """Check that jobs have distinct names and distinct, writable folders."""
     for field in ("name", "folder"):
         for value, times in Counter(getattr(job, field) for job in jobs).most_common(1):
             if times > 1:

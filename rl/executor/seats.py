@@ -1,4 +1,4 @@
-"""How many jobs fit on this machine at a time, and which GPUs each may use."""
+"""Number of jobs that fit on this machine at a time, and the GPUs of each."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import subprocess
 
 from sim2real.errors import InputError
 
-Seat = str  # what the job that sits there finds in CUDA_VISIBLE_DEVICES; empty for no GPU
+Seat = str  # CUDA_VISIBLE_DEVICES of a job; empty for no GPU
 
 
 def seats(at_once: int | None, *, cpus: int, gpus: float) -> list[Seat]:
-    """A seat for each job that may run at a time, those of different GPUs first.
+    """A seat for each job that may run at a time; different GPUs are used first.
 
     Args:
-        at_once: How many; None for as many as this machine has GPUs for, or CPUs if the jobs
-            need no GPU.
+        at_once: Number of seats; default: as many as fit on the GPUs, or on the CPUs if jobs need
+            no GPU.
         cpus: CPU cores that a job needs.
-        gpus: GPUs that a job needs: a whole number, or a part of one that jobs share.
+        gpus: GPUs that a job needs: a whole number, or a fraction to share one GPU.
 
     Raises:
-        InputError: If there are not so many GPUs.
+        InputError: If there are too few GPUs.
     """
     if at_once is not None and at_once < 1:
         raise InputError("--jobs", "", str(at_once), "at least 1")
     if gpus == 0:
         return [""] * (at_once or max(1, _cores() // cpus))
-    found = visible_gpus()
-    room = _shared(found, gpus) if gpus < 1 else _grouped(found, math.ceil(gpus))
-    if len(room) < (at_once or 1):
+    visible = visible_gpus()
+    places = _shared(visible, gpus) if gpus < 1 else _grouped(visible, math.ceil(gpus))
+    if len(places) < (at_once or 1):
         expected = f"enough for {at_once or 1} at a time, {gpus:g} each"
-        raise InputError("--jobs", "", f"{len(found)} GPUs", expected)
-    return room[:at_once]
+        raise InputError("--jobs", "", f"{len(visible)} GPUs", expected)
+    return places[:at_once]
 
 
 def visible_gpus() -> list[str]:
-    """The GPUs that this process may use, as ``CUDA_VISIBLE_DEVICES`` names them."""
+    """The GPUs that this process may use, as named in ``CUDA_VISIBLE_DEVICES``."""
     chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
     if chosen is not None:
         return [name for name in chosen.split(",") if name]
@@ -49,7 +49,7 @@ def visible_gpus() -> list[str]:
 
 
 def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):  # what a scheduler left to this process
+    if hasattr(os, "sched_getaffinity"):  # respects the limits of a scheduler
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
@@ -59,5 +59,5 @@ def _shared(gpus: list[str], part: float) -> list[Seat]:
 
 
 def _grouped(gpus: list[str], size: int) -> list[Seat]:
-    whole = len(gpus) // size * size
-    return [",".join(gpus[first : first + size]) for first in range(0, whole, size)]
+    used = len(gpus) // size * size
+    return [",".join(gpus[start : start + size]) for start in range(0, used, size)]

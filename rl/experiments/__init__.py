@@ -1,1 +1,1 @@
-"""Evaluation, ablation, and the realities that policies are tried in."""
+"""Evaluation, ablation, and the realities that policies are tested in."""

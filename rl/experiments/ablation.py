@@ -1,7 +1,7 @@
-"""The ablation: train every arm, swim the 180 degree turn in simulation and in reality, compare.
+"""The ablation: train every arm, test the 180 degree turn in simulation and in reality, compare.
 
-Every stage leaves a file in the run's folder and is not done again where that is there; training
-goes on from its checkpoint.
+Every stage writes a file to the folder of the run and is skipped if that file exists; training
+resumes from its checkpoint.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ def ablate(
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
 ) -> dict[str, Any]:
-    """Train and try all arms.
+    """Train and test all arms.
 
     Args:
-        folder: The run's.
+        folder: Folder of the run.
         robot: Links, joints and data sheets.
-        arms: What each group of agents trains in.
-        plan: How to train.
-        testbeds: Where to try the policies.
+        arms: The simulator that each group of agents trains in.
+        plan: Plan of the training.
+        testbeds: Where the policies are tested.
         repeats: Episodes of each agent and testbed.
-        seed: Of starts and noise.
-        sampled: Whether policies act as in training, with their own noise.
-        longest: Control periods of a trial at most; the task's own where None.
+        seed: Seed of starts and noise.
+        sampled: Whether actions are sampled from the policy, as in training.
+        longest: Maximum length of a trial in control periods; default: that of the task.
         note: Provenance.
-        trainer: What trains, called as ``rl.sac.train.train``, which it is where None.
+        trainer: Training function with the arguments of ``rl.sac.train.train``, the default.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
@@ -68,13 +68,13 @@ def ablate(
     agents = trainer(folder / "train", robot, arms, plan, note)
     turn = TASKS["turn"]
     task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
-        asked = key(agents, robot, testbed, task, (repeats, seed, sampled, discount))
-        known = json.loads(path.read_text()) if path.exists() else {}
-        if known.get("key") != asked:
+        digest = inputs_digest(agents, robot, testbed, task, (repeats, seed, sampled, discount))
+        result = json.loads(path.read_text()) if path.exists() else {}
+        if result.get("key") != digest:
             policies = [
                 SampledController(agent / "policy.zip", seed=k)
                 if sampled
@@ -83,88 +83,88 @@ def ablate(
             ]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
             episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
-            known = {"key": asked, **told(episodes, len(agents), task, discount)}
-            write_json(path, known)
-        found[testbed.name] = known
+            result = {"key": digest, **as_json(episodes, len(agents), task, discount)}
+            write_json(path, result)
+        results[testbed.name] = result
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
     return {
         "repeats": repeats,
         "testbeds": [testbed.name for testbed in testbeds],
-        "said": {testbed.name: testbed.said for testbed in testbeds},
+        "said": {testbed.name: testbed.description for testbed in testbeds},
         "agents": [
             {"arm": arm, "seed": s, "folder": agents[a].name}
-            | {testbed: found[testbed]["agents"][a] for testbed in found}
+            | {testbed: results[testbed]["agents"][a] for testbed in results}
             for a, (arm, s) in enumerate(names)
         ],
-        "targets": {testbed: found[testbed]["targets"] for testbed in found},
+        "targets": {testbed: results[testbed]["targets"] for testbed in results},
     }
 
 
 def policy_in(agent: Path) -> Policy:
-    """What is left of an agent in its folder: ``policy.npz``, or else ``policy.zip``."""
-    alone = agent / "policy.npz"
-    return read_npz(alone) if alone.exists() else read_zip(agent / "policy.zip")
+    """The policy in the folder of an agent: ``policy.npz`` if it exists, else ``policy.zip``."""
+    small = agent / "policy.npz"
+    return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
-def key(
+def inputs_digest(
     agents: Sequence[Path],
     robot: Robot,
     testbed: Testbed,
     task: Task,
-    how: tuple[int, int, bool, float],
+    settings: tuple[int, int, bool, float],
 ) -> str:
-    """SHA-256 of what decides how agents do in a testbed: policies, robot, testbed, reward, starts.
+    """SHA-256 of all inputs of a test: policies, robot, testbed, reward, starts.
 
     Args:
         agents: Folders.
         robot: The robot.
         testbed: The testbed.
         task: The task.
-        how: Repeats, seed, whether policies act with noise, discount of a control period.
+        settings: Repeats, seed, whether actions are sampled, discount per control period.
     """
-    whole = hashlib.sha256()
+    digest = hashlib.sha256()
     for agent in agents:
-        whole.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    whole.update(repr((robot, testbed.key(), task.energy, task.steps, how)).encode())
-    return whole.hexdigest()
+        digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
+    digest.update(repr((robot, testbed.key(), task.energy, task.steps, settings)).encode())
+    return digest.hexdigest()
 
 
-def told(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
-    """Episodes of A agents as JSON keeps them; time and energy as ``evaluate.spent`` has them."""
-    time, used = spent(episodes, task)
-    returned = episodes.discounted(discount)
-    own = np.arange(len(used)).reshape(A, -1)
+def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
+    """Episodes of A agents as JSON values; time and energy as in ``evaluate.spent``."""
+    time, energy = spent(episodes, task)
+    returns = episodes.discounted(discount)
+    rows_of = np.arange(len(energy)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
         return [round(float(x), 6) if np.isfinite(x) else None for x in values]
 
     agents = [
         {
-            "return": numbers(returned[rows]),
+            "return": numbers(returns[rows]),
             "reward": numbers(episodes.reward[rows]),
             "success": [bool(x) for x in episodes.success[rows]],
             "time_s": numbers(time[rows]),
-            "energy": numbers(used[rows]),
+            "energy": numbers(energy[rows]),
             "faced_s": numbers(episodes.faced_s()[rows]),
             "path": [
                 [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]
                 for e in rows[:2]
             ],
         }
-        for rows in own
+        for rows in rows_of
     ]
-    return {"agents": agents, "targets": episodes.targets[own[0], 0].tolist()}
+    return {"agents": agents, "targets": episodes.targets[rows_of[0], 0].tolist()}
 
 
 def bootstrap(
     values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
 ) -> tuple[float, float, float]:
-    """Mean and its 90 % interval over agents and their repeats, resampled in this order.
+    """Mean with a 90 % bootstrap interval; agents are resampled, then their repeats.
 
     Args:
         values: One list of repeats for each agent.
-        rng: Random numbers.
-        draws: Resamples.
+        rng: Random number generator.
+        draws: Number of resamples.
     """
     table = np.array(values, dtype=np.float64)
     A, R = table.shape

@@ -1,4 +1,4 @@
-"""The ablation's page, its Markdown and its figures."""
+"""Report of the ablation: HTML page, Markdown tables and figures."""
 
 from __future__ import annotations
 
@@ -26,51 +26,51 @@ from sim2real.report.page import Figure as Picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Found = Mapping[str, Any]
+Results = Mapping[str, Any]
 
 
-def write_report(found: Found, plan: Plan, folder: Path, made: Mapping[str, Any]) -> None:
-    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` after a training."""
-    write_json(folder / "ablation.json", {**found, "table": rows(found)})
-    write_whole(folder / "ablation.md", markdown(found) + "\n")
+def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, Any]) -> None:
+    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained."""
+    write_json(folder / "ablation.json", {**results, "table": rows(results)})
+    write_whole(folder / "ablation.md", markdown(results) + "\n")
     trained: dict[str, list[Path]] = {}
-    for agent in found["agents"]:
-        for own in (folder / "train").rglob(agent["folder"]):
-            if (own / "progress.csv").exists():
-                trained.setdefault(TITLES[agent["arm"]], []).append(own)
-    if trained:  # agents that were trained beforehand have no curves
+    for agent in results["agents"]:
+        for run in (folder / "train").rglob(agent["folder"]):
+            if (run / "progress.csv").exists():
+                trained.setdefault(TITLES[agent["arm"]], []).append(run)
+    if trained:  # pretrained agents have no curves
         draw_curves(trained, folder / "curve.png")
-    lead = f"{len(found['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
-    write_page(folder / "index.html", "Ablation", lead, sections(found, plan), made)
+    lead = f"{len(results['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
+    write_page(folder / "index.html", "Ablation", lead, sections(results, plan), note)
 
 
-def rows(found: Found) -> list[dict[str, Any]]:
-    """One row an arm: means and 90 % intervals of return and reward by testbed, and so on."""
+def rows(results: Results) -> list[dict[str, Any]]:
+    """One row per arm: by testbed, means with 90 % intervals of return and reward, other means."""
     out = []
-    for arm in dict.fromkeys(agent["arm"] for agent in found["agents"]):
-        own = [agent for agent in found["agents"] if agent["arm"] == arm]
+    for arm in dict.fromkeys(agent["arm"] for agent in results["agents"]):
+        agents = [agent for agent in results["agents"] if agent["arm"] == arm]
         row: dict[str, Any] = {"arm": arm}
-        for testbed in found["testbeds"]:
+        for testbed in results["testbeds"]:
             row[testbed] = {
-                name: bootstrap([a[testbed][name] for a in own], np.random.default_rng(0))
+                name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
                 for name in (OUTCOME, "reward")
             }
-            row[testbed]["success"] = float(np.mean([a[testbed]["success"] for a in own]))
+            row[testbed]["success"] = float(np.mean([a[testbed]["success"] for a in agents]))
             for name in ("time_s", "energy"):
-                row[testbed][name] = float(np.mean([a[testbed][name] for a in own]))
+                row[testbed][name] = float(np.mean([a[testbed][name] for a in agents]))
         out.append(row)
     return out
 
 
-def markdown(found: Found) -> str:
-    """The table as Markdown."""
+def markdown(results: Results) -> str:
+    """The tables as Markdown."""
     lines = [
         "| arm | simulation: return | arrives | reality: return | arrives | time (s) | energy "
         "| reward |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for row in rows(found):
-        sim, real = (row[testbed] for testbed in found["testbeds"])
+    for row in rows(results):
+        sim, real = (row[testbed] for testbed in results["testbeds"])
         lines.append(
             f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
             f"| {_mean(real)} | {100 * real['success']:.0f} % | {real['time_s']:.1f} "
@@ -82,22 +82,23 @@ def markdown(found: Found) -> str:
         "| no turn counted below 0 | sd | needed |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    told, kept = differences(found), differences(found, least=STILL)
-    for arm, one in told.items():
-        other = kept[arm]
+    losses, floored_losses = differences(results), differences(results, floor=STILL)
+    for arm, loss in losses.items():
+        bounded = floored_losses[arm]
         lines.append(
-            f"| {TITLES[arm]} | {_ends(one)} | {one.sd:.2f} | {one.pairs} | {_many(told, arm)} "
-            f"| {_ends(other)} | {other.sd:.2f} | {_many(kept, arm)} |"
+            f"| {TITLES[arm]} | {_ends(loss)} | {loss.sd:.2f} | {loss.pairs} "
+            f"| {_count(losses, arm)} | {_ends(bounded)} | {bounded.sd:.2f} "
+            f"| {_count(floored_losses, arm)} |"
         )
     return "\n".join(lines)
 
 
-def _ends(one: Difference) -> str:
-    return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f})"
+def _ends(loss: Difference) -> str:
+    return f"{loss.mean:+.2f} ({loss.low:+.2f} to {loss.high:+.2f})"
 
 
-def _many(told: Mapping[str, Difference], arm: str) -> str:
-    count = seeds_needed(told)[arm]
+def _count(losses: Mapping[str, Difference], arm: str) -> str:
+    count = seeds_needed(losses)[arm]
     return "more than 200" if count is None else f"{count}"
 
 
@@ -106,16 +107,16 @@ def _mean(testbed: Mapping[str, Any]) -> str:
     return f"{mean:.2f} ({low:.2f} to {high:.2f})"
 
 
-def sections(found: Found, plan: Plan) -> list[Section]:
-    """What the page says."""
-    table = rows(found)
-    by = {row["arm"]: row for row in table}
+def sections(results: Results, plan: Plan) -> list[Section]:
+    """Sections of the page."""
+    table = rows(results)
+    by_arm = {row["arm"]: row for row in table}
     cells = [
         (
             TITLES[row["arm"]],
             *(
                 cell
-                for testbed in found["testbeds"]
+                for testbed in results["testbeds"]
                 for cell in (
                     f"{row[testbed][OUTCOME][0]:.2f}\n{row[testbed][OUTCOME][1]:.2f} to "
                     f"{row[testbed][OUTCOME][2]:.2f}",
@@ -129,47 +130,50 @@ def sections(found: Found, plan: Plan) -> list[Section]:
     ]
     header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "s", "energy")
     note = (
-        "Rewards discounted as in training: means with 90 % intervals, agents and repeats "
-        "resampled. Time and energy in reality, "
-        "over all turns: one that does not arrive counts the whole time."
+        "Rewards discounted as in training: means with 90 % bootstrap intervals over agents and "
+        "repeats. Time and energy are those in reality, "
+        "over all turns: a turn that does not arrive counts with the full duration of the task."
     )
     returns = Section(
-        "What each technique is worth",
-        keeps(by),
+        "Effect of each technique",
+        retention_text(by_arm),
         [_picture(return_figure(table)), Table(header, cells, caption=note)],
     )
-    told = differences(found)
+    losses = differences(results)
     notes: list[Block] = [
-        Note("good" if one.low > 0 else "warn" if one.high < 0 else "info", compared(arm, one))
-        for arm, one in told.items()
+        Note("good" if loss.low > 0 else "warn" if loss.high < 0 else "info", loss_text(arm, loss))
+        for arm, loss in losses.items()
     ]
-    if told:
-        notes.insert(0, _picture(difference_figure(told)))
-        notes += [Note("info", power(told)), Note("info", floored(found))]
+    if losses:
+        notes.insert(0, _picture(difference_figure(losses)))
+        notes += [Note("info", seeds_text(losses)), Note("info", floored_text(results))]
     if not any(row["reality"]["success"] for row in table):
-        said = "No arm reached the target in reality: returns compare how far and how cheaply they "
-        notes.insert(0, Note("warn", said + "turn towards it, not how fast they arrive."))
-    ways = Section(
+        warning = (
+            "No arm reached the target in reality: returns compare how far the robot turns towards "
+        )
+        notes.insert(0, Note("warn", warning + "it and with how much energy, not arrival times."))
+    trajectories = Section(
         "The turns",
-        "Ways of the head in reality: two turns of each agent.",
-        [_picture(way_figure(found))],
+        "Trajectories of the head in reality: two turns of each agent.",
+        [_picture(trajectory_figure(results))],
     )
-    how = Text(
+    method = Text(
         f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
         f"{plan.envs} environments, {plan.settings.updates_per_step:g} updates a step, energy "
-        f"weight {plan.task.energy:g}; {found['repeats']} turns each in simulation and in reality. "
-        f"Simulation: {found['said']['simulation']}. Reality: {found['said']['reality']}."
+        f"weight {plan.task.energy:g}; {results['repeats']} turns each in simulation and in "
+        f"reality. Simulation: {results['said']['simulation']}. "
+        f"Reality: {results['said']['reality']}."
     )
     return [
         returns,
-        Section("What is lost without it", _DIFFERENCES, notes),
-        ways,
-        Section("How", "", [how]),
+        Section("Loss without each technique", _DIFFERENCES, notes),
+        trajectories,
+        Section("Method", "", [method]),
     ]
 
 
 def _picture(figure: Figure) -> Picture:
-    """A figure for a page, and its layout for a phone."""
+    """A figure for a page, with a narrow version for small screens."""
     from sim2real.report.drawing import svg
     from sim2real.report.style import NARROW
 
@@ -177,83 +181,83 @@ def _picture(figure: Figure) -> Picture:
 
 
 _DIFFERENCES = (
-    "Return in reality of all techniques less that of each arm, agents paired by their seeds: the "
-    "mean and its 90 % interval. An interval that leaves out zero tells the arms apart."
+    "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
+    "90 % interval. A difference is significant if its interval excludes zero."
 )
 
 
-def compared(arm: str, one: Difference) -> str:
-    """What an arm loses against all techniques, in a sentence."""
-    word = "less" if one.mean > 0 else "more"
-    said = f"{TITLES[arm]}: {abs(one.mean):.2f} {word} return in reality than all techniques"
-    if one.pairs < 2:
-        return f"{said}; one pair of agents tells nothing of chance"
-    ends = sorted((abs(one.low), abs(one.high)))
-    if one.told:
-        return f"{said} ({ends[0]:.2f} to {ends[1]:.2f})"
-    return f"{said} (90 % interval {-one.high:+.2f} to {-one.low:+.2f}, so it may be nothing)"
+def loss_text(arm: str, loss: Difference) -> str:
+    """The loss of an arm relative to all techniques, as a sentence."""
+    word = "less" if loss.mean > 0 else "more"
+    text = f"{TITLES[arm]}: {abs(loss.mean):.2f} {word} return in reality than all techniques"
+    if loss.pairs < 2:
+        return f"{text}; one pair of agents gives no interval"
+    ends = sorted((abs(loss.low), abs(loss.high)))
+    if loss.significant:
+        return f"{text} ({ends[0]:.2f} to {ends[1]:.2f})"
+    return f"{text} (90 % interval {-loss.high:+.2f} to {-loss.low:+.2f}, not significant)"
 
 
-def power(told: Mapping[str, Difference]) -> str:
-    """How many seeds tell the arms apart as well as was asked for."""
-    largest = max(abs(one.mean) for one in told.values())
+def seeds_text(losses: Mapping[str, Difference]) -> str:
+    """Number of seeds for intervals as narrow as ``SHARE`` asks, as a sentence."""
+    largest = max(abs(loss.mean) for loss in losses.values())
     parts = [
         f"{TITLES[arm]} {'more than 200' if count is None else count}"
-        for arm, count in seeds_needed(told).items()
+        for arm, count in seeds_needed(losses).items()
     ]
-    pairs = list(dict.fromkeys(one.pairs for one in told.values()))
+    pairs = list(dict.fromkeys(loss.pairs for loss in losses.values()))
     seeds = f"{pairs[0]} seeds an arm" if len(pairs) == 1 else f"{min(pairs)} to {max(pairs)} seeds"
     return (
         f"{seeds}. For intervals narrower than a third of the largest difference "
-        f"({largest:.2f}) the spread over pairs asks for: {', '.join(parts)}."
+        f"({largest:.2f}) the spread over pairs requires: {', '.join(parts)}."
     )
 
 
-def floored(found: Found) -> str:
-    """What is lost where no turn counts for less than that of a robot that lies still."""
-    kept = differences(found, least=STILL)
-    needed = seeds_needed(kept)
+def floored_text(results: Results) -> str:
+    """Losses with returns floored at that of a robot that does not move, as a sentence."""
+    losses = differences(results, floor=STILL)
+    needed = seeds_needed(losses)
     parts = [
-        f"{TITLES[arm]} {_ends(one)}, {needed[arm] or 'more than 200'} seeds asked for"
-        for arm, one in kept.items()
+        f"{TITLES[arm]} {_ends(loss)}, {needed[arm] or 'more than 200'} seeds required"
+        for arm, loss in losses.items()
     ]
-    said = "Where no turn counts for less than that of a robot that lies still, as one that "
-    return f"{said}thrashes about is switched off: {'; '.join(parts)}."
+    text = "With returns floored at that of a robot that does not move, as a robot that moves "
+    return f"{text}erratically is switched off: {'; '.join(parts)}."
 
 
-def difference_figure(told: Mapping[str, Difference]) -> Figure:
-    """Each arm's loss with its interval."""
+def difference_figure(losses: Mapping[str, Difference]) -> Figure:
+    """Loss of each arm with its interval."""
     from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
 
     with house_style():
-        figure = new_figure(70 + 34 * len(told), "Return lost in reality without each technique")
+        figure = new_figure(70 + 34 * len(losses), "Return lost in reality without each technique")
         axes = figure.subplots()
-        for y, one in enumerate(told.values()):
-            colour = ACCENT if one.told else MUTED
-            ends = [[min(one.mean - one.low, 1e6)], [min(one.high - one.mean, 1e6)]]
-            if one.pairs > 1:
-                axes.errorbar([one.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
-            axes.plot([one.mean], [y], "o", color=colour, ms=4)
+        for y, loss in enumerate(losses.values()):
+            colour = ACCENT if loss.significant else MUTED
+            ends = [[min(loss.mean - loss.low, 1e6)], [min(loss.high - loss.mean, 1e6)]]
+            if loss.pairs > 1:
+                axes.errorbar([loss.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
+            axes.plot([loss.mean], [y], "o", color=colour, ms=4)
         axes.axvline(0, color=INK, lw=0.8)
         axes.margins(0.06, 0.2)
-        axes.set_yticks(range(len(told)), [TITLES[arm] for arm in told])
+        axes.set_yticks(range(len(losses)), [TITLES[arm] for arm in losses])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("return of all techniques\nless this arm's, in reality")
+        axes.set_xlabel("return of all techniques\nminus that of this arm, in reality")
     return figure
 
 
-def keeps(by: Mapping[str, Mapping[str, Any]]) -> str:
-    """How much of its simulated reward the first arm keeps, in a sentence."""
-    if "all" not in by:
+def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
+    """The share of its simulated return that arm "all" keeps in reality, as a sentence."""
+    if "all" not in by_arm:
         return ""
-    sim, real = (by["all"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
-    said = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
-    said += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
-    if "all-and-effects" in by and sim > real:
-        more = by["all-and-effects"]["reality"][OUTCOME][0] - real
-        said += f" With the effects found, {100 * more / (sim - real):.0f} % of the gap is closed."
-    return said
+    sim, real = (by_arm["all"][testbed][OUTCOME][0] for testbed in ("simulation", "reality"))
+    text = f"With all techniques the return is {sim:.2f} in simulation and {real:.2f} in reality"
+    text += f", {100 * real / sim:.0f} % of it." if sim > 0 else "."
+    if "all-and-effects" in by_arm and sim > real:
+        gain = by_arm["all-and-effects"]["reality"][OUTCOME][0] - real
+        text += f" With the effects found, {100 * gain / (sim - real):.0f} % of the gap is closed."
+    return text
 
 
 def return_figure(table: list[dict[str, Any]]) -> Figure:
@@ -263,8 +267,8 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
     with house_style():
         figure = new_figure(60 + 46 * len(table), "Return of each arm in simulation and reality")
         axes = figure.subplots()
-        for testbed, colour, off in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
-            y = np.arange(len(table)) + off
+        for testbed, colour, offset in (("simulation", FAINT, -0.17), ("reality", ACCENT, 0.17)):
+            y = np.arange(len(table)) + offset
             mean, low, high = np.array([row[testbed][OUTCOME] for row in table]).T
             axes.barh(y, mean, 0.3, color=colour, label=testbed)
             axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
@@ -279,24 +283,24 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
     return figure
 
 
-def way_figure(found: Found) -> Figure:
-    """Trajectories in reality, a panel an arm."""
+def trajectory_figure(results: Results) -> Figure:
+    """Trajectories in reality, one panel per arm."""
     from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 
-    arms = list(dict.fromkeys(agent["arm"] for agent in found["agents"]))
+    arms = list(dict.fromkeys(agent["arm"] for agent in results["agents"]))
     with house_style():
         rows = -(-len(arms) // 2)
-        figure = new_figure(170 * rows, "Ways of the head in reality, arm by arm")
+        figure = new_figure(170 * rows, "Trajectories of the head in reality, by arm")
         panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False).ravel()
         for axes in panels[len(arms) :]:
             axes.set_visible(False)
         for axes, arm in zip(panels, arms, strict=False):
-            for agent in found["agents"]:
+            for agent in results["agents"]:
                 if agent["arm"] != arm:
                     continue
                 for n, path in enumerate(agent["reality"]["path"]):
-                    way = _turned(np.array(path), np.array(found["targets"]["reality"][n]))
-                    axes.plot(*way.T, color=ACCENT if arm == "all" else INK, lw=0.7, alpha=0.7)
+                    path_m = _aligned(np.array(path), np.array(results["targets"]["reality"][n]))
+                    axes.plot(*path_m.T, color=ACCENT if arm == "all" else INK, lw=0.7, alpha=0.7)
             axes.plot([-1.5], [0], "o", mfc="none", mec=FAINT)
             axes.plot([0], [0], "o", color=INK, markersize=3)
             axes.set(aspect="equal", xlim=(-1.7, 0.6), ylim=(-0.5, 0.5))
@@ -304,9 +308,9 @@ def way_figure(found: Found) -> Figure:
     return figure
 
 
-def _turned(way: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The way with its start at the origin and the target behind it on the x axis."""
-    along = target - way[0]
-    along = along / np.linalg.norm(along)
-    moved = way - way[0]
-    return np.stack([-moved @ along, moved @ np.array([-along[1], along[0]])], axis=1)
+def _aligned(path: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The trajectory with its start at the origin and the target on the negative x axis."""
+    direction = target - path[0]
+    direction = direction / np.linalg.norm(direction)
+    moved = path - path[0]
+    return np.stack([-moved @ direction, moved @ np.array([-direction[1], direction[0]])], axis=1)

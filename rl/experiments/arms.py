@@ -1,7 +1,7 @@
-"""The arms of the ablation: which techniques each of them uses, and what stands in for the others.
+"""The arms of the ablation: the techniques of each, and the defaults that replace the others.
 
-Lin, Liu, Wang, Sec. IV-D: a technique that is left out leaves the old simulator's default. Where
-that simulator has none for a robot like this one, what stands in is said here.
+Lin, Liu, Wang, Sec. IV-D: without a technique the default of the old simulator is used. Where that
+simulator has no default for this robot, one is defined here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
 EFFORT_NM = 2.0
-"""Torque that the old simulator's joints are limited to."""
+"""Torque limit of the joints in the old simulator, N m."""
 STIFF = JointModel(
     kp_Nm_per_rad=10.0,
     kd_Nms_per_rad=0.2,
@@ -29,7 +29,8 @@ STIFF = JointModel(
     effects=(FittedEffect("torque_saturation", {"limit_Nm": EFFORT_NM}),),
 )
 """An uncalibrated servo. The old simulator drives joints by torque; the task commands angles, so
-what is left is a stiff drive that asks for the whole effort at an error of 0.2 rad, at once."""
+the default is a stiff drive without latency that reaches its torque limit at an error of 0.2
+rad."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class Techniques:
 
     Attributes:
         servo: Gains and latency as identified, else ``STIFF``.
-        density: Normalised density as weighed, else one density throughout.
-        randomization: Episodes drawn from the ranges, else all from the one model.
-        effects: What the diagnosis found, put into the model.
+        density: Normalised density as measured, else the same density for all links.
+        randomization: Episodes drawn from the ranges, else all with the same model.
+        effects: Whether the model includes the diagnosed effects.
     """
 
     servo: bool = True
@@ -59,12 +60,11 @@ ARMS: Mapping[str, Techniques] = {
     "none": Techniques(servo=False, density=False, randomization=False),
     "midway": Techniques(),
 }
-"""The paper's four, one that the paper could not have, and the intervention: an arm that learns in
-reality's own parameters, where a model says what they are. What it does better than "all", no
-technique that was left out can explain away. Left out unless asked for: "none", and "midway", whose
-servos and densities lie half way between those of "all" and "none". Arms can go on from its agents:
-none is nearer to where they begin, none has met there the servos that another arm lacks, and what
-it costs to learn to swim, and when an agent does by chance, is no part of what is compared."""
+"""The four arms of the paper; "all-and-effects", with diagnosed effects; and "ceiling", trained
+with the true parameters of the reality where they are known: an upper bound. By default not run:
+"none", and "midway", whose servos and densities lie half way between those of "all" and "none".
+Training of the other arms can continue from agents of "midway": no arm is favoured by that start,
+and the time to learn swimming, which differs by chance, is not part of the comparison."""
 PAPER = ("all", "no-servo", "no-density", "no-randomization")
 TITLES: Mapping[str, str] = {
     "all": "all techniques",
@@ -79,10 +79,10 @@ TITLES: Mapping[str, str] = {
 
 
 def one_density(robot: Robot) -> list[float]:
-    """Normalised densities of links of one material, by the volumes of elliptic cylinders.
+    """Normalised densities of links of one material, with volumes of elliptic cylinders.
 
-    The old simulator gives every link 1080 kg/m3. Mass that floats is what the pool's robot has, so
-    the total stays and only its share changes.
+    The old simulator gives every link 1080 kg/m3. The robot is neutrally buoyant, so the total mass
+    is kept and only its distribution changes.
     """
     section = np.array([link.width_m * link.height_m for link in robot.links])
     length = np.array([link.length_m for link in robot.links])
@@ -95,10 +95,10 @@ def model_of(
     """The simulator that an arm trains in.
 
     Args:
-        techniques: Its switches.
+        techniques: The techniques of the arm.
         model: The calibrated model.
         robot: The robot.
-        enriched: The model with what the diagnosis found; the calibrated one where None.
+        enriched: The model with the diagnosed effects; default: the calibrated model.
     """
     chosen = with_density(enriched if techniques.effects and enriched else model, robot)
     if not techniques.density:
@@ -118,51 +118,51 @@ def arm_of(
 ) -> Arm:
     """An arm to train.
 
-    A range of a technique that is off is left out, or it would bring the technique back.
+    Ranges of a technique that the arm does not use are omitted, as they contain its results.
 
     Args:
         name: One of ``ARMS``.
         model: The calibrated model.
         robot: The robot.
-        ranges: What is randomized.
-        enriched: The model with what the diagnosis found.
-        reality: Reality's own parameters, for the arm "ceiling".
+        ranges: Randomization ranges.
+        enriched: The model with the diagnosed effects.
+        reality: True parameters of the reality, for the arm "ceiling".
     """
     techniques = ARMS[name]
     if name == "midway":
         drawn, old = arm_of("all", model, robot, ranges).draws, model_of(ARMS["none"], model, robot)
-        models = tuple(half_way(one, old) for one in drawn.models)
+        models = tuple(half_way(m, old) for m in drawn.models)
         return Arm(name, replace(drawn, models=models))
     if name == "ceiling":
         assert reality is not None, "the caller has looked"
         noise = noise_of(ranges, [joint.name for joint in robot.joints])
         return Arm(name, Draws((with_density(reality, robot),), noise))
-    own = model_of(techniques, model, robot, enriched)
+    arm_model = model_of(techniques, model, robot, enriched)
     if not techniques.randomization:
-        return Arm(name, draws_of(own, None, robot, seed=0))
+        return Arm(name, draws_of(arm_model, None, robot, seed=0))
     joints = set(model.joints)
 
-    def kept(parameter: str) -> bool:
+    def used(parameter: str) -> bool:
         servo = parameter.split(".")[0] in joints and not parameter.endswith("position_noise_rad")
         if not techniques.servo and (servo or parameter == "command_latency_s"):
             return False
         return techniques.density or not parameter.startswith("body.normalised_density")
 
-    entries = tuple(entry for entry in ranges.entries if kept(entry.parameter))
-    return Arm(name, draws_of(own, replace(ranges, entries=entries), robot, seed=0))
+    entries = tuple(entry for entry in ranges.entries if used(entry.parameter))
+    return Arm(name, draws_of(arm_model, replace(ranges, entries=entries), robot, seed=0))
 
 
-def half_way(one: Model, other: Model) -> Model:
-    """A model with gains, latencies and densities between two: geometric means of the gains."""
+def half_way(first: Model, second: Model) -> Model:
+    """Mean of two models: geometric for gains, arithmetic for latencies and densities."""
     joints = {}
-    for name, a in one.joints.items():
-        b = other.joints[name]
+    for name, a in first.joints.items():
+        b = second.joints[name]
         joints[name] = replace(
             a,
             kp_Nm_per_rad=(a.kp_Nm_per_rad * b.kp_Nm_per_rad) ** 0.5,
             kd_Nms_per_rad=(a.kd_Nms_per_rad * b.kd_Nms_per_rad) ** 0.5,
             latency_s=(a.latency_s + b.latency_s) / 2,
         )
-    density = np.mean([m.body["normalised_density"] for m in (one, other)], axis=0)
-    body = {**one.body, "normalised_density": [float(x) for x in density]}
-    return replace(one, joints=joints, body=body)
+    density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
+    body = {**first.body, "normalised_density": [float(x) for x in density]}
+    return replace(first, joints=joints, body=body)

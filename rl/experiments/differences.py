@@ -1,4 +1,4 @@
-"""What leaving a technique out costs: agents paired by their seeds, with what that can tell."""
+"""Loss without each technique: differences of agents paired by seed, with intervals."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 OUTCOME = "return"
-"""What is compared: the rewards of a turn discounted as in training, which is what agents learn to
-earn. The plain reward has no price of time and pays who dawdles most."""
+"""Compared quantity: the rewards of a turn discounted as in training, which agents maximise. The
+undiscounted sum does not penalise time and favours slow turns."""
 STILL = 0.0
-"""Return of a robot that lies still. One agent that thrashes about for a whole turn can lose fifty
-times what arriving earns, and its mean then tells how it failed and no more that it did; where no
-turn counts for less than this, as where somebody would switch that robot off, few pairs tell."""
+"""Return of a robot that does not move. An agent that moves erratically for a whole turn can lose
+fifty times the return of an arrival and dominate the mean; with returns floored at this value, as
+if such a robot were switched off, fewer pairs are needed."""
 SHARE = 1 / 3
-"""An interval tells arms apart where it is narrower than this share of the largest difference."""
+"""Required width of an interval, as a share of the largest difference."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Return of all techniques less an arm's, over S pairs of agents of one seed.
+    """Return with all techniques minus that of an arm, over S pairs of agents with the same seed.
 
     Attributes:
-        mean: Above zero where the arm loses.
+        mean: Positive if the arm is worse.
         low, high: Ends of the 90 % interval (Student's, S - 1 degrees of freedom); infinite for one
             pair.
         sd: Standard deviation over the pairs; NaN for one.
-        pairs: Their number S.
+        pairs: Number of pairs S.
     """
 
     mean: float
@@ -40,63 +40,63 @@ class Difference:
     pairs: int
 
     @property
-    def told(self) -> bool:
-        """Whether the interval leaves out zero."""
+    def significant(self) -> bool:
+        """Whether the interval excludes zero."""
         return self.low > 0 or self.high < 0
 
 
 def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Difference:
-    """The difference of two arms' agents, each its mean over the same trials, shape (S,)."""
+    """Difference of two arms, given the mean of each agent over the same trials, shape (S,)."""
     d = first - second
     S, mean = len(d), float(d.mean())
     if S < 2:
         return Difference(mean, -np.inf, np.inf, float("nan"), S)
     sd = float(d.std(ddof=1))
-    half = float(student.ppf(0.95, S - 1)) * sd / S**0.5
-    return Difference(mean, mean - half, mean + half, sd, S)
+    margin = float(student.ppf(0.95, S - 1)) * sd / S**0.5
+    return Difference(mean, mean - margin, mean + margin, sd, S)
 
 
 def differences(
-    found: Mapping[str, Any],
+    results: Mapping[str, Any],
     testbed: str = "reality",
     key: str = OUTCOME,
     *,
-    least: float | None = None,
+    floor: float | None = None,
 ) -> dict[str, Difference]:
-    """Of "all" and each other arm of an ablation, by arm.
+    """Differences of "all" and each other arm of an ablation, by arm.
 
     Args:
-        found: What ``ablate`` tells.
+        results: Result of ``ablate``.
         testbed: ``reality`` or ``simulation``.
-        key: What is compared.
-        least: What a turn counts for at least; anything where None.
+        key: Compared quantity.
+        floor: Lower bound applied to each turn; none by default.
     """
     table: dict[str, dict[int, float]] = {}
-    for agent in found["agents"]:
-        mean = float(np.maximum(agent[testbed][key], -np.inf if least is None else least).mean())
+    for agent in results["agents"]:
+        mean = float(np.maximum(agent[testbed][key], -np.inf if floor is None else floor).mean())
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
-    whole = table.pop("all", {})
+    reference = table.pop("all", {})
     out = {}
-    for arm, own in table.items():
-        seeds = [seed for seed in whole if seed in own]
+    for arm, outcomes in table.items():
+        seeds = [seed for seed in reference if seed in outcomes]
         if seeds:
-            both = (np.array([rows[s] for s in seeds]) for rows in (whole, own))
-            out[arm] = paired(*both)
+            samples = (np.array([rows[s] for s in seeds]) for rows in (reference, outcomes))
+            out[arm] = paired(*samples)
     return out
 
 
-def seeds_needed(found: Mapping[str, Difference], most: int = 200) -> dict[str, int | None]:
-    """Pairs after which each arm's interval is as narrow as ``SHARE`` asks, by its spread now.
+def seeds_needed(losses: Mapping[str, Difference], most: int = 200) -> dict[str, int | None]:
+    """Pairs for an interval narrower than ``SHARE`` of the largest difference, by arm.
 
-    Of the largest difference among them; None where more than ``most`` are needed, or unknown.
+    Computed from the present spread over pairs; None if unknown or more than ``most``.
     """
-    largest = max((abs(one.mean) for one in found.values()), default=0.0)
+    largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
 
-    def needed(one: Difference) -> int | None:
+    def needed(loss: Difference) -> int | None:
         for S in range(2, most + 1):
-            width = 2 * float(student.ppf(0.95, S - 1)) * one.sd / S**0.5
+            width = 2 * float(student.ppf(0.95, S - 1)) * loss.sd / S**0.5
             if width <= SHARE * largest:
                 return S
         return None
 
-    return {arm: needed(one) for arm, one in found.items()}
+    return {arm: needed(loss) for arm, loss in losses.items()}

@@ -1,4 +1,4 @@
-"""One episode of every robot under a controller, recorded and measured."""
+"""Run one episode of every robot under a controller, and measure the result."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Episodes:
-    """E episodes, each recorded until it ended, NaN after that; the first row is the start.
+    """E episodes; rows after the end of an episode are NaN, the first row is the start.
 
     Attributes:
         pose: x, y in m and heading in rad of the head, shape (T, E, 3).
         rate: Joint rates in rad/s, shape (T, E, J).
-        value: The task's reward of each control period, shape (T, E), 0 in the first row.
+        value: Reward of each control period, shape (T, E), 0 in the first row.
         reached: Waypoints reached, shape (E,).
         steps: Length in control periods, shape (E,).
         targets: Waypoints in m, shape (E, W, 2).
@@ -45,9 +45,9 @@ class Episodes:
         return np.asarray(np.nansum(self.value, axis=0))
 
     def discounted(self, discount: float) -> Array:
-        """Sum of the rewards, one a control period later worth ``discount`` of it, shape (E,).
+        """Sum of the rewards, discounted by ``discount`` per control period, shape (E,).
 
-        What an agent is trained for; the plain sum has no price of time.
+        Agents maximise it in training; the undiscounted sum does not penalise time.
         """
         worth = discount ** np.maximum(np.arange(len(self.value)) - 1.0, 0.0)
         return np.asarray(worth @ np.nan_to_num(self.value))
@@ -63,16 +63,16 @@ class Episodes:
         return np.where(self.success, CONTROL_S * self.steps, np.nan)
 
     def turned_s(self, angle_rad: float = np.pi / 2) -> Array:
-        """Seconds until the heading has changed by so much, shape (E,); NaN where it never does."""
-        far = np.abs(self.pose[:, :, 2] - self.pose[0, :, 2]) >= angle_rad
-        return np.where(far.any(axis=0), CONTROL_S * far.argmax(axis=0), np.nan)
+        """Seconds until the heading has changed by an angle, shape (E,); NaN if it never does."""
+        turned = np.abs(self.pose[:, :, 2] - self.pose[0, :, 2]) >= angle_rad
+        return np.where(turned.any(axis=0), CONTROL_S * turned.argmax(axis=0), np.nan)
 
     def faced_s(self, within_rad: float = np.pi / 6) -> Array:
-        """Seconds until the head points at the first target, shape (E,); NaN where never."""
+        """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
         way = self.targets[None, :, 0] - self.pose[:, :, :2]
-        off = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
-        near = np.abs((off + np.pi) % (2 * np.pi) - np.pi) <= within_rad
-        return np.where(near.any(axis=0), CONTROL_S * near.argmax(axis=0), np.nan)
+        bearing = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
+        facing = np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad
+        return np.where(facing.any(axis=0), CONTROL_S * facing.argmax(axis=0), np.nan)
 
 
 def run_episodes(
@@ -82,32 +82,32 @@ def run_episodes(
     name: str = "swim",
     watch: Callable[[], None] | None = None,
 ) -> Episodes:
-    """Let every robot of a world swim one episode.
+    """Run one episode of every robot of a world.
 
     Args:
-        world: The robots; all begin anew.
-        controller: What steers them.
-        name: For the progress bar.
+        world: The robots; all are reset.
+        controller: Their controller.
+        name: Label of the progress bar.
         watch: Called at the start and after every step of the first robot's episode.
     """
     E = world.n_envs
-    seen = world.reset()
+    observation = world.reset()
     targets = world.targets.cpu().double().numpy()
     controller.reset(np.ones(E, dtype=bool))
-    pose, rate = [_taken(world.pose)], [_taken(world.rate)]
+    pose, rate = [_copied(world.pose)], [_copied(world.rate)]
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
     if watch is not None:
         watch()
     for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
-        action = controller.act(seen.cpu().numpy())
+        action = controller.act(observation.cpu().numpy())
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
-        seen = step.observation
-        value.append(np.where(going, _taken(step.reward), np.nan))
+        observation = step.observation
+        value.append(np.where(going, _copied(step.reward), np.nan))
         steps += going
         reached = np.where(going, step.reached.cpu().numpy(), reached)
-        for kept, now in ((pose, world.pose), (rate, world.rate)):
-            kept.append(np.where(going[:, None], _taken(now), np.nan))
+        for recorded, values in ((pose, world.pose), (rate, world.rate)):
+            recorded.append(np.where(going[:, None], _copied(values), np.nan))
         if watch is not None and going[0]:
             watch()
         going &= ~(step.terminated | step.truncated).cpu().numpy()
@@ -116,25 +116,25 @@ def run_episodes(
     return Episodes(np.array(pose), np.array(rate), np.array(value), reached, steps, targets)
 
 
-def _taken(tensor: torch.Tensor) -> Array:
+def _copied(tensor: torch.Tensor) -> Array:
     return np.array(tensor.cpu().numpy(), dtype=np.float64)
 
 
 def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
-    """Time in s and energy of every episode, shape (E,) each, arrived or not.
+    """Time in s and energy of every episode, shape (E,) each.
 
-    One that does not arrive takes the task's whole time; where a robot was taken out before that,
-    its energy is what it would have used by then at its own mean rate. Means over arrivals alone
-    would flatter who arrives seldom.
+    An episode without arrival counts with the full time of the task; if it ended earlier, its
+    energy is extrapolated to that time at its mean rate. Means over arrivals only would favour
+    policies that rarely arrive.
     """
-    whole = task.steps / np.maximum(episodes.steps, 1)
+    extrapolation = task.steps / np.maximum(episodes.steps, 1)
     time = np.where(episodes.success, episodes.steps, task.steps) * CONTROL_S
     used = energy(episodes.rate)
-    return time, np.where(episodes.success, used, used * whole)
+    return time, np.where(episodes.success, used, used * extrapolation)
 
 
 def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
-    """What the paper counts, over all episodes: means, and standard errors of the first few."""
+    """The metrics of the paper over all episodes: means, some with standard errors."""
     heading = episodes.pose[:, :, 2]
     radius = turning_radius(episodes.pose[:, :, :2], heading)
     won = episodes.success

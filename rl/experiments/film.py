@@ -1,7 +1,7 @@
-"""A film of an evaluation: the first robot of each policy, from above, one policy after the other.
+"""Video of an evaluation: the first robot of each policy from above, one policy after the other.
 
-It shows the pool, the targets, the way so far, the robot's outline and the time; in the fluid also
-the vorticity, as far as the box reaches that goes with the robot.
+It shows the pool, the targets, the past trajectory, the outline of the robot and the time; in the
+fluid also the vorticity within the simulated box, which moves with the robot.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 TARGET = (20, 120, 84)
 _MARGIN_M = 0.1
 _SHARE = 0.75
-"""Of the width that suits the video's format: the pool is about as high as it is wide."""
+"""Share of the video's default width, as the pool is about as high as it is wide."""
 _DRAWN_FOR = 960
 _HELD_S = 1.0
-"""For which the last picture of a policy stays."""
+"""Duration for which the last picture of a policy is shown, s."""
 
 
 def still(world: World, *, width: int = 480) -> Image:
@@ -40,7 +40,7 @@ def still(world: World, *, width: int = 480) -> Image:
 class Film:
     """The part of a video that shows one policy; call it after every step of the world.
 
-    Inside a ``with`` block, whose end keeps the last picture for a second.
+    A context manager: leaving the block repeats the last picture for one second.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class Film:
         """Set up the camera.
 
         Args:
-            video: What the pictures go to, open; None only where they go nowhere.
+            video: Open video that pictures are added to; None to discard them.
             world: The robots; the first is filmed, from its next start on.
-            name: The policy's, to be shown.
-            width: Of a picture in pixels, even; what suits the video's format where None.
+            name: Name of the policy, shown in the video.
+            width: Width of a picture in pixels, even; default: derived from that of the video.
         """
         self._video, self._world, self._name = video, world, name
         wide = width or 2 * round(_SHARE * (_DRAWN_FOR if video is None else video.width) / 2)
@@ -67,13 +67,13 @@ class Film:
         self._image: Image | None = None
 
     def __call__(self) -> None:
-        """Follow the robot, and take a picture where one is due."""
+        """Extend the trajectory, and add a picture if the next frame is due."""
         live: Any = self._world.simulator.live()
-        at = self._world.pose[0, :2].cpu().double().numpy()
+        position = self._world.pose[0, :2].cpu().double().numpy()
         if self._last is not None:
-            ends = np.stack([self._last, at])
+            ends = np.stack([self._last, position])
             add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
-        self._last = at
+        self._last = position
         clock = float(live.clock.numpy()[0])
         if clock + 1e-6 >= self._taken / FRAMES_PER_S:
             self._image = self._picture(clock)
@@ -90,7 +90,7 @@ class Film:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Keep the last picture."""
+        """Repeat the last picture."""
         if kind is None and self._image is not None:
             for _ in range(round(_HELD_S * FRAMES_PER_S)):
                 self._add(self._image)
@@ -100,41 +100,43 @@ class Film:
             self._video.add(image)
 
     def _picture(self, clock: float) -> Image:
-        """What the camera sees now."""
+        """The current picture."""
         world, x, y = self._world, self._x, self._y
         simulator: Any = world.simulator
-        seen: Plane | None = None
+        plane: Plane | None = None
         if isinstance(simulator, Swimmer):
-            seen = plane_of(simulator)
-            links = seen.links
-            canvas = colours(zoomed(seen, x, y) / VORTICITY)
+            plane = plane_of(simulator)
+            links = plane.links
+            canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
             drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[0] * clock
             links = front_ends(simulator.chain, simulator.motion, drift, 0)
             canvas = np.full((y.size, x.size, 3), 255.0)
         blend(canvas, self._rules, RULE)
-        now = int(world.waypoint[0])
+        waypoint = int(world.waypoint[0])
         for k, target in enumerate(world.targets[0].cpu().double().numpy()):
-            draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == now else 0.0)
+            draw_ring(
+                canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == waypoint else 0.0
+            )
         blend(canvas, 0.8 * self._way, INK)
         draw_robot(canvas, simulator.hull, links, x, y)
-        return self._lettered(np.rint(canvas).astype(np.uint8), seen, clock)
+        return self._lettered(np.rint(canvas).astype(np.uint8), plane, clock)
 
-    def _lettered(self, image: Image, seen: Plane | None, clock: float) -> Image:
-        on = Lettering(image, _DRAWN_FOR)
-        on.write(on.left, on.top, self._name, "lt", large=True)
+    def _lettered(self, image: Image, plane: Plane | None, clock: float) -> Image:
+        lettering = Lettering(image, _DRAWN_FOR)
+        lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
         count = self._world.task.waypoints
-        told = f"{clock:.2f} s"
+        caption = f"{clock:.2f} s"
         if count > 1:
-            told += f"   to target {int(self._world.waypoint[0]) + 1} of {count}"
-        on.write(on.left, on.low, told, "ls", large=True)
-        on.scale(self._pixels)
-        if seen is not None:
-            on.key(VORTICITY)
-        return on.image()
+            caption += f"   to target {int(self._world.waypoint[0]) + 1} of {count}"
+        lettering.write(lettering.left, lettering.low, caption, "ls", large=True)
+        lettering.scale(self._pixels)
+        if plane is not None:
+            lettering.key(VORTICITY)
+        return lettering.image()
 
     def _pool(self) -> Array:
-        """How dark the grid and the pool's walls are, shape (height, width)."""
+        """Opacity of the grid and the walls of the pool, shape (height, width)."""
         x, y = self._x, self._y
         length, breadth = (side / 2 for side in self._world.task.domain_m)
         inside = (np.abs(x) < length) & (np.abs(y)[:, None] < breadth)

@@ -1,4 +1,4 @@
-"""Controllers by the names that a command line takes: files of policies, and those not learned."""
+"""Controllers by their names on the command line: policy files and classical controllers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rl.sac.sampled import SampledController
 from sim2real.errors import InputError
 
 CONTROLLERS = ("pnl", "adrc")
-"""Those that are not learned, by the names a command line takes in a policy's place."""
+"""Classical controllers, by their names on the command line."""
 
 
 def with_price(name: str) -> tuple[str, float | None]:
-    """The file and the price of energy of a policy that is called ``FILE.zip@PRICE``.
+    """The file and the price of energy in a name ``FILE.zip@PRICE``.
 
     Args:
-        name: Of a controller; with no price in it, it is the file's.
+        name: Name of a controller; returned unchanged if it contains no price.
 
     Raises:
         InputError: If the price is no number.
@@ -43,17 +43,17 @@ def controller_of(
     gains: Path | None = None,
     sampled: bool = False,
 ) -> Controller:
-    """A policy's file, or one of ``CONTROLLERS``, at a pace as in ``pnl-fast``.
+    """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 
     Args:
-        name: Which; ``FILE.zip@PRICE`` swims at another price of energy, see ``set_price``.
-        limits_rad: Of the robot's joints, lowest and highest.
+        name: Policy file or controller; for ``FILE.zip@PRICE`` see ``set_price``.
+        limits_rad: Lowest and highest angle of each joint.
         n_envs: Number of robots.
-        gains: File of the tuned gains; that of the twin where None.
-        sampled: Whether a policy's ``.zip`` acts as in training, with noise.
+        gains: File of the tuned gains; default: those tuned in the twin.
+        sampled: Whether actions are sampled from a ``.zip`` policy, as in training.
 
     Raises:
-        InputError: If it is neither, or did not learn for the price.
+        InputError: If it is neither, or was not trained for the price.
     """
     kind, _, pace = name.partition("-")
     if kind in CONTROLLERS and (not pace or pace in PACES):
@@ -62,8 +62,8 @@ def controller_of(
 
         file, pace = gains or TUNED, pace or "middle"
         if kind == "pnl":
-            known = tuned("pnl", PNLGains, pace, file)
-            return ProportionalNavigation(limits_rad, n_envs, known)
+            pnl_gains = tuned("pnl", PNLGains, pace, file)
+            return ProportionalNavigation(limits_rad, n_envs, pnl_gains)
         return DisturbanceRejection(limits_rad, n_envs, tuned("adrc", ADRCGains, pace, file))
     from rl.controllers.discrete_cpg import read_policy, read_table
 
@@ -72,8 +72,8 @@ def controller_of(
     path, price = with_price(name)
     policy = read_npz(name) if name.endswith(".npz") else read_zip(path, price=price)
     if len(policy.joints) != len(limits_rad):
-        found = f"{len(policy.joints)} joints"
-        raise InputError(name, "joints", found, f"{len(limits_rad)}, as the robot has")
+        joints = f"{len(policy.joints)} joints"
+        raise InputError(name, "joints", joints, f"{len(limits_rad)}, as the robot has")
     if sampled and not name.endswith(".npz"):
         return SampledController(path, price=price)
     return PolicyController(policy)

@@ -1,4 +1,4 @@
-"""At which price of energy a policy swims: chosen after its training, by trials."""
+"""Choice of each policy's price of energy after training, by trials."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
 EXPONENTS = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
-"""Of the prices tried: the lowest that an agent learned for at -1, its own at 0."""
+"""Exponents of the prices tested: -1 is the lowest that an agent was trained for, 0 its default."""
 TRIED_ON = ("turn", "near")
 SEED = 78_000
 
@@ -36,55 +36,55 @@ def choose_prices(
     device: str = "cpu",
     **water: Any,  # noqa: ANN401 - those of ``run_trials``
 ) -> dict[str, float]:
-    """Put each agent at the price at which it does best beside proportional navigation.
+    """Set each agent's price of energy to the best one relative to proportional navigation.
 
-    The reward hardly changes along an agent's curve of time against energy, so that agents of
-    one price end at paces far apart. Taken is the price at which the larger of an agent's time and
-    energy, over those of proportional navigation's middle pace and over all tasks tried, is least.
+    The reward hardly changes along an agent's trade-off of time and energy, so that agents with the
+    same price swim at very different paces. The chosen price minimises the larger of the ratios of
+    time and energy to those of proportional navigation at middle pace, over all tasks tested.
 
     Args:
-        folders: The agents'; their ``policy.zip`` are written anew.
+        folders: Folders of the agents; their ``policy.zip`` are rewritten.
         robot: Links, joints and data sheets.
         model: The calibrated model.
-        ranges: What robots and noise are drawn from.
-        episodes: Of each agent, price and task.
+        ranges: Distributions of robots and noise.
+        episodes: Episodes of each agent, price and task.
         device: ``cpu`` or ``cuda:0``.
         water: Fidelity, cell_m, threads.
 
     Returns:
-        For each folder's name the price, over the training's own.
+        The price by the name of the folder, relative to that of the training.
     """
     agents: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
-    known = {
+    priced = {
         folder: agent
         for folder, agent in agents.items()
         if getattr(agent, "by_price", {}).get("column") is not None
     }
-    if not known:
+    if not priced:
         return {}
     limits = [joint.limits_rad for joint in robot.joints]
     policies: dict[str, Any] = {}
-    for k, agent in enumerate(known.values()):
-        for one in EXPONENTS:
-            set_price(agent, agent.by_price["prices"] ** one)
-            policies[f"{k}@{one}"] = policy_of(agent)
-    worst = np.zeros((len(known), len(EXPONENTS)))
+    for k, agent in enumerate(priced.values()):
+        for exponent in EXPONENTS:
+            set_price(agent, agent.by_price["prices"] ** exponent)
+            policies[f"{k}@{exponent}"] = policy_of(agent)
+    worst = np.zeros((len(priced), len(EXPONENTS)))
     for name in TRIED_ON:
         controllers: dict[str, Controller] = {
-            key: PolicyController(one) for key, one in policies.items()
+            key: PolicyController(policy) for key, policy in policies.items()
         }
         controllers["pnl"] = controller_of("pnl", limits, episodes)
-        swum = run_trials(
+        episodes_of = run_trials(
             robot, model, ranges, TASKS[name], controllers, episodes=episodes, seed=SEED,
             device=device, **water,
         )  # fmt: skip
-        told = {key: summary(one, TASKS[name]) for key, one in swum.items()}
+        summaries = {key: summary(swims, TASKS[name]) for key, swims in episodes_of.items()}
         worst = np.maximum(worst, [
-            [_ratio(told[f"{k}@{one}"], told["pnl"]) for one in EXPONENTS]
-            for k in range(len(known))
+            [_ratio(summaries[f"{k}@{x}"], summaries["pnl"]) for x in EXPONENTS]
+            for k in range(len(priced))
         ])  # fmt: skip
     chosen = {}
-    for (folder, agent), row in zip(known.items(), worst, strict=True):
+    for (folder, agent), row in zip(priced.items(), worst, strict=True):
         chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
         set_price(agent, chosen[folder.name])
         agent.save(folder / ".policy.zip")
@@ -92,5 +92,5 @@ def choose_prices(
     return chosen
 
 
-def _ratio(one: Mapping[str, float], other: Mapping[str, float]) -> float:
-    return max(one[key] / max(other[key], 1e-9) for key in ("time_s", "energy"))
+def _ratio(agent: Mapping[str, float], baseline: Mapping[str, float]) -> float:
+    return max(agent[key] / max(baseline[key], 1e-9) for key in ("time_s", "energy"))

@@ -1,8 +1,8 @@
-"""Agents of an ablation that were trained beforehand, kept small enough to ship.
+"""Pretrained agents of an ablation, in a form small enough to ship.
 
-A folder holds ``ARM-SEED/policy.npz`` of each agent (its policy alone, see ``rl.deploy.forward``),
+A folder holds ``ARM-SEED/policy.npz`` of each agent (only its policy, see ``rl.deploy.forward``),
 the ``model.json`` and ``ranges.json`` that they were trained for, and ``agents.json``: the plan,
-the SHA-256 of every file and where all of it came from.
+the SHA-256 of every file and the provenance.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class Pretrained:
     """The agents of a folder.
 
     Attributes:
-        folder: Where they are.
+        folder: The folder.
         model: The calibrated model that they were trained for.
-        plan: How they were trained, as ``Plan.content`` has it.
-        seeds: One agent of each arm for each.
+        plan: Plan of their training, see ``Plan.content``.
+        seeds: Seeds; each arm has one agent per seed.
     """
 
     folder: Path
@@ -56,39 +56,39 @@ class Pretrained:
         plan: Plan,
         note: dict[str, Any] | None = None,
     ) -> list[Path]:
-        """The agents in place of a training; called as ``rl.sac.train.train``.
+        """Return the agents instead of training; same arguments as ``rl.sac.train.train``.
 
         Args:
-            folder: Where a training would write; nothing is written.
-            robot: The robot.
+            folder: Unused; nothing is written.
+            robot: Unused.
             arms: The arms.
-            plan: Says the seeds.
-            note: Provenance, which these agents have of their own.
+            plan: The plan with the seeds.
+            note: Unused; the agents have their own provenance.
 
         Returns:
             The agents' folders: all seeds of the first arm, then those of the next.
 
         Raises:
-            InputError: If there is no such agent, or its file is not the one that was listed.
+            InputError: If an agent is missing, or its file differs from the listed one.
         """
         del folder, robot, note
         listed = _listing(self.folder)["files"]
         names = agent_names(arms, plan.seeds)
         for name in names:
             file = self.folder / name / POLICY
-            known = listed.get(f"{name}/{POLICY}")
-            if known is None or not file.is_file():
+            sha256 = listed.get(f"{name}/{POLICY}")
+            if sha256 is None or not file.is_file():
                 raise InputError(file, "", "no such agent", f"one of {LISTING}")
-            if _sha256(file) != known:
+            if _sha256(file) != sha256:
                 raise InputError(file, "", "another file", f"the one listed in {LISTING}")
         return [self.folder / name for name in names]
 
 
 def read_pretrained(folder: Path) -> Pretrained:
-    """The agents of a folder.
+    """Read the agents of a folder.
 
     Raises:
-        InputError: If it has none, or its listing says too little.
+        InputError: If it has none, or its listing is incomplete.
     """
     listing = _listing(folder)
     try:
@@ -101,17 +101,17 @@ def read_pretrained(folder: Path) -> Pretrained:
 
 def write_pretrained(
     folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
-    made: dict[str, Any],
+    note: dict[str, Any],
 ) -> Path:  # fmt: skip
-    """Keep the policies of trained agents, and what they were trained for.
+    """Write the policies of trained agents, and the model and ranges of their training.
 
     Args:
-        folder: Where to; agents of before are removed.
+        folder: Destination; agents already in it are removed.
         agents: Folders of a training, ``ARM-SEED`` each.
-        plan: How they were trained.
+        plan: Plan of their training.
         model: The calibrated model that they were trained for.
-        ranges: What their episodes were drawn from.
-        made: Provenance.
+        ranges: Ranges that their episodes were drawn from.
+        note: Provenance.
 
     Returns:
         The listing.
@@ -125,38 +125,38 @@ def write_pretrained(
         write_whole(folder / agent.name / POLICY, npz(policy_in(agent)))
     names = [MODEL, RANGES, *(f"{agent.name}/{POLICY}" for agent in agents)]
     files = {name: _sha256(folder / name) for name in names}
-    content = {"plan": plan.content(), "files": files, "provenance": made}
+    content = {"plan": plan.content(), "files": files, "provenance": note}
     return write_json(folder / LISTING, content)
 
 
 def drift(
-    trained: Model, now: Model, swim: Swim, simulator: Simulator, error: NDArray[np.float64]
+    trained: Model, calibrated: Model, swim: Swim, simulator: Simulator, error: NDArray[np.float64]
 ) -> float:
-    """How far two models are apart, as a share of what the newer one gets wrong anyway.
+    """Difference of two models relative to the held-out error of the newer one.
 
-    Both swim the commands of a recording. The root mean square difference of each signal is
-    divided by the newer model's held-out error in it; below 1 agents trained in the one meet in
-    the other a robot that the recording can hardly tell from theirs.
+    Both are simulated on the commands of a recording. The root mean square difference of each
+    signal is divided by the held-out error of the newer model; below 1 the recording can hardly
+    distinguish the models.
 
     Args:
         trained: The model that agents were trained for.
-        now: The model of the present calibration.
-        swim: The recording whose commands are swum.
-        simulator: What swims them.
-        error: Held-out root mean square error of ``now`` in each signal, shape (3 + J,).
+        calibrated: The model of the present calibration.
+        swim: The recording.
+        simulator: The simulator.
+        error: Held-out root mean square error of ``calibrated`` in each signal, shape (3 + J,).
 
     Returns:
-        The largest share over the signals; infinite where a model cannot be simulated.
+        The largest ratio over the signals; infinite if a model cannot be simulated.
     """
-    ours, theirs = simulated(swim, [now, trained], simulator)
-    apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0)) / error
-    return float(apart.max()) if np.isfinite(apart).all() else float("inf")
+    new, old = simulated(swim, [calibrated, trained], simulator)
+    ratio = np.sqrt(np.mean((new - old) ** 2, axis=0)) / error
+    return float(ratio.max()) if np.isfinite(ratio).all() else float("inf")
 
 
 def _listing(folder: Path) -> dict[str, Any]:
     path = folder / LISTING
     if not path.is_file():
-        raise InputError(path, "", "no such file", "agents trained beforehand")
+        raise InputError(path, "", "no such file", "pretrained agents")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:

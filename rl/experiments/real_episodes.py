@@ -1,4 +1,4 @@
-"""Episodes in a reality that is only seen: observed, rewarded and ended by what is seen of it."""
+"""Episodes in a reality: observations, rewards and ends are computed from measurements."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Starts:
     targets: Array
 
     def of(self, rows: NDArray[np.intp]) -> Starts:
-        """Some of them."""
+        """The starts of some of the episodes."""
         return Starts(self.pose[rows], self.joint[rows], self.targets[rows])
 
 
@@ -52,28 +52,28 @@ def run_real_episodes(
     swims: Flags | None = None,
     name: str = "reality",
 ) -> Episodes:
-    """One episode of each robot of a reality, as ``evaluate.run_episodes`` in a world.
+    """Run one episode of each robot of a reality, as ``evaluate.run_episodes`` does in a world.
 
-    Poses of what it returns are as seen. Joint rates, and the energy in the reward, are true where
-    the reality tells them, else estimated. An episode ends also where a robot, or a joint, is not
-    seen for ``SILENCE_S``.
+    The returned poses are measured. Joint rates, and the energy in the reward, are true values if
+    the reality has a method ``rate``, else estimates. An episode also ends if a robot or joint is
+    not measured for ``SILENCE_S``.
 
     Args:
         reality: The robots.
-        controller: What steers them.
-        robot: Its joints' limits.
+        controller: Their controller.
+        robot: The robot, for its joint limits.
         task: The task.
         starts: One for each robot.
-        swims: Robots that take part, shape (n,); the others lie still. All where None.
-        name: Of the reality, for errors.
+        swims: Robots that take part, shape (n,), all by default; the others do not move.
+        name: Name of the reality, for errors.
 
     Raises:
-        InputError: If the reality shows arrays of other shapes, or does not show all robots at
-            their starts.
+        InputError: If the reality returns arrays of other shapes, or does not measure all robots
+            at their starts.
     """
     n, J = starts.joint.shape
     limits = np.array([joint.limits_rad for joint in robot.joints])
-    rest = np.clip(0.0, *limits.T)
+    straight = np.clip(0.0, *limits.T)
     going = np.ones(n, dtype=bool) if swims is None else swims.copy()
     observers = Observers(n, J, starts.targets, name)
     shown = observers.look(reality.reset(starts.pose, starts.joint), going)
@@ -83,38 +83,38 @@ def run_real_episodes(
     for _ in tqdm(range(task.steps), desc="reality", unit="step", disable=None, leave=False):
         before = observers.distance.copy()
         desired = np.clip(controller.act(observers.observation), *limits.T)
-        desired[~going] = rest
+        desired[~going] = straight
         shown = observers.look(reality.step(desired), going)
         reached = observers.distance < task.arrive_m
         outside = (np.abs(shown[:, :2]) > np.array(task.domain_m) / 2).any(axis=1)
-        now = _rate(reality, observers)
-        parts = (before, observers.distance, now, reached, outside)
+        rates = _rate(reality, observers)
+        parts = (before, observers.distance, rates, reached, outside)
         earned = reward(task, *(torch.as_tensor(x) for x in parts)).numpy()
         value.append(np.where(going, earned, np.nan))
         steps += going
-        for kept, one in ((pose, shown), (rate, now)):
-            kept.append(np.where(going[:, None], one, np.nan))
+        for recorded, values in ((pose, shown), (rate, rates)):
+            recorded.append(np.where(going[:, None], values, np.nan))
         observers.go_on(reached & going)
         going &= ~(observers.arrived | outside | observers.blind())
         if not going.any():
             break
-    told = (np.array(pose), np.array(rate), np.array(value), observers.reached, steps)
-    return Episodes(*told, starts.targets)
+    recordings = (np.array(pose), np.array(rate), np.array(value), observers.reached, steps)
+    return Episodes(*recordings, starts.targets)
 
 
 def _rate(reality: Reality, observers: Observers) -> Array:
-    """Joint rates in rad/s, shape (n, J): true ones where they are told."""
-    told = getattr(reality, "rate", None)
-    if not callable(told):
+    """Joint rates in rad/s, shape (n, J): true values if the reality has them, else estimates."""
+    true_rate = getattr(reality, "rate", None)
+    if not callable(true_rate):
         return observers.rate
-    return np.nan_to_num(np.asarray(told(), dtype=np.float64)).reshape(observers.rate.shape)
+    return np.nan_to_num(np.asarray(true_rate(), dtype=np.float64)).reshape(observers.rate.shape)
 
 
 class Observers:
-    """What is known of n robots from what was seen of them.
+    """Observations of n robots, computed from their measurements.
 
     Attributes:
-        observation: What the policy sees, shape (n, O).
+        observation: Input of the policy, shape (n, O).
         reached: Waypoints reached, shape (n,).
     """
 
@@ -142,24 +142,24 @@ class Observers:
         return np.asarray(self.reached >= self._targets.shape[1])
 
     def blind(self) -> Flags:
-        """Robots unseen for too long, shape (n,)."""
-        return np.array([one.blind_s > SILENCE_S for one in self._observers])
+        """Robots without a measurement for longer than ``SILENCE_S``, shape (n,)."""
+        return np.array([observer.blind_s > SILENCE_S for observer in self._observers])
 
-    def look(self, seen: tuple[Array, Array], going: Flags) -> Array:
-        """Take what is seen of those that swim on; the poses as they were seen, shape (n, 3)."""
-        pose, joint = self._checked(seen)
+    def look(self, measured: tuple[Array, Array], going: Flags) -> Array:
+        """Process measurements of the robots in ``going``; the measured poses, shape (n, 3)."""
+        pose, joint = self._checked(measured)
         t = CONTROL_S * self._count
         self._count += 1
         for e in np.flatnonzero(going).tolist():
             self._observers[e].take(Telemetry(t, pose[e], joint[e]))
             if not np.isfinite(self._observers[e].blind_s):
-                found = f"robot {e} not seen at its start"
-                raise InputError(self._name, "reset", found, "a pose and all angles")
+                problem = f"robot {e} not measured at its start"
+                raise InputError(self._name, "reset", problem, "a pose and all angles")
             self._observe(e)
         return pose
 
     def go_on(self, reached: Flags) -> None:
-        """Count waypoints; those that reached one look at the next."""
+        """Count waypoints, and switch robots that reached one to the next."""
         self.reached += reached
         for e in np.flatnonzero(reached & ~self.arrived).tolist():
             self._observe(e)
@@ -168,14 +168,14 @@ class Observers:
         target = self._targets[e, min(self.reached[e], self._targets.shape[1] - 1)]
         self.observation[e] = self._observers[e].observation(target)
 
-    def _checked(self, seen: tuple[Array, Array]) -> tuple[Array, Array]:
+    def _checked(self, measured: tuple[Array, Array]) -> tuple[Array, Array]:
         n, columns = self.observation.shape
         try:
-            pose, joint = (np.array(x, dtype=np.float64) for x in seen)
+            pose, joint = (np.array(x, dtype=np.float64) for x in measured)
         except (TypeError, ValueError) as error:
             raise InputError(self._name, "seen", str(error), "poses and joint angles") from None
         expected = ((n, 3), (n, (columns - 5) // 2))
         if (pose.shape, joint.shape) != expected:
-            found = f"arrays of shapes {pose.shape} and {joint.shape}"
-            raise InputError(self._name, "seen", found, f"{expected[0]} and {expected[1]}")
+            problem = f"arrays of shapes {pose.shape} and {joint.shape}"
+            raise InputError(self._name, "seen", problem, f"{expected[0]} and {expected[1]}")
         return pose, joint

@@ -1,31 +1,31 @@
-"""A reality of your own: a Python file that says how robots are moved and seen.
+"""A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` swims trained policies in it: a rig, or a surrogate of one's
-own. Only then is the file run, as a script would be: at its top it may import what stands beside
-it. It offers::
+``sim2real ablate --reality FILE.py`` tests trained policies in it: a rig, or a surrogate with its
+own dynamics. The file is run like a script and may import modules of its own folder. It defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
         return reality    # with the two methods below
 
-    AT_ONCE = 1           # if there are only so many robots at a time, or:
-    def at_once(**options): return 1       # the same by the options of make
+    AT_ONCE = 1           # if the number of robots at a time is limited, or:
+    def at_once(**options): return 1       # the same, as a function of the options of make
 
-and what ``make`` returns has::
+and the object that ``make`` returns has::
 
-    reality.reset(pose, joint)    # poses (n, 3), joint angles (n, J): put them there, at rest
+    reality.reset(pose, joint)    # poses (n, 3), joint angles (n, J): place robots at rest
     reality.step(desired)         # desired joint angles (n, J), held for 0.02 s
 
-Both return what is then seen: poses (n, 3), x and y of the head's centre of mass in m and its
+Both return measurements: poses (n, 3), x and y of the head's centre of mass in m and its
 heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN where
-unseen. A robot whose episode is over is sent straight joints. Velocities, observations, arrival and
-reward are computed from what is seen, as on the real robot. A surrogate knows more::
+there is none. A robot whose episode is over is commanded to straight joints. Velocities,
+observations, arrival and reward are computed from measurements, as on the real robot. A surrogate
+can add::
 
-    reality.rate()                # true joint rates (n, J) in rad/s now
+    reality.rate()                # present true joint rates (n, J) in rad/s
 
-Where there is this third method the energy is counted from it, as a simulator counts its own: rates
-estimated through five samples of what servos report miss half of it. Without it energies of
-simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
+With this method the energy is computed from true rates, as in the simulator: rates estimated from
+five samples of reported angles miss half of it. Without it, energies of simulation and reality must
+not be compared. An example is ``datasets/pool/reality.py``.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ _NAME = "reality_of_your_own"
 
 
 class Reality(Protocol):
-    """Some robots, moved and seen."""
+    """Robots that can be moved and measured."""
 
     def reset(self, pose: Array, joint: Array) -> tuple[Array, Array]:
-        """Put them there at rest; poses and joint angles as seen."""
+        """Place the robots at rest; measured poses and joint angles."""
 
     def step(self, desired: Array) -> tuple[Array, Array]:
-        """Hold these angles for a control period; poses and joint angles as seen after it."""
+        """Command angles for a control period; poses and joint angles measured after it."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,10 @@ class RealityFile:
     """A file that makes realities.
 
     Attributes:
-        files: The file itself, and what it imports from its own folder.
-        sha256: Of these.
-        options: Of its ``make``: given ones, and the defaults of the others.
-        at_once: Most robots at a time; any number where None.
+        files: The file itself, and the modules that it imports from its folder.
+        sha256: Hash of these files.
+        options: Options of its ``make``, including defaults.
+        at_once: Maximum number of robots at a time; None if unlimited.
         make: Called as ``make(robot, n, seed, device, **options)``.
     """
 
@@ -81,32 +81,32 @@ class RealityFile:
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """Path of the file."""
         return self.files[0]
 
     def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Reality:
-        """A reality of n robots.
+        """Make a reality of n robots.
 
         Raises:
-            InputError: If what the file makes has no ``reset`` or no ``step``.
+            InputError: If the result of ``make`` has no ``reset`` or no ``step``.
         """
-        made = self.make(robot, n, seed, device, **self.options)
+        reality = self.make(robot, n, seed, device, **self.options)
         for name in ("reset", "step"):
-            if not callable(getattr(made, name, None)):
-                found = f"{type(made).__name__} without {name}"
-                raise InputError(self.path, "make", found, "a reality with reset and step")
-        return made
+            if not callable(getattr(reality, name, None)):
+                problem = f"{type(reality).__name__} without {name}"
+                raise InputError(self.path, "make", problem, "a reality with reset and step")
+        return reality
 
 
 def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - the file's own
-    """Run a file that offers ``make``.
+    """Run a file that defines ``make``.
 
     Args:
         path: The file.
-        options: For its ``make``.
+        options: Options of its ``make``.
 
     Raises:
-        InputError: If it can't be run, or does not offer what it should.
+        InputError: If it cannot be run, or has no valid ``make``.
     """
     module, files = _run(path)
     make = getattr(module, "make", None)
@@ -118,51 +118,51 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
     except (TypeError, ValueError) as error:
         expected = f"make(robot, n, seed, device{''.join(f', {o}=...' for o in options)})"
         raise InputError(path, "make", str(error), expected) from None
-    own = list(signature.parameters.values())[4:]
-    defaults = {p.name: p.default for p in own if p.default is not p.empty}
-    most = getattr(module, "AT_ONCE", None)
+    own_parameters = list(signature.parameters.values())[4:]
+    defaults = {p.name: p.default for p in own_parameters if p.default is not p.empty}
+    at_once = getattr(module, "AT_ONCE", None)
     if callable(by_options := getattr(module, "at_once", None)):
-        most = by_options(**{**defaults, **options})
-    if most is not None and (type(most) is not int or most < 1):
-        raise InputError(path, "AT_ONCE", repr(most), "a number of robots, at least 1")
-    whole = hashlib.sha256()
+        at_once = by_options(**{**defaults, **options})
+    if at_once is not None and (type(at_once) is not int or at_once < 1):
+        raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
+    digest = hashlib.sha256()
     for file in files:
-        whole.update(hashlib.sha256(file.read_bytes()).digest())
-    return RealityFile(tuple(files), whole.hexdigest(), {**defaults, **options}, most, make)
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return RealityFile(tuple(files), digest.hexdigest(), {**defaults, **options}, at_once, make)
 
 
 def _run(path: Path) -> tuple[ModuleType, list[Path]]:
-    """The file as a module, and the files it is made of: itself, then those beside it."""
+    """The module, and its files: the file itself, then those imported from its folder."""
     if not path.is_file():
-        raise InputError(path, "", "no such file", "a Python file that offers make")
+        raise InputError(path, "", "no such file", "a Python file that defines make")
     spec = importlib.util.spec_from_file_location(_NAME, path)
     if spec is None or spec.loader is None:
         raise InputError(path, "", "no Python file", "one that ends in .py")
     module = importlib.util.module_from_spec(spec)
-    with _beside(path) as beside:
+    with _neighbours(path) as imported:
         sys.modules[_NAME] = module  # dataclasses look their module up by its name
         try:
             spec.loader.exec_module(module)
         except Exception as error:
-            found = f"{type(error).__name__}: {error}"
-            raise InputError(path, "", found, "a Python file that can be run") from None
-    return module, [path, *beside]
+            problem = f"{type(error).__name__}: {error}"
+            raise InputError(path, "", problem, "a Python file that can be run") from None
+    return module, [path, *imported]
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[list[Path]]:
-    """Let a file import its neighbours, as a script does; forget them after, and say which."""
+def _neighbours(path: Path) -> Iterator[list[Path]]:
+    """Allow imports from the folder of a file, and list them; they are unloaded at the end."""
     folder = path.resolve().parent
     names = {file.stem for file in folder.glob("*.py")} | {_NAME}
-    known = {name: sys.modules.pop(name) for name in names & set(sys.modules)}
+    replaced = {name: sys.modules.pop(name) for name in names & set(sys.modules)}
     sys.path.insert(0, str(folder))
-    found: list[Path] = []
+    imported: list[Path] = []
     try:
-        yield found
+        yield imported
     finally:
         sys.path.remove(str(folder))
         for name in sorted(names & set(sys.modules)):
             file = getattr(sys.modules.pop(name), "__file__", None)
             if file is not None and Path(file).parent == folder and Path(file) != path.resolve():
-                found.append(path.parent / Path(file).name)
-        sys.modules.update(known)
+                imported.append(path.parent / Path(file).name)
+        sys.modules.update(replaced)

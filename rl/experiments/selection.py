@@ -1,4 +1,4 @@
-"""Which agent of a training to take: trials that none of them has seen, at one weight of energy."""
+"""Selection of the best agent of a training, by held-out trials at one weight of energy."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ def held_out(
     episodes: int = 20,
     **water: Any,  # noqa: ANN401 - those of ``run_trials``
 ) -> dict[str, Any]:
-    """Let all agents swim the same randomized trials by their mean action.
+    """Test all agents, with their mean actions, in the same randomized trials.
 
-    A training's own returns say little of this: there agents draw lots, at weights that grow.
+    Returns in training are no substitute: there actions are sampled and the energy weight grows.
 
     Args:
-        folders: The agents'.
+        folders: Folders of the agents.
         robot: Links, joints and data sheets.
         model: The calibrated model.
-        ranges: What robots and noise are drawn from.
-        energy: Weight of energy, one for all.
-        episodes: Of each agent and task.
+        ranges: Distributions of robots and noise.
+        energy: Weight of energy, the same for all.
+        episodes: Episodes of each agent and task.
         water: Fidelity, device, cell_m, threads.
 
     Returns:
-        ``best``, the name of the folder of highest score, and by name ``score`` and each task's
-        summary.
+        ``best``, the folder name of the agent with the highest score, and by name ``score`` and the
+        summary of each task.
     """
     limits = [joint.limits_rad for joint in robot.joints]
     agents: dict[str, Any] = {folder.name: {} for folder in folders}
@@ -57,11 +57,11 @@ def held_out(
             folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
             for folder in folders
         }
-        swum = run_trials(
+        swims = run_trials(
             robot, model, ranges, task, controllers, episodes=episodes, seed=SEED, **water
         )
-        for agent, one in swum.items():
-            agents[agent][name] = summary(one, task)
+        for agent, episodes_of in swims.items():
+            agents[agent][name] = summary(episodes_of, task)
     for rows in agents.values():
         rows["score"] = float(np.mean([rows[name]["reward"] for name in HELD_OUT]))
     best = max(agents, key=lambda agent: agents[agent]["score"])

@@ -1,4 +1,4 @@
-"""Testbeds of the ablation: the simulator of an arm, or a reality that no policy has seen."""
+"""Testbeds of the ablation: the simulator of an arm, or a reality not used in training."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Array = NDArray[np.float64]
 
 
 class Testbed(Protocol):
-    """What policies are tried in."""
+    """A simulator or reality that policies are tested in."""
 
     @property
     def name(self) -> str:
         """``simulation`` or ``reality``."""
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """What it is, in a few words."""
 
     def key(self) -> str:
-        """SHA-256 of what decides how robots do in it."""
+        """SHA-256 of all that determines the results in it."""
 
     def swim(
         self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
@@ -44,34 +44,37 @@ class Testbed(Protocol):
 
 
 class Controllers:
-    """Several controllers, each steering its own share of the robots: as many each, in order."""
+    """Several controllers, each for an equal share of the robots, in order."""
 
     def __init__(self, controllers: Sequence[Controller], repeats: int) -> None:
         """Give each controller ``repeats`` robots."""
         self.controllers = list(controllers)
-        self.own = np.repeat(np.arange(len(self.controllers)), repeats)
+        self.owner = np.repeat(np.arange(len(self.controllers)), repeats)
 
     def of(self, rows: NDArray[np.intp]) -> Controllers:
         """The same controllers for some of the robots."""
         fewer = Controllers(self.controllers, 1)
-        fewer.own = self.own[rows]
+        fewer.owner = self.owner[rows]
         return fewer
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Each begins anew where its robots do."""
-        for one, rows in self._shares():
-            one.reset(mask[rows])
+        """Reset the controllers of the robots in ``mask``."""
+        for controller, rows in self._shares():
+            controller.reset(mask[rows])
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Each for its own robots."""
-        parts = [(rows, one.act(observation[rows])) for one, rows in self._shares()]
-        action = np.empty((len(self.own), parts[0][1].shape[1]), dtype=np.float32)
+        """Actions of all robots."""
+        parts = [(rows, controller.act(observation[rows])) for controller, rows in self._shares()]
+        action = np.empty((len(self.owner), parts[0][1].shape[1]), dtype=np.float32)
         for rows, part in parts:
             action[rows] = part
         return action
 
     def _shares(self) -> list[tuple[Controller, NDArray[np.intp]]]:
-        shares = [(one, np.flatnonzero(self.own == k)) for k, one in enumerate(self.controllers)]
+        shares = [
+            (controller, np.flatnonzero(self.owner == k))
+            for k, controller in enumerate(self.controllers)
+        ]
         return [share for share in shares if len(share[1])]
 
 
@@ -85,7 +88,7 @@ class Simulated:
         fidelity: ``twin`` or ``fluid``.
         cell_m: Side of a cell of the fluid.
         options: Further options of the simulator.
-        device, threads: What it runs on.
+        device, threads: Device and CPU threads of the simulation.
     """
 
     name: str
@@ -97,16 +100,16 @@ class Simulated:
     threads: int = 1
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """What it is, in a few words."""
         water = f"fluid, cells of {100 * self.cell_m:g} cm"
         return f"the library's laws in the {water if self.fidelity == 'fluid' else 'twin'}"
 
     def key(self) -> str:
-        """SHA-256 of robots and simulator."""
-        rest = (self.fidelity, self.cell_m, dict(self.options))
-        told = repr(([digest(draws) for draws in self.draws], rest))
-        return hashlib.sha256(told.encode()).hexdigest()
+        """SHA-256 of robots and simulator settings."""
+        settings = (self.fidelity, self.cell_m, dict(self.options))
+        content = repr(([digest(draws) for draws in self.draws], settings))
+        return hashlib.sha256(content.encode()).hexdigest()
 
     def swim(
         self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
@@ -119,7 +122,7 @@ class Simulated:
 
         with own_stream(self.device):
             world = make_world(
-                robot, replace(task, place=place), self.draws, n_envs=len(controller.own),
+                robot, replace(task, place=place), self.draws, n_envs=len(controller.owner),
                 fidelity=self.fidelity, device=self.device, cell_m=self.cell_m,
                 threads=self.threads, seed=seed, **self.options,
             )  # fmt: skip
@@ -128,11 +131,11 @@ class Simulated:
 
 @dataclass(frozen=True)
 class Real:
-    """A reality of one's own, only seen.
+    """A user-defined reality.
 
     Attributes:
-        file: What makes it.
-        device: For a surrogate that is computed.
+        file: Its Python file.
+        device: Device of a simulated surrogate.
         name: ``reality``.
     """
 
@@ -141,25 +144,25 @@ class Real:
     name: str = "reality"
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """What it is, in a few words."""
         options = "".join(f", {key} {value}" for key, value in self.file.options.items())
         return f"{self.file.path.name}{options}; rewards from what camera and servos show"
 
     def key(self) -> str:
-        """SHA-256 of the file, what it imports from its folder, and its options."""
-        told = repr((self.file.sha256, sorted(self.file.options.items())))
-        return hashlib.sha256(told.encode()).hexdigest()
+        """SHA-256 of the file, its imports from its folder, and its options."""
+        content = repr((self.file.sha256, sorted(self.file.options.items())))
+        return hashlib.sha256(content.encode()).hexdigest()
 
     def swim(
         self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
     ) -> Episodes:
-        """One episode of each robot, as many at a time as the reality has."""
-        total = len(controller.own)
+        """One episode of each robot, at most ``at_once`` robots at a time."""
+        total = len(controller.owner)
         groups = -(-total // (self.file.at_once or total))
         n = -(-total // groups)
         reality = self.file(robot, n, seed, self.device)
-        found = []
+        parts = []
         for first in range(0, total, n):
             rows = np.arange(first, first + n)
             swims = rows < total
@@ -168,33 +171,33 @@ class Real:
                 reality, controller.of(rows), robot, task, starts.of(rows), swims=swims,
                 name=str(self.file.path),
             )  # fmt: skip
-            found.append(some(episodes, swims))
-        return _joined(found)
+            parts.append(subset(episodes, swims))
+        return _joined(parts)
 
 
-def some(episodes: Episodes, which: NDArray[np.bool_]) -> Episodes:
+def subset(episodes: Episodes, mask: NDArray[np.bool_]) -> Episodes:
     """The episodes of some of the robots, ``which`` of shape (E,)."""
     e = episodes
     return Episodes(
-        e.pose[:, which], e.rate[:, which], e.value[:, which], e.reached[which], e.steps[which],
-        e.targets[which],
+        e.pose[:, mask], e.rate[:, mask], e.value[:, mask], e.reached[mask], e.steps[mask],
+        e.targets[mask],
     )  # fmt: skip
 
 
-def _joined(found: Sequence[Episodes]) -> Episodes:
-    """Episodes one beside the other, the shorter recordings filled up with NaN."""
-    T = max(len(one.pose) for one in found)
+def _joined(parts: Sequence[Episodes]) -> Episodes:
+    """Concatenate episodes, padding the shorter recordings with NaN."""
+    T = max(len(part.pose) for part in parts)
 
-    def long(values: Array) -> Array:
-        more = [(0, T - len(values)), *[(0, 0)] * (values.ndim - 1)]
-        return np.pad(values, more, constant_values=np.nan)
+    def padded(values: Array) -> Array:
+        padding = [(0, T - len(values)), *[(0, 0)] * (values.ndim - 1)]
+        return np.pad(values, padding, constant_values=np.nan)
 
     return Episodes(
-        np.concatenate([long(one.pose) for one in found], axis=1),
-        np.concatenate([long(one.rate) for one in found], axis=1),
-        np.concatenate([long(one.value) for one in found], axis=1),
+        np.concatenate([padded(part.pose) for part in parts], axis=1),
+        np.concatenate([padded(part.rate) for part in parts], axis=1),
+        np.concatenate([padded(part.value) for part in parts], axis=1),
         *(
-            np.concatenate([getattr(one, key) for one in found])
+            np.concatenate([getattr(part, key) for part in parts])
             for key in ("reached", "steps", "targets")
         ),
     )

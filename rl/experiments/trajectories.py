@@ -1,4 +1,4 @@
-"""Paths over the pool with their targets, one panel a controller."""
+"""Trajectories in the pool with their targets, one panel per controller."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Path:
 
     Attributes:
         position: Of the head's centre of mass in m, shape (T, 2); NaN after the end.
-        note: A few words for the panel, such as time and energy.
+        note: Text of the panel, such as time and energy.
     """
 
     position: Array
@@ -41,23 +41,23 @@ def draw(
     *,
     pool: tuple[float, float, float, float] | None = None,
 ) -> Figure:
-    """A panel for each name: the targets as circles of 5 cm, the way over them.
+    """Plot a panel for each name: targets as circles of 5 cm, and the trajectories.
 
     Args:
-        paths: One swim or several by the controller's name; the first has the accent.
-        targets: In m, shape (N, 2), in the order in which they are given.
-        pool: Its walls: lowest and highest x, lowest and highest y in m; drawn where they are seen.
+        paths: One swim or several by the name of the controller; the first is highlighted.
+        targets: In m, shape (N, 2), in order.
+        pool: Walls: lowest and highest x, lowest and highest y in m; drawn if within the axes.
     """
-    swims = {name: one if isinstance(one, list) else [one] for name, one in paths.items()}
-    seen = np.concatenate([targets, *(p.position for some in swims.values() for p in some)])
-    low, high = np.nanmin(seen, axis=0) - _MARGIN_M, np.nanmax(seen, axis=0) + _MARGIN_M
+    swims = {name: swim if isinstance(swim, list) else [swim] for name, swim in paths.items()}
+    points = np.concatenate([targets, *(p.position for of_name in swims.values() for p in of_name)])
+    low, high = np.nanmin(points, axis=0) - _MARGIN_M, np.nanmax(points, axis=0) + _MARGIN_M
     rows = -(-len(swims) // _ACROSS)
     shape = (high[1] - low[1]) / (high[0] - low[0])
     with house_style():
         figure = new_figure(rows * (_PANEL * shape + 40) + 20, "Trajectories over the pool")
         panels = figure.subplots(rows, min(_ACROSS, len(swims)), squeeze=False).ravel()
-        for axes, (name, some) in zip(panels, swims.items(), strict=False):
-            _panel(axes, name, some, targets, pool)
+        for axes, (name, of_name) in zip(panels, swims.items(), strict=False):
+            _panel(axes, name, of_name, targets, pool)
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for axes in panels[len(swims) :]:
             axes.set_visible(False)

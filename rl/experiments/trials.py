@@ -1,4 +1,4 @@
-"""Controllers side by side on the same trials: starts, targets and robots drawn once for all."""
+"""Trials with the same starts, targets and robots for all controllers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes
 from rl.experiments.real_episodes import same_starts
-from rl.experiments.testbeds import Controllers, Simulated, some
+from rl.experiments.testbeds import Controllers, Simulated, subset
 from rl.make import Fidelity, draws_of
 from rl.task import Task
 from rl.world import Draws
@@ -17,7 +17,7 @@ from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
 UNSEEN = 10_000
-"""Added to a seed: the robots of trials are none of those of training."""
+"""Offset of the seed, so that trials do not use robots drawn in training."""
 
 
 def run_trials(
@@ -35,32 +35,32 @@ def run_trials(
     threads: int = 1,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Episodes]:
-    """Let every controller swim the same episodes, all of them in one batch.
+    """Run the same episodes with every controller, in one batch.
 
     Args:
         robot: Links, joints and data sheets.
         model: The calibrated model.
-        ranges: What robots and noise are drawn from; the model itself where None.
+        ranges: Distributions of robots and noise; if None, all robots are the model.
         task: The task.
-        controllers: By name.
-        episodes: Of each.
-        seed: Of starts, robots and noise.
+        controllers: Controllers by name.
+        episodes: Episodes of each controller.
+        seed: Seed of starts, robots and noise.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid.
         threads: CPU threads.
-        options: Further ones of the simulator.
+        options: Further options of the simulator.
 
     Returns:
-        Their episodes, by name.
+        Episodes by the name of the controller.
     """
     drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
     models = list(drawn.models) * (episodes if ranges is None else 1)
-    own = [Draws((one,), drawn.noise) for one in models[:episodes]]
+    draws = [Draws((m,), drawn.noise) for m in models[:episodes]]
     starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
     testbed = Simulated(
-        task.name, own * len(controllers), fidelity, cell_m, options or {}, device, threads
+        task.name, draws * len(controllers), fidelity, cell_m, options or {}, device, threads
     )
-    several = Controllers(list(controllers.values()), episodes)
-    swum = testbed.swim(several, robot, task, starts, seed)
-    return {name: some(swum, several.own == k) for k, name in enumerate(controllers)}
+    steering = Controllers(list(controllers.values()), episodes)
+    swims = testbed.swim(steering, robot, task, starts, seed)
+    return {name: subset(swims, steering.owner == k) for k, name in enumerate(controllers)}

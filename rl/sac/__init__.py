@@ -1,1 +1,1 @@
-"""Soft actor-critic: several agents side by side, resumable."""
+"""Soft actor-critic for several agents in parallel, resumable."""

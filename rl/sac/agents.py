@@ -1,8 +1,8 @@
-"""Soft actor-critic for several agents in one go; on CUDA an update is one captured graph.
+"""Soft actor-critic for a batch of agents; on CUDA an update is one captured graph.
 
-Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905), as
-Stable-Baselines3 does it, to rounding, where ``Settings`` are ``PLAIN``; what they add is said
-there. The parameters are those of Stable-Baselines3 models, which act, save and load as ever.
+Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905). With the
+settings ``PLAIN`` it equals Stable-Baselines3 up to rounding; ``Settings`` documents the additions.
+The parameters are those of Stable-Baselines3 models, whose methods work unchanged.
 Letters: A agents, B batch, N memory, O observation, J action.
 """
 
@@ -18,7 +18,7 @@ import torch
 from stable_baselines3 import SAC
 from torch import Tensor, nn
 
-from rl.sac.batched import Layers, Seen, adam
+from rl.sac.batched import Activations, Layers, adam
 
 _SMALL = 1e-6
 _LOG_STD = (-20.0, 2.0)
@@ -26,35 +26,35 @@ _LOG_STD = (-20.0, 2.0)
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters; the defaults are this library's recipe, ``PLAIN`` has the paper's.
+    """Hyper-parameters; the defaults are those of this library, ``PLAIN`` those of the paper.
 
     Attributes:
-        gamma: Discount factor of a decision.
-        memory: Transitions remembered by each agent.
+        gamma: Discount factor per decision.
+        memory: Size of the replay memory of each agent, in transitions.
         batch: Transitions of an update.
-        rate: Learning rate at first.
-        rate_end: Share of it that is left in the end; it falls on a line.
-        tau: How fast target networks follow.
+        rate: Initial learning rate.
+        rate_end: Final learning rate as a share of ``rate``; it decays linearly.
+        tau: Interpolation factor of the target networks per update.
         hidden: Widths of the hidden layers.
         warm_up: Steps of random actions before learning begins.
         updates_per_step: Updates for each step of an environment.
-        entropy_start: Entropy coefficient at the start, learned from there on: about the size of
-            a decision's reward.
-        entropy_target: Entropy of a joint's action that the coefficient is learned for, at first
-            and in the end: an actor that hardly draws lots in the end has to swim by its mean.
-        noise_s: Correlation time of the noise that agents act with; 0 for white noise. A joint
-            that gets another set-point every 20 ms shakes and goes nowhere; correlated noise of
-            the same size explores (Eberhard et al., "Pink noise is all you need", ICLR 2023).
-        mirror: Learn from each transition or, as often, from its mirror image: what a robot with
-            like sides would have done.
+        entropy_start: Initial entropy coefficient, of the order of the reward of a decision; it is
+            learned from there.
+        entropy_target: Target entropy per joint, at the start and at the end of training. A low
+            final value makes the mean action, which is used after training, representative.
+        noise_s: Correlation time of the exploration noise; 0 for white noise. White noise at 20 ms
+            only makes a joint shake; correlated noise of the same size explores (Eberhard et al.,
+            "Pink noise is all you need", ICLR 2023).
+        mirror: Whether transitions are replaced by their mirror images with probability 1/2, as
+            the robot is symmetric.
         norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
-            networks", ICML 2023, among others): seeds fail less often.
-        prices: Agents are told a price of energy and learn for all from 1 / this to this times
-            their own (Abels et al., "Dynamic weights in multi-objective deep reinforcement
-            learning", ICML 2019); 1 for their own alone.
-        average: The actor that is saved is a mean of those that learned, most of it over this last
-            share of the updates so far (polynomial-decay averaging; Shamir and Zhang, "Stochastic
-            gradient descent for non-smooth optimization", ICML 2013); 0 for the last itself.
+            networks", ICML 2023, among others): fewer seeds fail.
+        prices: Agents observe a price of energy and learn for all between 1 / ``prices`` and
+            ``prices`` times their default (Abels et al., "Dynamic weights in multi-objective deep
+            reinforcement learning", ICML 2019); 1 for the default only.
+        average: The saved actor is an average, with most weight on this last share of the updates
+            (polynomial-decay averaging; Shamir and Zhang, "Stochastic gradient descent for
+            non-smooth optimization", ICML 2013); 0 for the last actor.
     """
 
     gamma: float = 0.99
@@ -84,7 +84,7 @@ PLAIN = Settings(
 
 @dataclass(frozen=True)
 class Batch:
-    """Transitions, each (A, B, ...); ``done`` where the episode ended by itself."""
+    """Transitions, each (A, B, ...); ``done`` where the episode terminated (not truncated)."""
 
     observation: Tensor
     action: Tensor
@@ -94,26 +94,26 @@ class Batch:
 
 
 def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
-    """Columns of a transition that change sign in its mirror image: 1 where they do.
+    """1 for each column of a transition that changes sign under mirroring, else 0.
 
     Args:
-        odd: Of an observation's columns, as ``View.odd`` says.
-        J: Number of actions, all of which do.
-        device: Where to put it.
+        odd: The same for the columns of an observation, see ``View.odd``.
+        J: Number of actions, all of which change sign.
+        device: Device of the result.
     """
     return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)
 
 
 class Agents:
-    """Agents that learn side by side, each from its own memory.
+    """Agents that learn in parallel, each from its own memory.
 
     Attributes:
         models: Their Stable-Baselines3 models, whose parameters are views of the shared ones.
         settings: Hyper-parameters.
-        memory: Transitions, shape (A, N, 2 O + J + 3): observation, action, what was gained, the
-            energy that it took, the following observation, whether the episode ended by itself.
-        price: What energy costs each agent now, shape (A, 1); old transitions are paid at it too.
-        filled: How many of them there are, the same for every agent.
+        memory: Transitions, shape (A, N, 2 O + J + 3): observation, action, reward without energy,
+            energy, following observation, whether the episode terminated.
+        price: Present weight of energy of each agent, shape (A, 1), also for old transitions.
+        filled: Number of stored transitions, the same for every agent.
     """
 
     def __init__(
@@ -123,14 +123,14 @@ class Agents:
         device: torch.device,
         odd: Sequence[float] | None = None,
     ) -> None:
-        """Take over the parameters of models that share one shape.
+        """Copy the parameters of models of the same shape.
 
         Args:
             models: The agents.
             settings: Hyper-parameters.
-            device: Where to learn.
-            odd: Columns of an observation that change sign in the mirror; those of the view that
-                the models were made for where None.
+            device: Device of the training.
+            odd: Columns of an observation that change sign under mirroring; default: those of the
+                view of the models.
         """
         self.models, self.settings, self.device = list(models), settings, device
         A = len(self.models)
@@ -138,9 +138,9 @@ class Agents:
         self.O = int(self.models[0].observation_space.shape[0])  # type: ignore[index]
         self.J = int(space.shape[0])
         hidden = settings.hidden
-        told = int(settings.prices > 1)  # the price, in the first column
-        self.actor = Layers.of(A, (told + self.O, *hidden, 2 * self.J), device)
-        sizes, norm = (told + self.O + self.J, *hidden, 1), settings.norm
+        extra = int(settings.prices > 1)  # the price, in the first column
+        self.actor = Layers.of(A, (extra + self.O, *hidden, 2 * self.J), device)
+        sizes, norm = (extra + self.O + self.J, *hidden, 1), settings.norm
         self.critic = Layers.of(2 * A, sizes, device, norm=norm)
         self.target = Layers.of(2 * A, sizes, device, norm=norm)
         self.log_alpha = torch.zeros(A, device=device)
@@ -157,13 +157,13 @@ class Agents:
         self.memory = torch.zeros(A, settings.memory, width, device=device)
         self.position, self.filled = 0, 0
         self._filled = torch.zeros(1, device=device)
-        first: Any = self.models[0]
-        self._odd = mirrored(first.view.odd(self.J) if odd is None else odd, self.J, device)
+        model_0: Any = self.models[0]
+        self._odd = mirrored(model_0.view.odd(self.J) if odd is None else odd, self.J, device)
         self._agent = torch.arange(A, device=device)[:, None]
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def _share(self, a: int, model: SAC) -> None:
-        """Make a model's parameters views of the shared ones, its values kept."""
+        """Make the parameters of a model views of the shared ones, keeping their values."""
 
         def tie(linear: Any, layers: Layers, k: int, c: int, rows: slice) -> None:  # noqa: ANN401
             columns = slice(-linear.in_features, None)
@@ -172,18 +172,18 @@ class Agents:
             bias.copy_(linear.bias.data)
             linear.weight.data, linear.bias.data = weight, bias
 
-        every, J = slice(None), self.J
+        all_rows, J = slice(None), self.J
         actor: Any = model.actor
         for k in range(len(self.settings.hidden)):
-            tie(actor.latent_pi[2 * k], self.actor, k, a, every)
+            tie(actor.latent_pi[2 * k], self.actor, k, a, all_rows)
         tie(actor.mu, self.actor, len(self.settings.hidden), a, slice(0, J))
         tie(actor.log_std, self.actor, len(self.settings.hidden), a, slice(J, 2 * J))
-        for own, layers in ((model.critic, self.critic), (model.critic_target, self.target)):
-            networks: Any = own.q_networks
+        for critic, layers in ((model.critic, self.critic), (model.critic_target, self.target)):
+            networks: Any = critic.q_networks
             for i, network in enumerate(networks):
                 linear = [module for module in network if isinstance(module, nn.Linear)]
                 for k, module in enumerate(linear):
-                    tie(module, layers, k, 2 * a + i, every)
+                    tie(module, layers, k, 2 * a + i, all_rows)
         log_alpha: Any = model.log_ent_coef
         self.log_alpha[a : a + 1].copy_(log_alpha.data)
         log_alpha.data = self.log_alpha[a : a + 1]
@@ -193,9 +193,9 @@ class Agents:
         """Actions between -1 and 1, shape (A, n, J), for observations (A, n, O).
 
         Args:
-            observation: What the agents see.
-            noise: Standard normal numbers, shape (A, n, J); none for the mean action. With it
-                robots are told prices from the lowest to the highest, else all their own.
+            observation: Observations of the agents.
+            noise: Standard normal numbers, shape (A, n, J); None for the mean action. With noise
+                the observed prices range from lowest to highest, without it all are the default.
         """
         if self.settings.prices > 1:
             A, n, _ = observation.shape
@@ -216,46 +216,46 @@ class Agents:
         following: Tensor,
         done: Tensor,
     ) -> None:
-        """Put transitions into the memories, n for each agent: (A, n, ...) each."""
+        """Store n transitions of each agent, arrays of shape (A, n, ...)."""
         n, N = observation.shape[1], self.settings.memory
-        both = torch.stack([gain, effort], dim=2)
-        parts = [observation, action, both, following, done[..., None].float()]
-        where = (self.position + torch.arange(n, device=self.device)) % N
-        self.memory[:, where] = torch.cat(parts, dim=2)
+        rewards = torch.stack([gain, effort], dim=2)
+        parts = [observation, action, rewards, following, done[..., None].float()]
+        slots = (self.position + torch.arange(n, device=self.device)) % N
+        self.memory[:, slots] = torch.cat(parts, dim=2)
         self.position = (self.position + n) % N
         self.set_filled(min(self.filled + n, N))
 
     def set_filled(self, filled: int) -> None:
-        """Say how many transitions the memories hold."""
+        """Set the number of stored transitions."""
         self.filled = filled
         self._filled.fill_(filled)
 
     def set_schedule(self, share: float, grown: Sequence[float]) -> None:
-        """Set what changes as the training goes on.
+        """Set the learning rate and the target entropy.
 
         Args:
-            share: Of the training that is done: the rate falls with it.
-            grown: How far each agent is on its way from exploring to swimming well, from 0 to 1:
-                its entropy falls with the training, but no farther than this.
+            share: Completed share of the training, which sets the learning rate.
+            grown: Progress of each agent, from 0 to 1, see ``Plan.grown``; the target entropy
+                follows the smaller of it and ``share``.
         """
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
-        first, last = s.entropy_target
-        done = torch.tensor(grown).clamp(max=share)
-        self._entropy.copy_(self.J * (first + (last - first) * done))
+        initial, final = s.entropy_target
+        progress = torch.tensor(grown).clamp(max=share)
+        self._entropy.copy_(self.J * (initial + (final - initial) * progress))
 
     @contextmanager
     def averaged(self) -> Iterator[None]:
-        """Within this block the actors are the averaged ones, as they are saved."""
-        own = self.actor.flat.clone()
+        """Context manager within which the actors are the averaged ones, for saving."""
+        trained = self.actor.flat.clone()
         self.actor.flat.copy_(self.average)
         try:
             yield
         finally:
-            self.actor.flat.copy_(own)
+            self.actor.flat.copy_(trained)
 
     def learn(self, updates: int) -> None:
-        """Update every agent so many times, each from its own memory."""
+        """Perform a number of updates of every agent, each from its own memory."""
         if self.device.type != "cuda":
             for _ in range(updates):
                 self.update(self._sample())
@@ -273,13 +273,16 @@ class Agents:
             side = 1 - 2 * (torch.rand(*shape, 1, device=self.device) < 0.5).float()
             rows = rows * (self._odd * side + (1 - self._odd))
         a = n + self.J
-        seen, following, price = rows[..., :n], rows[..., a + 2 : -1], self.price
+        observation, following, price = rows[..., :n], rows[..., a + 2 : -1], self.price
         if self.settings.prices > 1:
             share = 2 * torch.rand(*shape, 1, device=self.device) - 1
             price = price * self.settings.prices ** share[..., 0]
-            seen, following = torch.cat([share, seen], 2), torch.cat([share, following], 2)
+            observation, following = (
+                torch.cat([share, observation], 2),
+                torch.cat([share, following], 2),
+            )
         reward = rows[..., a] - price * rows[..., a + 1]
-        return Batch(seen, rows[..., n:a], reward, following, rows[..., -1])
+        return Batch(observation, rows[..., n:a], reward, following, rows[..., -1])
 
     @torch.no_grad()
     def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
@@ -291,19 +294,19 @@ class Agents:
         """
         s, A, B = self.settings, len(self.models), batch.reward.shape[1]
         if noise is None:
-            both_noises = torch.randn(A, 2 * B, self.J, device=self.device)
+            noises = torch.randn(A, 2 * B, self.J, device=self.device)
         else:
-            both_noises = torch.cat(noise, dim=1)
+            noises = torch.cat(noise, dim=1)
         pair = torch.cat([batch.observation, batch.following], dim=1)
-        seen, actions, log_ps, std = self._policy(pair, both_noises)
-        seen = seen.first(B)
-        action, ahead = actions[:, :B], actions[:, B:]
+        activations, actions, log_ps, std = self._policy(pair, noises)
+        activations = activations.first(B)
+        action, next_action = actions[:, :B], actions[:, B:]
         log_p = log_ps[:, :B]
         alpha = self.log_alpha.exp()[:, None]
         torch.neg(self._entropy + log_p.mean(dim=1), out=self._alpha_gradient)
 
-        q_ahead = self.target.forward(self._twice(batch.following, ahead)).output.view(A, 2, B)
-        value = q_ahead.amin(dim=1) - alpha * log_ps[:, B:]
+        next_q = self.target.forward(self._twice(batch.following, next_action)).output.view(A, 2, B)
+        value = next_q.amin(dim=1) - alpha * log_ps[:, B:]
         goal = torch.addcmul(batch.reward, 1 - batch.done, value, value=s.gamma)
         q = self.critic.forward(self._twice(batch.observation, batch.action))
         error = q.output.view(A, 2, B) - goal[:, None]
@@ -315,57 +318,66 @@ class Agents:
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
         d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
-        spread = both_noises[:, :B] * std[:, :B]
-        self._descend_policy(seen, action, spread, alpha[..., None] / B, by_action)
+        spread = noises[:, :B] * std[:, :B]
+        self._descend_policy(activations, action, spread, alpha[..., None] / B, by_action)
         adam(
             self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
         )
         self.target.flat.lerp_(self.critic.flat, s.tau)
-        # each update's weight, as t^(1 / average - 1), over the sum of those before
+        # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
         self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
 
     @torch.no_grad()
     def losses(self) -> Tensor:
-        """How it goes, on a fresh batch: actor, critic, entropy coefficient, shape (3, A)."""
+        """Losses of actor and critic on a new batch, and entropy coefficient, shape (3, A)."""
         A, B = len(self.models), self.settings.batch
         batch = self._sample()
         _, action, log_p, _ = self._policy(
             batch.observation, torch.randn(A, B, self.J, device=self.device)
         )
-        _, ahead, log_p_ahead, _ = self._policy(
+        _, next_action, next_log_p, _ = self._policy(
             batch.following, torch.randn(A, B, self.J, device=self.device)
         )
         alpha = self.log_alpha.exp()[:, None]
 
-        def least(layers: Layers, observation: Tensor, action: Tensor) -> Tensor:
+        def q_values(layers: Layers, observation: Tensor, action: Tensor) -> Tensor:
             return layers.forward(self._twice(observation, action)).output.view(A, 2, B)
 
-        value = least(self.target, batch.following, ahead).amin(dim=1) - alpha * log_p_ahead
+        value = q_values(self.target, batch.following, next_action).amin(dim=1) - alpha * next_log_p
         goal = batch.reward + (1 - batch.done) * self.settings.gamma * value
-        error = least(self.critic, batch.observation, batch.action) - goal[:, None]
-        actor = (alpha * log_p - least(self.critic, batch.observation, action).amin(dim=1)).mean(1)
+        error = q_values(self.critic, batch.observation, batch.action) - goal[:, None]
+        actor = (alpha * log_p - q_values(self.critic, batch.observation, action).amin(dim=1)).mean(
+            1
+        )
         return torch.stack([actor, 0.5 * (error**2).mean(dim=2).sum(dim=1), alpha[:, 0]])
 
-    def _policy(self, observation: Tensor, noise: Tensor) -> tuple[Seen, Tensor, Tensor, Tensor]:
+    def _policy(
+        self, observation: Tensor, noise: Tensor
+    ) -> tuple[Activations, Tensor, Tensor, Tensor]:
         """Layers, actions (A, B, J), their log-probabilities (A, B), standard deviations."""
-        seen = self.actor.forward(observation)
-        mean, raw = seen.output[..., : self.J], seen.output[..., self.J :]
+        activations = self.actor.forward(observation)
+        mean, raw = activations.output[..., : self.J], activations.output[..., self.J :]
         log_std = raw.clamp(*_LOG_STD)
         std = log_std.exp()
         action = torch.tanh(mean + std * noise)
         density = -0.5 * noise**2 - log_std - torch.log(1 - action**2 + _SMALL)
-        return seen, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
+        return activations, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
 
     def _descend_policy(
-        self, seen: Seen, action: Tensor, spread: Tensor, weight: Tensor, by_action: Tensor
+        self,
+        activations: Activations,
+        action: Tensor,
+        spread: Tensor,
+        weight: Tensor,
+        by_action: Tensor,
     ) -> None:
         """Gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)."""
         slope = 1 - action**2
-        through = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
-        raw = seen.output[..., self.J :]
-        inside = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
-        by_log_std = (through * spread - weight) * inside
-        self.actor.backward(seen, torch.cat([through, by_log_std], dim=2))
+        by_mean = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
+        raw = activations.output[..., self.J :]
+        unclamped = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
+        by_log_std = (by_mean * spread - weight) * unclamped
+        self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
         self.actor.descend(self._rate)
 
     def _twice(self, observation: Tensor, action: Tensor) -> Tensor:
@@ -374,9 +386,9 @@ class Agents:
         return x[:, None].expand(-1, 2, -1, -1).reshape(2 * x.shape[0], *x.shape[1:])
 
     def _capture(self) -> None:
-        """Record an update as a graph; what warming up changed is put back."""
+        """Capture an update as a CUDA graph; changes by the warm-up are undone."""
         state = self.state()
-        kept = {name: tensor.clone() for name, tensor in state.items()}
+        saved = {name: tensor.clone() for name, tensor in state.items()}
         random = torch.cuda.get_rng_state(self.device)
         torch.backends.cuda.matmul.allow_tf32 = False
         for _ in range(3):
@@ -385,12 +397,12 @@ class Agents:
         with torch.cuda.graph(graph, stream=torch.cuda.current_stream()):
             self.update(self._sample())
         for name, tensor in state.items():
-            tensor.copy_(kept[name])
+            tensor.copy_(saved[name])
         torch.cuda.set_rng_state(random, self.device)
         self._graph = graph
 
     def state(self) -> dict[str, Tensor]:
-        """All that an update changes, by name; the tensors themselves."""
+        """All tensors that an update changes, by name; not copies."""
         out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
         out |= {"alpha_count": self._alpha_count, "average": self.average}
         for name in ("actor", "critic", "target"):

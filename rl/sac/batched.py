@@ -1,8 +1,8 @@
-"""The networks of several SAC agents in shared tensors, forwards and backwards by hand.
+"""Networks of several SAC agents in shared tensors, with explicit forward and backward passes.
 
-PyTorch's autograd runs a few hundred small kernels for one update of SAC; these are about a
-hundred, for any number of agents at once. Weights keep the layout of ``torch.nn.Linear``, so that a
-policy of Stable-Baselines3 can be a view into them. Letters: C networks, B batch.
+PyTorch's autograd runs a few hundred small kernels for one update of SAC; this module needs about a
+hundred for any number of agents. Weights have the layout of ``torch.nn.Linear``, so that a policy
+of Stable-Baselines3 can be a view of them. Letters: C networks, B batch.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ NORM_EPSILON = 1e-5
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What a forward pass leaves for the way back.
+class Activations:
+    """Results of a forward pass that the backward pass needs.
 
     Attributes:
         layers: Input, hidden layers and output, each (C, B, width).
-        sums: Of each hidden layer that is normalised: before that, mean and 1 / deviation.
+        sums: For each normalised hidden layer: input of the normalization, mean, 1 / deviation.
     """
 
     layers: list[Tensor]
@@ -36,10 +36,10 @@ class Seen:
         """Shape (C, B, width)."""
         return self.layers[-1]
 
-    def first(self, B: int) -> Seen:
+    def first(self, B: int) -> Activations:
         """The first rows of the batch."""
         sums = [(a[:, :B], b[:, :B], c[:, :B]) for a, b, c in self.sums]
-        return Seen([layer[:, :B] for layer in self.layers], sums)
+        return Activations([layer[:, :B] for layer in self.layers], sums)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Layers:
     Attributes:
         sizes: Width of the input, of each hidden layer, of the output.
         norm: Whether hidden layers are normalised before the ReLU (Ba, Kiros, Hinton, "Layer
-            normalization", arXiv 1607.06450), without gain and bias of its own.
+            normalization", arXiv 1607.06450), without gain and bias.
         flat, gradient: All parameters and their gradients, each one vector.
         weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
         moments: Adam's first and second moments, shape (2, parameters).
@@ -71,58 +71,58 @@ class Layers:
     def of(
         cls, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
     ) -> Layers:
-        """Room for C networks, all zero."""
+        """Allocate C networks with zero parameters."""
         pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
         total = sum(C * (a + 1) * b for a, b in pairs)
         flat, gradient = torch.zeros(2, total, device=device).unbind(0)
         views: list[list[Tensor]] = [[], [], [], []]
         for k, vector in enumerate((flat, gradient)):
-            at = 0
+            offset = 0
             for a, b in pairs:
-                views[k].append(vector[at : at + C * a * b].view(C, b, a))
-                at += C * a * b
-                views[2 + k].append(vector[at : at + C * b].view(C, 1, b))
-                at += C * b
+                views[k].append(vector[offset : offset + C * a * b].view(C, b, a))
+                offset += C * a * b
+                views[2 + k].append(vector[offset : offset + C * b].view(C, 1, b))
+                offset += C * b
         weights, weight_gradients, biases, bias_gradients = (tuple(view) for view in views)
         return cls(
             tuple(sizes), norm, flat, gradient, weights, biases, weight_gradients, bias_gradients,
             torch.zeros(2, total, device=device), torch.zeros(1, device=device),
         )  # fmt: skip
 
-    def forward(self, x: Tensor) -> Seen:
-        """From inputs, shape (C, B, width)."""
-        seen = Seen([x], [])
+    def forward(self, x: Tensor) -> Activations:
+        """Forward pass from inputs of shape (C, B, width)."""
+        activations = Activations([x], [])
         last = len(self.weights) - 1
         for k, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            h = torch.baddbmm(b, seen.layers[-1], W.transpose(1, 2))
+            h = torch.baddbmm(b, activations.layers[-1], W.transpose(1, 2))
             if self.norm and k < last:
-                whole = h
+                unnormalised = h
                 h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, NORM_EPSILON)
-                seen.sums.append((whole, mean, scale))
-            seen.layers.append(h if k == last else torch.relu_(h))
-        return seen
+                activations.sums.append((unnormalised, mean, scale))
+            activations.layers.append(h if k == last else torch.relu_(h))
+        return activations
 
-    def backward(self, seen: Seen, d: Tensor, *, inputs_only: bool = False) -> Tensor:
-        """Gradient of the input from that of the output; fills ``gradient`` on the way.
+    def backward(self, activations: Activations, d: Tensor, *, inputs_only: bool = False) -> Tensor:
+        """Gradient of the input from that of the output; also sets ``gradient``.
 
         Args:
-            seen: What ``forward`` gave.
+            activations: Result of ``forward``.
             d: Gradient of the output, shape (C, B, width).
-            inputs_only: Leave ``gradient`` as it is.
+            inputs_only: Whether to leave ``gradient`` unchanged.
         """
         for k in range(len(self.weights) - 1, -1, -1):
             if not inputs_only:
-                torch.bmm(d.transpose(1, 2), seen.layers[k], out=self.weight_gradients[k])
+                torch.bmm(d.transpose(1, 2), activations.layers[k], out=self.weight_gradients[k])
                 torch.sum(d, dim=1, keepdim=True, out=self.bias_gradients[k])
             if k == 0 and not inputs_only:
                 return d
             d = torch.bmm(d, self.weights[k])
             if k > 0:
-                d = torch.ops.aten.threshold_backward(d, seen.layers[k], 0.0)
+                d = torch.ops.aten.threshold_backward(d, activations.layers[k], 0.0)
                 if self.norm:
-                    whole, mean, scale = seen.sums[k - 1]
+                    unnormalised, mean, scale = activations.sums[k - 1]
                     d = torch.ops.aten.native_layer_norm_backward(
-                        d, whole, d.shape[2:], mean, scale, None, None, [True, False, False]
+                        d, unnormalised, d.shape[2:], mean, scale, None, None, [True, False, False]
                     )[0]
         return d
 
@@ -136,7 +136,7 @@ def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: T
 
     Args:
         flat: Parameters, shape (P,).
-        gradient: Their gradients, likewise.
+        gradient: Their gradients, shape (P,).
         moments: First and second moments, shape (2, P).
         count: Steps so far, shape (1,).
         rate: Learning rate, a tensor without axes.

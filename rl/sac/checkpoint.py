@@ -1,4 +1,4 @@
-"""What a training run leaves in its folder: a checkpoint, policies, how it went."""
+"""Files of a training run: checkpoint, policies and progress."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EPISODES = 50.0
 
 
 class Progress:
-    """How far a run of A agents has come, and how it went.
+    """Progress of a run of A agents.
 
     Attributes:
         steps: Steps of the environment for each agent so far.
@@ -42,52 +42,54 @@ class Progress:
         self.success = [0.0] * A
 
     def note(self, tally: Tensor, agents: Agents) -> None:
-        """Add a row for every agent."""
+        """Append a row for every agent."""
         losses = agents.losses().cpu()
         for a, rows in enumerate(self.rows):
             episodes, *means = tally[:, a].tolist()
             rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist(), self.grown[a]])
             if episodes >= 1:
-                kept = math.exp(-episodes / EPISODES)
-                self.success[a] = kept * self.success[a] + (1 - kept) * means[1]
+                decay = math.exp(-episodes / EPISODES)
+                self.success[a] = decay * self.success[a] + (1 - decay) * means[1]
 
     def noted(self) -> int:
-        """Steps at the last row."""
+        """Number of steps at the last row."""
         return int(self.rows[0][-1][0]) if self.rows[0] else 0
 
     def grow(self, grown: Callable[[float, int, int, float], float], before: int) -> None:
-        """Let the energy weights grow by what went by since ``before``, as ``Plan.grown`` says."""
+        """Update the energy weights for the steps since ``before``, see ``Plan.grown``."""
         self.grown = [
-            grown(one, self.steps, self.steps - before, success)
-            for one, success in zip(self.grown, self.success, strict=True)
+            grown(growth, self.steps, self.steps - before, success)
+            for growth, success in zip(self.grown, self.success, strict=True)
         ]
 
-    def said(self) -> str:
-        """The last rows in a few words."""
-        last = np.array([rows[-1] for rows in self.rows])
-        if not np.isfinite(last[:, 2]).any():
+    def summary(self) -> str:
+        """Short text of the last rows."""
+        latest = np.array([rows[-1] for rows in self.rows])
+        if not np.isfinite(latest[:, 2]).any():
             return "no episode has ended"
-        return f"return {np.nanmean(last[:, 2]):.1f}, {100 * np.nanmean(last[:, 3]):.0f} % arrive"
+        return (
+            f"return {np.nanmean(latest[:, 2]):.1f}, {100 * np.nanmean(latest[:, 3]):.0f} % arrive"
+        )
 
 
 def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str]) -> None:
-    """Write the checkpoint, and each agent's policy and figures; each whole or not at all."""
+    """Write the checkpoint, and policy and progress of each agent; each file atomically."""
     arrays = {name: tensor.cpu().numpy() for name, tensor in agents.state().items()}
     arrays["memory"] = agents.memory[:, : agents.filled].cpu().numpy()
-    told = json.dumps([progress.rows, progress.grown, progress.success])
-    arrays["progress"] = np.frombuffer(told.encode(), np.uint8)
+    content = json.dumps([progress.rows, progress.grown, progress.success])
+    arrays["progress"] = np.frombuffer(content.encode(), np.uint8)
     arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
     with agents.averaged():
         for a, (name, model) in enumerate(zip(names, agents.models, strict=True)):
-            own = progress.rows[a]
-            place = folder / name
-            place.mkdir(parents=True, exist_ok=True)
-            lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in own)]
-            write_whole(place / "progress.csv", "\n".join(lines) + "\n")
+            rows = progress.rows[a]
+            directory = folder / name
+            directory.mkdir(parents=True, exist_ok=True)
+            lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
+            write_whole(directory / "progress.csv", "\n".join(lines) + "\n")
             model.num_timesteps = progress.steps
             setattr(model, "by_price", _by_price(agents, a))  # noqa: B010 - kept with the model
-            model.save(place / ".policy.zip")
-            os.replace(place / ".policy.zip", place / "policy.zip")
+            model.save(directory / ".policy.zip")
+            os.replace(directory / ".policy.zip", directory / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
@@ -95,24 +97,24 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
 
 
 def _by_price(agents: Agents, a: int) -> dict[str, Any]:
-    """What the price of energy does to an actor: see ``rl.deploy.export.set_price``."""
+    """Effect of the price of energy on an actor, see ``rl.deploy.export.set_price``."""
     prices = agents.settings.prices
     column = agents.actor.weights[0][a, :, 0].cpu().numpy().copy() if prices > 1 else None
     return {"prices": prices, "column": column, "share": 0.0}
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:
-    """Put agents back to where the folder's checkpoint left them; None where there is none."""
+    """Restore agents from the checkpoint of a folder; None if there is none."""
     path = folder / CHECKPOINT
     if not path.exists():
         return None
-    with np.load(path) as held:
+    with np.load(path) as arrays:
         for name, tensor in agents.state().items():
-            tensor.copy_(torch.from_numpy(held[name]))
-        steps, agents.position, filled = (int(x) for x in held["counts"])
-        agents.memory[:, :filled] = torch.from_numpy(held["memory"]).to(agents.device)
+            tensor.copy_(torch.from_numpy(arrays[name]))
+        steps, agents.position, filled = (int(x) for x in arrays["counts"])
+        agents.memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
         progress = Progress(len(agents.models), steps)
-        told = json.loads(held["progress"].tobytes().decode())
-        progress.rows, progress.grown, progress.success = told
+        content = json.loads(arrays["progress"].tobytes().decode())
+        progress.rows, progress.grown, progress.success = content
     agents.set_filled(filled)
     return progress

@@ -1,6 +1,6 @@
-"""The learning curve of a run: return and success against steps.
+"""Learning curves of a run: return and success against steps.
 
-One group of agents is drawn an agent a line, several groups a mean a line.
+A single group of agents is plotted with a line per agent, several groups with a mean per group.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _HEIGHT = 420
 LEAST = 64
-"""Episodes behind a point of the curve."""
+"""Minimum number of episodes per point of the curve."""
 STYLES = ("-", "-", "-", "--", "--", ":")
 
 
@@ -30,43 +30,43 @@ def read_progress(folder: Path) -> dict[str, Array]:
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def grouped(seen: Mapping[str, Array], least: int = LEAST) -> tuple[Array, Array, Array]:
-    """Steps, mean return and success over groups of rows with at least so many episodes.
+def grouped(progress: Mapping[str, Array], least: int = LEAST) -> tuple[Array, Array, Array]:
+    """Steps, mean return and success over groups of rows with at least ``least`` episodes.
 
-    Robots that arrive end their episodes first: rows of few episodes speak of them alone.
+    Successful episodes end first: rows with few episodes would be biased towards them.
     """
     points: list[tuple[float, float, float]] = []
     rows: list[int] = []
-    for k, count in enumerate(seen["episodes"]):
+    for k, count in enumerate(progress["episodes"]):
         if count > 0:
             rows.append(k)
-        if rows and (sum(seen["episodes"][rows]) >= least):
-            weight = seen["episodes"][rows]
+        if rows and (sum(progress["episodes"][rows]) >= least):
+            weight = progress["episodes"][rows]
             mean, won = (
-                np.average(seen[n][rows], weights=weight) for n in ("mean_return", "success")
+                np.average(progress[n][rows], weights=weight) for n in ("mean_return", "success")
             )
-            points.append((seen["steps"][k], mean, won))
+            points.append((progress["steps"][k], mean, won))
             rows = []
     table = np.array(points).reshape(-1, 3)
     return table[:, 0], table[:, 1], table[:, 2]
 
 
 def averaged(curves: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Steps, and mean return and success over curves that have points, while all of them last."""
+    """Steps, mean return and success over non-empty curves, in their common range of steps."""
     curves = [curve for curve in curves if curve[0].size]
     if not curves:
         return np.empty(0), np.empty(0), np.empty(0)
-    first, last = max(c[0][0] for c in curves), min(c[0][-1] for c in curves)
-    steps = np.linspace(first, max(first, last), 100)
+    start, end = max(c[0][0] for c in curves), min(c[0][-1] for c in curves)
+    steps = np.linspace(start, max(start, end), 100)
     mean, won = (np.mean([np.interp(steps, c[0], c[n]) for c in curves], axis=0) for n in (1, 2))
     return steps, mean, won
 
 
 def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Draw the curves of groups of agents.
+    """Plot the curves of groups of agents.
 
     Args:
-        agents: Folders of the agents of each group; the first group has the accent.
+        agents: Folders of the agents of each group; the first group is highlighted.
         path: PNG to write.
     """
     check_writable(path)

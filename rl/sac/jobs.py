@@ -1,4 +1,4 @@
-"""Whole trainings from files and plain options, so that any executor can run them."""
+"""Trainings from files and JSON options, for any executor."""
 
 from __future__ import annotations
 
@@ -44,25 +44,30 @@ def train_run(
     """Train one arm; see ``Plan``, ``Recipe`` and the command ``train`` for the options.
 
     Returns:
-        The agents' folders.
+        Folders of the agents.
 
     Raises:
-        InputError: If a file or an option is at fault.
+        InputError: If a file or an option is wrong.
     """
-    given = {
+    options = {
         "recipe": recipe, "task": task, "steps": steps, "envs": envs, "segment": segment,
         "updates_per_step": updates_per_step, "learning_rate": learning_rate,
         "discount": discount, "hidden": hidden, "energy_weight": energy_weight,
         "energy_start": energy_start,
     }  # fmt: skip
     plan = plan_of(
-        given, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m, threads=threads
+        options,
+        seeds=tuple(seeds),
+        fidelity=fidelity,
+        device=device,
+        cell_m=cell_m,
+        threads=threads,
     )
     fish, fitted = read_robot(robot), read_model(model)
     drawn = None if ranges is None else read_ranges(ranges)
     arm = Arm(name, draws_of(fitted, drawn, fish, seed=0))
     inputs = [robot, model, *([] if ranges is None else [ranges])]
-    begin = [Path(path) for path in first]
+    policies = [Path(path) for path in first]
     several = device == "cpu" and len(seeds) > 1
     trainer = train_in_parts if several else train
-    return trainer(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=begin)
+    return trainer(folder, fish, [arm], plan, provenance([*inputs, *first], None), first=policies)

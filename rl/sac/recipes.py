@@ -1,4 +1,4 @@
-"""Recipes: how this library trains, how the paper did, and both from a command line's options."""
+"""Recipes: settings of training of this library and of the paper, and plans from options."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sim2real.errors import InputError
 
 @dataclass(frozen=True)
 class Recipe:
-    """All of a training but robot, water and seeds.
+    """All settings of a training except robot, simulator and seeds.
 
     Attributes:
         task: Name of the task.
-        energy: Weight of energy in the end.
-        energy_start: Share of it at first.
+        energy: Final weight of energy.
+        energy_start: Initial weight as a share of ``energy``.
         steps: Control periods of each agent.
         envs: Environments of each agent.
         segment: Control periods between checkpoints.
-        view: How agents look at the task.
+        view: Definition of the observations.
         settings: Hyper-parameters.
     """
 
@@ -64,63 +64,64 @@ RECIPES: Mapping[str, Recipe] = {
         settings=Settings(batch=64, hidden=(64, 64), prices=1.0, average=0.5),
     ),
 }
-"""By the names that ``--recipe`` takes. "brief" goes on from small networks that swim
-elsewhere, for each arm of a quick ablation. "fine" goes on from policies that nearly swim here,
-such as from the twin's in the fluid: all of the energy weight, little noise at once."""
+"""Recipes by the values of ``--recipe``. "brief" continues from small networks that were trained in
+another simulator, for each arm of a quick ablation. "fine" continues from policies that nearly
+swim, such as in the fluid from those of the twin: full energy weight and little noise from the
+start."""
 QUICK: dict[str, Any] = {
     "steps": 300_000, "envs": 32, "segment": 60_000, "hidden": [64, 64], "updates_per_step": 0.12,
 }  # fmt: skip
-"""What ``--quick`` sets: minutes on two cores, in the twin. With 200 000 steps some of the seeds do
-not swim by their mean action yet."""
+"""Settings of ``--quick``: minutes on two cores, in the twin. With 200 000 steps some seeds do not
+swim yet with their mean action."""
 OPTIONS = (
     "recipe", "task", "steps", "envs", "segment", "updates_per_step", "learning_rate", "discount",
     "hidden", "energy_weight", "energy_start",
 )  # fmt: skip
-"""Of a plan, as a command line has them; None is the recipe's."""
+"""Options of a plan, as on the command line; None for the value of the recipe."""
 
 
-def plan_of(given: Mapping[str, Any], **water: Any) -> Plan:  # noqa: ANN401 - fields of Plan
+def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
     """A plan from options.
 
     Args:
-        given: Some of ``OPTIONS``; what is missing or None is the recipe's.
-        water: Fields of ``Plan``: seeds, fidelity, device, cell_m, threads.
+        options: Some of ``OPTIONS``; those missing or None have the value of the recipe.
+        fields: Fields of ``Plan``: seeds, fidelity, device, cell_m, threads.
 
     Raises:
-        InputError: If an option is none or out of its range.
+        InputError: If an option is unknown or out of range.
     """
 
-    def chosen(name: str, otherwise: Any) -> Any:  # noqa: ANN401 - an option's value
-        value = given.get(name)
-        return otherwise if value is None else value
+    def value_of(name: str, default: Any) -> Any:  # noqa: ANN401 - an option's value
+        value = options.get(name)
+        return default if value is None else value
 
-    name = chosen("recipe", "default")
+    name = value_of("recipe", "default")
     if name not in RECIPES:
         raise InputError("train", "--recipe", repr(name), f"one of {', '.join(RECIPES)}")
     recipe = RECIPES[name]
-    task = chosen("task", recipe.task)
+    task = value_of("task", recipe.task)
     if task not in TASKS:
         raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
-    own = recipe.settings
+    defaults = recipe.settings
     settings = replace(
-        own,
-        updates_per_step=chosen("updates_per_step", own.updates_per_step),
-        rate=chosen("learning_rate", own.rate),
-        gamma=chosen("discount", own.gamma),
-        hidden=tuple(chosen("hidden", own.hidden)),
+        defaults,
+        updates_per_step=value_of("updates_per_step", defaults.updates_per_step),
+        rate=value_of("learning_rate", defaults.rate),
+        gamma=value_of("discount", defaults.gamma),
+        hidden=tuple(value_of("hidden", defaults.hidden)),
     )
-    envs, segment = chosen("envs", recipe.envs), chosen("segment", recipe.segment)
-    least = envs * TASKS[task].steps
-    if segment < least:
-        expected = f"at least {least}, or no episode ends in one"
+    envs, segment = value_of("envs", recipe.envs), value_of("segment", recipe.segment)
+    shortest = envs * TASKS[task].steps
+    if segment < shortest:
+        expected = f"at least {shortest}, or no episode ends in one"
         raise InputError("train", "--segment", str(segment), expected)
     return Plan(
-        replace(TASKS[task], energy=chosen("energy_weight", recipe.energy)),
-        steps=chosen("steps", recipe.steps),
+        replace(TASKS[task], energy=value_of("energy_weight", recipe.energy)),
+        steps=value_of("steps", recipe.steps),
         envs=envs,
         segment=segment,
         settings=settings,
         view=recipe.view,
-        energy_start=chosen("energy_start", recipe.energy_start),
-        **water,
+        energy_start=value_of("energy_start", recipe.energy_start),
+        **fields,
     )

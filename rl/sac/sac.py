@@ -1,4 +1,4 @@
-"""Stable-Baselines3's SAC, learning by ``rl.sac.agents``."""
+"""Stable-Baselines3's SAC, trained by ``rl.sac.agents``."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from sim2real.errors import InputError
 
 
 class NormedPolicy(SACPolicy):
-    """Stable-Baselines3's, with layer normalization in the critics, as in ``batched.Layers``."""
+    """SAC policy with layer normalization in the critics, as in ``batched.Layers``."""
 
     def make_critic(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - its own
         """A critic whose hidden layers are normalised before the ReLU."""
         critic: Any = super().make_critic(*args, **kwargs)
-        for i, plain in enumerate(critic.q_networks):
+        for i, original in enumerate(critic.q_networks):
             modules: list[nn.Module] = []
-            for module in plain:
+            for module in original:
                 if isinstance(module, nn.ReLU):
-                    last: Any = modules[-1]
-                    modules.append(nn.LayerNorm(last.out_features, elementwise_affine=False))
+                    previous: Any = modules[-1]
+                    modules.append(nn.LayerNorm(previous.out_features, elementwise_affine=False))
                 modules.append(module)
             network = nn.Sequential(*modules).to(self.device)
             critic.q_networks[i] = network
@@ -38,23 +38,25 @@ class NormedPolicy(SACPolicy):
 
 
 class SwimSAC(SAC):
-    """SAC whose networks are views of those of ``Agents``, which does the learning.
+    """SAC whose networks are views of those of ``Agents``, which trains them.
 
-    ``predict`` and ``save`` are Stable-Baselines3's; what is saved is a model that ``SAC.load``
-    takes. It carries ``joints``, ``joint_low`` and ``joint_high``: what actions of -1 and 1 mean,
-    in rad; and ``view``: how it looks at the task.
+    ``predict`` and ``save`` are those of Stable-Baselines3; ``SAC.load`` reads the saved models.
+    Further attributes: ``joints``; ``joint_low`` and ``joint_high``, the angles in rad of actions
+    -1 and 1; and ``view``, the definition of the observations.
     """
 
     def get_parameters(self) -> dict[str, Any]:
-        """As ever, but each parameter by itself: here they are views of shared tensors."""
+        """Copies of the parameters, which are views of shared tensors."""
         parameters: dict[str, Any] = super().get_parameters()
-        own = parameters["policy"]
-        parameters["policy"] = {name: value.detach().cpu().clone() for name, value in own.items()}
+        policy = parameters["policy"]
+        parameters["policy"] = {
+            name: value.detach().cpu().clone() for name, value in policy.items()
+        }
         return parameters
 
 
 class _Spaces(gymnasium.Env[Any, Any]):
-    """Says what a model's observations and actions are; cannot be run."""
+    """Observation and action spaces of a model; cannot be stepped."""
 
     def __init__(self, observation: spaces.Box, action: spaces.Box) -> None:
         self.observation_space: Any = observation
@@ -68,13 +70,13 @@ def make_sac(
     *,
     view: View = View(),  # noqa: B008 - frozen
 ) -> SwimSAC:
-    """An untrained model for a world's robots.
+    """An untrained model for the robots of a world.
 
     Args:
         world: The robots.
         settings: Hyper-parameters.
-        seed: Of the first parameters.
-        view: How it looks at the task.
+        seed: Seed of the initial parameters.
+        view: Definition of the observations.
     """
     model = SwimSAC(
         NormedPolicy if settings.norm else "MlpPolicy",
@@ -93,29 +95,29 @@ def make_sac(
         seed=seed,
         device="cpu",
     )
-    told: Any = model
-    told.view = view
-    told.joints = [joint.name for joint in world.simulator.robot.joints]
-    told.joint_low = world.low.cpu().numpy()
-    told.joint_high = world.high.cpu().numpy()
+    attributes: Any = model
+    attributes.view = view
+    attributes.joints = [joint.name for joint in world.simulator.robot.joints]
+    attributes.joint_low = world.low.cpu().numpy()
+    attributes.joint_high = world.high.cpu().numpy()
     return model
 
 
-def go_on_from(model: SAC, path: Path) -> None:
-    """Give a model the networks and the entropy coefficient of a saved one.
+def start_from(model: SAC, path: Path) -> None:
+    """Copy the networks and the entropy coefficient of a saved model.
 
     Raises:
-        InputError: If there is none, or it is of another shape or view.
+        InputError: If there is no saved model, or its shape or view differs.
     """
     from rl.deploy.export import read_agent, view_of
 
     saved: Any = read_agent(path)
-    own: Any = model
-    if view_of(saved) != own.view:
-        raise InputError(path, "view", f"{view_of(saved)}", f"{own.view}, as this training has")
+    target: Any = model
+    if view_of(saved) != target.view:
+        raise InputError(path, "view", f"{view_of(saved)}", f"{target.view}, as this training has")
     try:
-        own.policy.load_state_dict(saved.policy.state_dict())
+        target.policy.load_state_dict(saved.policy.state_dict())
     except RuntimeError as error:
-        found = str(error).splitlines()[-1].strip()
-        raise InputError(path, "networks", found, "those of this training's recipe") from None
-    own.log_ent_coef.data.copy_(saved.log_ent_coef.data)
+        problem = str(error).splitlines()[-1].strip()
+        raise InputError(path, "networks", problem, "those of this training's recipe") from None
+    target.log_ent_coef.data.copy_(saved.log_ent_coef.data)

@@ -1,9 +1,8 @@
-"""Training: several agents side by side in one world, resumable at any moment.
+"""Training of several agents in one world, resumable at any moment.
 
-While the robots of a processor swim to their next decision, the agents learn from those before.
-Every ``segment`` steps all episodes begin anew from seeds that depend on the run's seed and the
-segment alone, and a checkpoint is written. So a run that was killed goes on from its last
-checkpoint exactly as it would have gone on.
+On a CPU, simulation of the next decision and learning run in parallel. Every ``segment`` steps a
+checkpoint is written and all episodes restart, with seeds that depend only on the seed of the run
+and the segment. A run that was killed therefore resumes exactly from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from rl.make import Fidelity, make_world, own_stream
 from rl.observer import View
 from rl.sac.agents import Agents, Settings
 from rl.sac.checkpoint import Progress, load, save
-from rl.sac.sac import go_on_from, make_sac
+from rl.sac.sac import make_sac, start_from
 from rl.task import Task
 from rl.world import Draws, Step
 from sim2real.errors import InputError
@@ -42,12 +41,12 @@ from sim2real.robot import Robot
 
 @dataclass(frozen=True)
 class Arm:
-    """What one group of agents trains in.
+    """Training conditions of one group of agents.
 
     Attributes:
-        name: Names its folder.
+        name: Name, also of its folder.
         draws: Robots and noise that its episodes are drawn from.
-        energy: Weight of energy in the end; the task's where None.
+        energy: Final weight of energy; default: that of the task.
     """
 
     name: str
@@ -57,26 +56,26 @@ class Arm:
 
 @dataclass(frozen=True)
 class Plan:
-    """How to train.
+    """Plan of a training.
 
     Attributes:
         task: The task.
         steps: Control periods of the environments for each agent.
         envs: Environments of each agent.
         segment: Control periods between checkpoints.
-        seeds: One agent for each.
+        seeds: Random seeds, one agent for each.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid.
         threads: CPU threads of the simulator.
         settings: Hyper-parameters.
-        view: How agents look at the task.
-        energy_start: Share of the task's energy weight that counts at first. A robot that cannot
-            swim yet earns nothing by moving.
-        ramp: Shares of the steps: before the first the weight does not grow, then it is full after
-            the second.
+        view: Definition of the observations.
+        energy_start: Initial weight of energy as a share of that of the task. With the full weight,
+            a robot that cannot swim yet would learn not to move.
+        ramp: Shares of the steps: when the weight starts to grow, and how long it takes to reach
+            its final value.
         gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
-            that one that learns late is not starved.
+            that agents that learn late are not penalised.
     """
 
     task: Task
@@ -95,7 +94,7 @@ class Plan:
     gate: float = 0.7
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
+        """Check the values.
 
         Raises:
             InputError: If a number is out of its range.
@@ -114,12 +113,12 @@ class Plan:
                 raise InputError("train", option, str(value), expected)
 
     def grown(self, before: float, steps: int, more: int, success: float) -> float:
-        """How far an agent's energy weight has grown, from 0 to 1.
+        """Growth of an agent's energy weight, from 0 to 1.
 
         Args:
-            before: How far it was.
+            before: Growth so far.
             steps: Control periods so far.
-            more: Of them since then.
+            more: Control periods since the last call.
             success: Share of its last episodes that succeeded.
         """
         begin, length = self.ramp
@@ -128,15 +127,15 @@ class Plan:
         return min(before + more / max(length * self.steps, 1.0), 1.0)
 
     def price(self, arm: Arm, grown: float) -> float:
-        """What energy costs an agent whose weight has grown so far."""
-        whole = self.task.energy if arm.energy is None else arm.energy
-        return whole * (self.energy_start + (1 - self.energy_start) * grown)
+        """Weight of energy of an agent, given its growth."""
+        full = self.task.energy if arm.energy is None else arm.energy
+        return full * (self.energy_start + (1 - self.energy_start) * grown)
 
     def content(self) -> dict[str, Any]:
-        """All of it that decides the result, as JSON can hold it."""
-        kept = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
+        """All that determines the result, as JSON values."""
+        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
         task = {k: v for k, v in vars(self.task).items() if k != "place"}
-        return json.loads(json.dumps({**kept, "task": task}))  # type: ignore[no-any-return]
+        return json.loads(json.dumps({**fields, "task": task}))  # type: ignore[no-any-return]
 
 
 def train(
@@ -148,31 +147,31 @@ def train(
     *,
     first: Sequence[Path] = (),
 ) -> list[Path]:
-    """Train an agent for each arm and seed, all of them in one batch of robots.
+    """Train an agent for each arm and seed, all in one batch of robots.
 
     Args:
-        folder: Where the run lives: ``run.json``, ``checkpoint.npz`` and, for each agent,
+        folder: Folder of the run, with ``run.json``, ``checkpoint.npz`` and, for each agent,
             ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``.
         robot: Links, joints and data sheets.
-        arms: What each group of agents trains in.
-        plan: How to train.
-        note: Provenance, kept in ``run.json``.
-        first: Policies to go on from, ``policy.zip`` of one agent each; the seeds of every arm take
-            them in turn. From random networks where there are none. Their memories are not kept.
+        arms: The simulator that each group of agents trains in.
+        plan: Plan of the training.
+        note: Provenance, written to ``run.json``.
+        first: Policies (``policy.zip``) to continue from, assigned to the seeds of every arm in
+            turn; random networks if empty. Replay memories are not part of them.
 
     Returns:
-        The agents' folders: all seeds of the first arm, then those of the next.
+        Folders of the agents: all seeds of the first arm, then those of the next.
 
     Raises:
-        InputError: If the folder holds a run of another plan, or the first policies do not fit.
+        InputError: If the folder has a run of another plan, or the first policies do not fit.
     """
     names = agent_names(arms, plan.seeds)
-    own = [digest(arm.draws) for arm in arms]
+    digests = [digest(arm.draws) for arm in arms]
     prices = [arm.energy for arm in arms]
-    content = {"plan": plan.content(), "agents": names, "draws": own, "energy": prices}
+    content = {"plan": plan.content(), "agents": names, "draws": digests, "energy": prices}
     if first:
         content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
-    _begin(folder, content, note or {})
+    _write_run(folder, content, note or {})
     with own_stream(plan.device):
         _train(folder, robot, arms, plan, names, first)
     return [folder / name for name in names]
@@ -188,57 +187,57 @@ def train_in_parts(
     first: Sequence[Path] = (),
     parts: int = 2,
 ) -> list[Path]:
-    """As ``train``, the seeds dealt out to processes: a large batch fills one core, not two.
+    """Train as ``train`` does, with the seeds distributed over processes to use several cores.
 
     Args:
-        folder: Where the runs live, in ``part-0`` and so on.
-        robot: As of ``train``.
-        arms: As of ``train``.
-        plan: As of ``train``; each process has one simulator's thread.
-        note: As of ``train``.
-        first: As of ``train``.
+        folder: Folder of the runs, in ``part-0`` and so on.
+        robot: See ``train``.
+        arms: See ``train``.
+        plan: See ``train``; each process has one simulator thread.
+        note: See ``train``.
+        first: See ``train``.
         parts: Number of processes.
     """
-    own = [range(k, len(plan.seeds), parts) for k in range(min(parts, len(plan.seeds)))]
+    shares = [range(k, len(plan.seeds), parts) for k in range(min(parts, len(plan.seeds)))]
     trainings = [
         partial(
             train, folder / f"part-{k}", robot, arms,
-            replace(plan, seeds=tuple(plan.seeds[i] for i in some), threads=1), note,
-            first=[first[i % len(first)] for i in some if first],
+            replace(plan, seeds=tuple(plan.seeds[i] for i in share), threads=1), note,
+            first=[first[i % len(first)] for i in share if first],
         )
-        for k, some in enumerate(own)
+        for k, share in enumerate(shares)
     ]  # fmt: skip
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(len(own) - 1, 1), spawn, _unseen) as pool:
-        others = [pool.submit(one) for one in trainings[1:]]
-        trained = [*trainings[0](), *(path for other in others for path in other.result())]
-    found = {path.name: path for path in trained}
-    return [found[name] for name in agent_names(arms, plan.seeds)]
+    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, _hide_progress) as pool:
+        futures = [pool.submit(training) for training in trainings[1:]]
+        trained = [*trainings[0](), *(path for future in futures for path in future.result())]
+    folders = {path.name: path for path in trained}
+    return [folders[name] for name in agent_names(arms, plan.seeds)]
 
 
-def _unseen() -> None:
-    """In a process beside that whose progress is shown."""
+def _hide_progress() -> None:
+    """Initialise a further process, whose progress bar is hidden."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     torch.set_num_threads(1)
 
 
 def agent_names(arms: Sequence[Arm], seeds: Sequence[int]) -> list[str]:
-    """All seeds of the first arm, then those of the next."""
+    """Names of the agents: all seeds of the first arm, then those of the next."""
     return [f"{arm.name}-{seed}" for arm in arms for seed in seeds]
 
 
 def digest(draws: Draws) -> str:
-    """SHA-256 of what decides the episodes drawn from these."""
-    models = [(one.joints, one.body, one.effects) for one in draws.models]
+    """SHA-256 of models and noise."""
+    models = [(model.joints, model.body, model.effects) for model in draws.models]
     return hashlib.sha256(repr((models, draws.noise)).encode()).hexdigest()
 
 
-def _begin(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
-    """Write what the run is, or see that it is the same run."""
+def _write_run(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
+    """Write ``run.json``, or check that an existing one is of the same run."""
     path = folder / "run.json"
     if path.exists():
-        known = json.loads(path.read_text())
-        if {k: known.get(k) for k in content} != content:
+        existing = json.loads(path.read_text())
+        if {k: existing.get(k) for k in content} != content:
             expected = "the same options and files, or a new folder"
             raise InputError(folder, "run.json", "another run", expected)
         return
@@ -254,20 +253,20 @@ def _train(
     first: Sequence[Path],
 ) -> None:
     S, A = len(plan.seeds), len(names)
-    own = [arm for arm in arms for _ in plan.seeds]
-    draws = [arm.draws for arm in own]
+    arm_of_agent = [arm for arm in arms for _ in plan.seeds]
+    draws = [arm.draws for arm in arm_of_agent]
     world = make_world(
         robot, plan.task, draws, n_envs=A * plan.envs, fidelity=plan.fidelity, device=plan.device,
         cell_m=plan.cell_m, threads=plan.threads,
     )  # fmt: skip
     decisions = Decisions(world, plan.view)
-    room = -(-plan.steps // plan.view.period)
-    settings = replace(plan.settings, memory=min(plan.settings.memory, room))
+    decisions_per_env = -(-plan.steps // plan.view.period)
+    settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
     if len(first) > S:
         raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
     for a, model in enumerate(models if first else []):
-        go_on_from(model, first[a % S % len(first)])
+        start_from(model, first[a % S % len(first)])
     agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(
@@ -276,8 +275,10 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            last = min(progress.steps + plan.segment, plan.steps)
-            _segment(decisions, agents, own, plan, progress, last, bar, pool, swims=bool(first))
+            end = min(progress.steps + plan.segment, plan.steps)
+            _segment(
+                decisions, agents, arm_of_agent, plan, progress, end, bar, pool, swims=bool(first)
+            )
             save(folder, agents, progress, names)
 
 
@@ -287,13 +288,13 @@ def _segment(
     arms: Sequence[Arm],
     plan: Plan,
     progress: Progress,
-    last: int,
+    end: int,
     bar: Any,  # noqa: ANN401
     pool: Executor | None,
     *,
     swims: bool,
 ) -> None:
-    """From one checkpoint to the next; agents that swim already do not begin at random."""
+    """Train from one checkpoint to the next; with ``swims`` the first actions are not random."""
     A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
     J = len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
@@ -302,22 +303,22 @@ def _segment(
     observed = decisions.reset().view(A, n, -1)
     tally = Tally(A, n, world.device)
     noise = torch.randn(A, n, J, device=world.device)
-    late = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
-    owed, each = 0.0, n * plan.view.period
+    decay = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
+    due, batch_steps = 0.0, n * plan.view.period
     _set_price(agents, arms, plan, progress)
-    while progress.steps < last:
+    while progress.steps < end:
         fresh = torch.randn(noise.shape, device=world.device)
-        noise = late * noise + (1 - late * late) ** 0.5 * fresh
+        noise = decay * noise + (1 - decay * decay) ** 0.5 * fresh
         if progress.steps < settings.warm_up and not swims:
-            action = torch.erf(noise / 2**0.5)  # as likely anywhere between -1 and 1
+            action = torch.erf(noise / 2**0.5)  # uniform between -1 and 1
         else:
             action = agents.act(observed, noise)
         if progress.steps >= settings.warm_up and agents.filled:
             agents.set_schedule(progress.steps / plan.steps, progress.grown)
-            owed += settings.updates_per_step * each
+            due += settings.updates_per_step * batch_steps
         decide = partial(decisions.step, action.view(A * n, J))
-        step = _while(pool, decide, partial(agents.learn, int(owed)))
-        owed -= int(owed)
+        step = _while(pool, decide, partial(agents.learn, int(due)))
+        due -= int(due)
         gain = step.reward + world.task.energy * step.effort
         agents.remember(
             observed, action, gain.view(A, n), step.effort.view(A, n), step.final.view(A, n, -1),
@@ -325,18 +326,18 @@ def _segment(
         )  # fmt: skip
         observed = step.observation.view(A, n, -1)
         tally.add(step, world.task.waypoints)
-        progress.steps += each
-        bar.update(each)
-        if tally.some() or progress.steps >= last:
+        progress.steps += batch_steps
+        bar.update(batch_steps)
+        if tally.some() or progress.steps >= end:
             before = progress.noted()
             progress.note(tally.take(), agents)
             progress.grow(plan.grown, before)
             _set_price(agents, arms, plan, progress)
-            bar.set_postfix_str(progress.said())
+            bar.set_postfix_str(progress.summary())
 
 
 def _while(pool: Executor | None, decide: Callable[[], Step], learn: Callable[[], None]) -> Step:
-    """The step of ``decide``, beside which agents learn; after it where there is no ``pool``."""
+    """The step of ``decide``, in parallel with ``learn`` if there is a ``pool``."""
     if pool is None:
         step = decide()
         learn()
@@ -352,7 +353,7 @@ def _set_price(agents: Agents, arms: Sequence[Arm], plan: Plan, progress: Progre
 
 
 class Tally:
-    """Sums over the episodes that end, for each agent, kept on the device."""
+    """Sums over finished episodes of each agent, on the device."""
 
     def __init__(self, A: int, n: int, device: torch.device) -> None:
         self._return = torch.zeros(A * n, device=device)
@@ -367,17 +368,17 @@ class Tally:
         self._length += 1
         ended = (step.terminated | step.truncated).float()
         won = ended * (step.reached >= waypoints)
-        each = torch.stack([ended, ended * self._return, won, ended * self._length])
-        self._sums += each.view(4, self._sums.shape[1], -1).sum(dim=2)
+        sums = torch.stack([ended, ended * self._return, won, ended * self._length])
+        self._sums += sums.view(4, self._sums.shape[1], -1).sum(dim=2)
         self._return *= 1 - ended
         self._length *= 1 - ended
 
     def some(self, least: int = 50) -> bool:
-        """Whether enough decisions went by to speak of them."""
+        """Whether enough decisions were counted for a row of statistics."""
         return self._steps >= least
 
     def take(self) -> Tensor:
-        """Episodes, mean return, share that arrived, mean length, shape (4, A); begins anew."""
+        """Episodes, mean return, share that arrived, mean length, shape (4, A); resets the sums."""
         sums = self._sums.cpu().clone()
         mean = sums[1:] / sums[:1]
         self._sums.zero_()

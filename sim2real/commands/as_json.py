@@ -1,4 +1,4 @@
-"""``--json``: the result alone on standard output, for scripts."""
+"""``--json``: only the result on standard output, for scripts."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Run = Callable[[argparse.Namespace], int]
 
 
 def run_as_json(run: Run) -> Run:
-    """The same command; what it prints goes to standard error, its result to standard output.
+    """Wrap a command: its output is printed to standard error, its result to standard output.
 
-    The result is what the command left in ``options.result``, else the JSON file that it wrote,
-    else the name of what it wrote.
+    The result is ``options.result`` if set, else the JSON file that the command wrote, else the
+    name of the file.
     """
 
     def quietly(options: argparse.Namespace) -> int:
@@ -43,15 +43,15 @@ def _result(options: argparse.Namespace) -> Any:  # noqa: ANN401 - any JSON
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
-    """A value as JSON has it: dataclasses as objects, arrays as lists, all finite."""
+    """A value as JSON: dataclasses as objects, arrays as lists, numbers finite or null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, list | tuple | set):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return finite_json(value)
     return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -17,5 +17,5 @@ def run(options: argparse.Namespace) -> int:
     paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
     checks = [check(read_recording(path), robot, seed=options.seed) for path in paths]
     options.result = checks
-    print("\n\n".join(format_check(one) for one in checks))
+    print("\n\n".join(format_check(result) for result in checks))
     return 0

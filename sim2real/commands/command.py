@@ -12,12 +12,12 @@ class Command(NamedTuple):
     """One command.
 
     Attributes:
-        name: As it is typed.
-        module: Imported when it runs; its ``run(options)`` gives the exit status, and may set
-            ``options.result``: what ``--json`` prints where no JSON file is written.
+        name: Name on the command line.
+        module: Imported when it runs; its ``run(options)`` returns the exit status, and may set
+            ``options.result``, which ``--json`` prints if no JSON file is written.
         add: Adds its options to a parser.
-        example: One call of it.
-        resumes: Whether the same call goes on where an interrupt left it.
+        example: An example call.
+        resumes: Whether the same call resumes after an interrupt.
     """
 
     name: str
@@ -39,7 +39,7 @@ def add_recordings(command: argparse.ArgumentParser) -> None:
 
 
 def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:
-    """A name that an option had before; it still works, and help does not show it."""
+    """Add a former name of an option, which still works and is not shown in help."""
     command.add_argument(
         name, dest=stands_for, type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )

@@ -10,21 +10,21 @@ from sim2real.errors import InputError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the shell's script; files are offered where a command takes one."""
+    """Print the completion script of a shell, with file names for options that take files."""
     try:
         import shtab
     except ModuleNotFoundError:
         found, expected = "no module shtab", "pip install sim2real[completion]"
         raise InputError("completion", "", found, expected) from None
-    whole = parser()
-    for command in _commands(whole):
+    root = parser()
+    for command in _commands(root):
         for action in command._actions:
             if action.type is Path:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]
-    print(shtab.complete(whole, shell=options.shell))
+    print(shtab.complete(root, shell=options.shell))
     return 0
 
 
-def _commands(whole: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
-    several = [a for a in whole._actions if isinstance(a, argparse._SubParsersAction)]
+def _commands(root: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    several = [a for a in root._actions if isinstance(a, argparse._SubParsersAction)]
     return [command for action in several for command in action.choices.values()]

@@ -12,13 +12,13 @@ from sim2real.output import check_writable
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the table; write the model and the plot where they are asked for."""
+    """Print the table; write the model and the plot if requested."""
     for path in (options.out, options.plot):
         if path is not None:
             check_writable(path)
     if (options.model is None) != (options.out is None):
-        missing, other = ("--out", "--model") if options.out is None else ("--model", "--out")
-        raise InputError(missing, "", "nothing", f"a file, to go with {other}")
+        missing, partner = ("--out", "--model") if options.out is None else ("--model", "--out")
+        raise InputError(missing, "", "nothing", f"a file, to go with {partner}")
     density = verbs.density(options.robot)
     if options.out is not None:
         write_model(with_density(read_model(options.model), density), options.out)

@@ -1,4 +1,4 @@
-"""Commands that hand over to other tools, and take over from them."""
+"""Command-line options of exports to other tools and of imports of robots."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
         type=Path,
         default=(),
         metavar="CSV",
-        help="what to refit to where the simulator lacks an effect of the model; the last is held "
-        "out (default: the model's own predictions)",
+        help="recordings to refit to if the simulator lacks an effect of the model; the last is "
+        "held out (default: the model's own predictions)",
     )
 
 

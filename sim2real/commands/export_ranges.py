@@ -14,7 +14,7 @@ TARGETS = {"isaaclab": isaaclab_ranges, "mujoco-playground": playground_ranges}
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the ranges for another simulator; print what that simulator lacks."""
+    """Write the ranges for another simulator; print what it does not express."""
     check_writable(options.out)
     export = TARGETS[options.to](read_ranges(options.ranges))
     return hand_over(export, options)

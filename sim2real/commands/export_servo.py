@@ -23,11 +23,11 @@ class Write(Protocol):
     def __call__(
         self, model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
     ) -> Export:
-        """The text, and what it lacks."""
+        """The text, and what it does not express."""
 
 
 class Target(NamedTuple):
-    """A simulator or format: how it is written, and which effects of a joint it expresses."""
+    """A simulator or format: its writer, and the effects of a joint that it expresses."""
 
     write: Write
     expressed: Callable[[JointModel], Collection[str]]
@@ -47,9 +47,9 @@ TARGETS = {
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the model's actuators for another simulator; print what that simulator lacks.
+    """Write the model's actuators for another simulator; print what it does not express.
 
-    Joints with effects that it lacks are fitted again without them; what that costs is printed.
+    Joints with effects that it lacks are refitted without them; the errors are printed.
     """
     check_writable(options.out)
     model = read_model(options.model)

@@ -1,4 +1,4 @@
-"""The end of a command that exports: the file for another tool, and what that tool lacks."""
+"""Output of the export commands: the file for another tool, and what the tool lacks."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ def hand_over(
     refits: Sequence[Refit] = (),
     agreement: Sequence[Agreement] = (),
 ) -> int:
-    """Write the text to ``options.out``; say for which tool, and what is not expressed there.
+    """Write the text to ``options.out``; print the tool and what is not expressed.
 
     Args:
         export: The file for the other tool, and what that tool lacks.
         options: ``out``: the file to write; ``to``: the tool. ``result`` is set.
-        refits: Joints that were fitted again for the tool, with what that costs.
-        agreement: How far the tool itself is from the model or a recording, where it was asked.
+        refits: Joints that were refitted for the tool, with the errors.
+        agreement: Differences of the tool's simulation from the model or a recording.
     """
     write_whole(options.out, export.text)
     options.result = {
         "file": str(options.out),
         "not_expressed": [*map(str, export.left_out)],
         "refitted": [asdict(refit) for refit in refits],
-        "agreement": [asdict(one) for one in agreement],
+        "agreement": [asdict(entry) for entry in agreement],
     }
     print(f"{options.out}: for {options.to}")
     if export.left_out:

@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _plot(model: Model, recordings: Sequence[Recording], held_out: str | None, out: Path) -> None:
-    """One figure per joint: of the recording held out, or of the first."""
+    """One figure per joint: of the held-out recording, or of the first."""
     try:
         from sim2real.report import fit_figure, save_png
     except ModuleNotFoundError as error:

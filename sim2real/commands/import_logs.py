@@ -1,4 +1,4 @@
-"""The command ``sim2real import``: a log in, a recording out."""
+"""``sim2real import``: conversion of a log to a recording."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ TABLES = (".csv", ".npz")
 KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
 KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
 STATE_TOPIC = "/joint_states"
-LARGEST_START_RAD = 0.1  # further off than this, a joint was not at rest on its first command
+LARGEST_START_RAD = 0.1  # largest initial difference of a joint at rest on its first command
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one log and say what was written, and what follows where loads are unknown.
+    """Import one log; print a summary, and a remark on joints with unknown loads.
 
     Args:
-        args: ``source``: the log. ``out``: the CSV to write; its JSON stands beside it. For bags
-            also ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
+        args: ``source``: the log. ``out``: the CSV to write, with its JSON in the same folder. For
+            bags ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
             topic for all joints or one for each; ``joints``: list of names in the order of the
             set-points, or None. For LeRobot datasets ``units``, ``calibration``,
             ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
@@ -85,11 +85,11 @@ def _units(args: argparse.Namespace) -> Conversion:
 
 
 def _without_loads(joints: Sequence[str]) -> str:
-    """What ``identify`` does without loads, and how to state them."""
+    """Remark on ``identify`` without loads, and on how to state them."""
     names = ", ".join(joints)
     return (
         f"load unknown of {names}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), "
-        f"not in N m; to state what the shaft turns, import again with --inertia "
+        f"not in N m; to state the load, import again with --inertia "
         f"{joints[0]}=KGM2 (everything on the shaft) or --pendulum {joints[0]}=MASS_KG,LENGTH_M"
     )
 
@@ -97,16 +97,18 @@ def _without_loads(joints: Sequence[str]) -> str:
 def _summary(recording: Recording) -> str:
     sampled = np.isfinite(recording.position).any(axis=1)
     rate = 1 / np.median(np.diff(recording.t[sampled])) if sampled.sum() > 1 else 0.0
-    known = [joint for joint in recording.joints if joint in recording.loads]
-    loads = f"load known on {', '.join(known)}" if known else "loads unknown"
+    loaded = [joint for joint in recording.joints if joint in recording.loads]
+    loads = f"load known on {', '.join(loaded)}" if loaded else "loads unknown"
     parts = [f"{recording.t.size} rows in {recording.duration_s:.2f} s"]
     parts += [f"joints {', '.join(recording.joints)}", f"{rate:.0f} samples a second", loads]
     for j, joint in enumerate(recording.joints):
         first = np.flatnonzero(np.isfinite(recording.position[:, j]))[0]
-        off = float(recording.position[first, j] - recording.command[first, j])
-        if abs(off) > LARGEST_START_RAD:
-            parts.append(f"{joint} starts {off:+.2f} rad off its first command")
+        difference = float(recording.position[first, j] - recording.command[first, j])
+        if abs(difference) > LARGEST_START_RAD:
+            parts.append(f"{joint} starts {difference:+.2f} rad from its first command")
     if "left_out" in recording.metadata:
-        left = recording.metadata["left_out"]
-        parts.append(f"{left['rows']} rows left out from {left['from_s']:g} s: {left['why']}")
+        omitted = recording.metadata["left_out"]
+        parts.append(
+            f"{omitted['rows']} rows omitted from {omitted['from_s']:g} s: {omitted['why']}"
+        )
     return "; ".join(parts)

@@ -1,4 +1,4 @@
-"""Commands about servos: recordings, their fit, what it leaves out, ranges."""
+"""Command-line options for recordings, identification and ranges of servos."""
 
 from __future__ import annotations
 

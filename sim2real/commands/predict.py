@@ -11,7 +11,7 @@ from sim2real.recording import read_commands_as_recording, write_recording
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the same rows with the predicted angles, as a recording."""
+    """Write the commands with the predicted angles as a recording."""
     check_writable(options.out)
     if options.out.resolve() == options.commands.resolve():
         raise InputError(options.out, "--out", "the file of the commands", "another file")

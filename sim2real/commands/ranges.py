@@ -20,26 +20,26 @@ POSTERIOR = "posterior.npz"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Generate ranges, print them, write them, the posterior sample and a page."""
+    """Generate ranges; print them; write them, the posterior sample and a page."""
     out = check_writable(options.out)
-    found = verbs.ranges(**arguments_of(verbs.ranges, options, chains=out))
-    if found.posteriors:
-        found = replace(found, ranges=replace(found.ranges, posterior=POSTERIOR))
-        sample = joint_sample(found.posteriors, np.random.default_rng(options.seed))
+    gathered = verbs.ranges(**arguments_of(verbs.ranges, options, chains=out))
+    if gathered.posteriors:
+        gathered = replace(gathered, ranges=replace(gathered.ranges, posterior=POSTERIOR))
+        sample = joint_sample(gathered.posteriors, np.random.default_rng(options.seed))
         write_sample(sample, out.with_name(POSTERIOR))
-    write_ranges(found.ranges, out)
-    print(found)
+    write_ranges(gathered.ranges, out)
+    print(gathered)
     if not options.no_page:
-        _write_page(found, read_robot(options.robot).name, out.with_suffix(".html"))
+        _write_page(gathered, read_robot(options.robot).name, out.with_suffix(".html"))
     return 0
 
 
-def _write_page(found: Gathered, robot: str, page: Path) -> None:
+def _write_page(gathered: Gathered, robot: str, page: Path) -> None:
     from sim2real.report.page import write_page
     from sim2real.report.ranges import posterior_sections, ranges_section
 
-    count = len(found.ranges.entries)
-    sections = [ranges_section(found), *posterior_sections(found)]
+    count = len(gathered.ranges.entries)
+    sections = [ranges_section(gathered), *posterior_sections(gathered)]
     title, subtitle = f"Randomization ranges of {robot}", f"{count} parameters, each from data"
-    write_page(page, title, subtitle, sections, found.ranges.provenance)
+    write_page(page, title, subtitle, sections, gathered.ranges.provenance)
     print(f"\npage: {page}")

@@ -27,14 +27,14 @@ from sim2real.robot import Joint, Robot, read_robot
 from sim2real.signals import UNIT, Excitation, Shape, excitation, played
 
 RATE_HZ = 50.0
-HOTTEST_POSSIBLE_C = 85.0  # where the servos give up by themselves
+HOTTEST_POSSIBLE_C = 85.0  # where the servos switch off by themselves
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play a signal on the servos of a bus and write the recording as it comes.
+    """Play a signal on the servos of a bus and write the recording row by row.
 
     Returns:
-        0 if all of it was recorded, 1 if it had to stop; what came before is kept then.
+        0 if all of it was recorded, 1 if it was stopped early; earlier rows are kept.
     """
     robot = read_robot(options.robot)
     joints = _joints(robot, options.joints)
@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     for note in signal.notes:
         print(note)
     with priority(), Bus(open_transport(options.port)) as bus:
-        outcome, rows, held = _drive(options, bus, mountings, signal, sidecar)
-    return _told(options.out, outcome, rows, mountings, held)
+        outcome, rows, unreleased = _drive(options, bus, mountings, signal, sidecar)
+    return _report(options.out, outcome, rows, mountings, unreleased)
 
 
 def _drive(
@@ -61,10 +61,10 @@ def _drive(
     signal: Excitation,
     sidecar: dict[str, Any],
 ) -> tuple[Outcome, int, list[str]]:
-    """Go to the start, record, and whatever happens let the servos go.
+    """Move to the start, record, and release the servos in any case.
 
     Returns:
-        How it went, the number of rows, and the joints whose servo may still hold.
+        The outcome, the number of rows, and the joints whose torque may still be on.
     """
     outcome, rows = Outcome({mounting.joint.name: 0 for mounting in mountings}), 0
     hottest = options.max_temperature
@@ -92,10 +92,10 @@ def _drive(
         except Stopped as stop:
             outcome.stopped = str(stop)
         except OSError as error:
-            outcome.stopped = f"the port is gone ({error.strerror or error})"
+            outcome.stopped = f"the port was lost ({error.strerror or error})"
         finally:
-            held = release(bus, mountings)
-    return outcome, rows, held
+            unreleased = release(bus, mountings)
+    return outcome, rows, unreleased
 
 
 def _sidecar(
@@ -122,25 +122,25 @@ def _sidecar(
     }
 
 
-def _told(
-    out: Path, outcome: Outcome, rows: int, mountings: Sequence[Mounting], held: list[str]
+def _report(
+    out: Path, outcome: Outcome, rows: int, mountings: Sequence[Mounting], unreleased: list[str]
 ) -> int:
-    """Say in one line how it ended."""
-    kept = f"{rows} rows in {out}" if rows >= FEWEST_ROWS else "nothing written"
-    off = "torque off"
-    if held:
-        where = "any servo" if len(held) == len(mountings) else ", ".join(held)
-        off = f"{where} may still hold: switch off the supply"
+    """Print the outcome in one line; return the exit status."""
+    written = f"{rows} rows in {out}" if rows >= FEWEST_ROWS else "nothing written"
+    torque = "torque off"
+    if unreleased:
+        where = "any servo" if len(unreleased) == len(mountings) else ", ".join(unreleased)
+        torque = f"the torque of {where} may still be on: switch off the supply"
     if outcome.stopped:
-        print(f"sim2real record: {outcome.stopped}; {kept}; {off}", file=sys.stderr)
+        print(f"sim2real record: {outcome.stopped}; {written}; {torque}", file=sys.stderr)
         return 1
     missing = ", ".join(f"{name} {count}" for name, count in outcome.missing.items())
     late = 1e3 * float(np.quantile(outcome.late_s, 0.999))
     print(
-        f"{kept}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
-        f"99.9 % of cycles within {late:.1f} ms; {off}"
+        f"{written}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
+        f"99.9 % of cycles within {late:.1f} ms; {torque}"
     )
-    return 1 if held else 0
+    return 1 if unreleased else 0
 
 
 def _summary(outcome: Outcome, rows: int) -> dict[str, Any]:

@@ -16,7 +16,7 @@ READERS = {"from-urdf": read_urdf, "from-mjcf": read_mjcf}
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write a robot file; print what its owner must fill in, which it says too."""
+    """Write a robot file; print the fields to be filled in, which the file lists too."""
     out = check_writable(options.out)
     if out.resolve() == options.source.resolve():
         raise InputError(out, "--out", "the file to read", "another file")

@@ -13,7 +13,7 @@ from sim2real.hardware.lx import BAUD_RATES, CENTRE_TICKS, LARGEST_ID, TICK_RAD
 from sim2real.hardware.scan import Found, scan
 from sim2real.hardware.transport import open_transport
 
-LOCAL_S, NETWORK_S = 0.01, 0.05  # that an adapter or a radio takes for itself
+LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 14 * 10  # a request and its reply on the wire
 
 
@@ -30,16 +30,16 @@ def run(options: argparse.Namespace) -> int:
         with Bus(open_transport(options.port, baud=baud)) as bus:
             try:
                 bar = tqdm(ids, desc=f"{baud} baud", unit="id", disable=None)
-                found, garbled = scan(bus, bar, patience)
+                servos, garbled = scan(bus, bar, patience)
             except OSError as error:
                 reason = error.strerror or error
-                print(f"sim2real scan: the port is gone ({reason})", file=sys.stderr)
+                print(f"sim2real scan: the port was lost ({reason})", file=sys.stderr)
                 return 1
         for servo_id in garbled:
-            print(f"id {servo_id}: an answer, but spoilt: do two servos share the id?")
-        if found:
-            options.result = found
-            print(_table(found))
+            print(f"id {servo_id}: a corrupted answer, possibly of two servos with this id")
+        if servos:
+            options.result = servos
+            print(_table(servos))
             if baud != BAUD_RATES[0]:
                 print(f"They answer at {baud} baud: switch their supply off and on again.")
             return 0
@@ -47,17 +47,17 @@ def run(options: argparse.Namespace) -> int:
     return 1
 
 
-def _table(found: list[Found]) -> str:
+def _table(servos: list[Found]) -> str:
     lines = [f"{'id':>3} {'ticks':>6} {'rad':>7} {'supply':>8} {'temp':>5}  torque  errors"]
-    for one in found:
-        ticks = "-" if one.ticks is None else f"{one.ticks}"
-        angle = "-" if one.ticks is None else f"{(one.ticks - CENTRE_TICKS) * TICK_RAD:+.3f}"
-        supply = "-" if one.supply_V is None else f"{one.supply_V:.2f} V"
-        temperature = "-" if one.temperature_C is None else f"{one.temperature_C} C"
-        torque = "-" if one.powered is None else "on" if one.powered else "off"
-        errors = ", ".join(one.errors) or "none"
+    for servo in servos:
+        ticks = "-" if servo.ticks is None else f"{servo.ticks}"
+        angle = "-" if servo.ticks is None else f"{(servo.ticks - CENTRE_TICKS) * TICK_RAD:+.3f}"
+        supply = "-" if servo.supply_V is None else f"{servo.supply_V:.2f} V"
+        temperature = "-" if servo.temperature_C is None else f"{servo.temperature_C} C"
+        torque = "-" if servo.powered is None else "on" if servo.powered else "off"
+        errors = ", ".join(servo.errors) or "none"
         lines.append(
-            f"{one.servo_id:>3} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
+            f"{servo.servo_id:>3} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
             f"{torque:<6}  {errors}"
         )
     return "\n".join(lines)

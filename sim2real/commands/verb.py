@@ -1,4 +1,4 @@
-"""Options of a command from its verb: names, defaults and help are written once, in the verb."""
+"""Options of a command derived from its verb: names, defaults and help."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def add_verb(
 ) -> None:
     """Add an option for each argument of a verb.
 
-    The annotation says what an option takes, the default whether it is required, and the entry
-    under ``Args`` of the docstring is its help.
+    The annotation determines the type of an option, the default whether it is required, and the
+    entry under ``Args`` of the docstring is its help.
 
     Args:
         command: The parser to add to.
         verb: A function whose annotations are strings (``from __future__ import annotations``).
-        positional: Arguments that are given without a name.
+        positional: Arguments without an option name.
         leave_out: Arguments that the command sets itself.
     """
     described = described_arguments(verb)
@@ -50,7 +50,7 @@ def add_verb(
 
 
 def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[str, Any]:  # noqa: ANN401
-    """The arguments to call a verb with; ``other`` replaces or completes the parsed ones."""
+    """Arguments of a verb from the parsed options; ``other`` overrides or completes them."""
     parsed = vars(options)
     names = inspect.signature(verb).parameters
     return {name: parsed[name] for name in names if name in parsed} | other
@@ -69,7 +69,7 @@ def described_arguments(verb: Verb) -> dict[str, str]:
 
 
 def _options(annotation: str, default: object) -> dict[str, Any]:
-    """What ``add_argument`` takes for an annotation."""
+    """Keyword arguments of ``add_argument`` for an annotation."""
     required = {"required": True} if default is inspect.Parameter.empty else {"default": default}
     kind = annotation.removesuffix(" | None").split(" | ")[0]
     if kind == "bool":
@@ -85,7 +85,7 @@ def _options(annotation: str, default: object) -> dict[str, Any]:
 
 
 def _help(text: str, default: object) -> str:
-    """The entry of the docstring, with the default where that says something."""
+    """The entry of the docstring, with the default if it is informative."""
     acronym = text[1:2].isupper()
     lowered = (text[:1] if acronym else text[:1].lower()) + text[1:].removesuffix(".")
     stated = default not in (None, False, (), inspect.Parameter.empty)

@@ -19,7 +19,7 @@ from sim2real.model import read_model
 
 
 def run(options: argparse.Namespace) -> int:
-    """Be servos on a bus until Ctrl-C; the first line printed is the port to give to others."""
+    """Simulate servos on a bus until Ctrl-C; the first line printed is the port."""
     for name in ("loss", "noise"):
         share = getattr(options, name)
         if not 0 <= share < 1:

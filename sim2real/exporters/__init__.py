@@ -1,1 +1,1 @@
-"""What was identified, written for other simulators: actuators and randomization ranges."""
+"""Export of identified actuators and randomization ranges to other simulators."""

@@ -1,4 +1,4 @@
-"""The identified actuator in the terms that simulators share, and the list of what one lacks."""
+"""The identified actuator in terms common to simulators, and lists of what a target lacks."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from sim2real.robot import Joint, Robot
 
 @dataclass(frozen=True)
 class Actuator:
-    """One servo: a drive behind a delay, the shaft it turns, and what else was found on it.
+    """One servo: a drive with a delay, its shaft, and further effects.
 
-    The drive's torque is ``clip(kp (command - position) - kd velocity, -limit, limit) -
-    back_emf velocity``, of which the linear law has neither limit nor back-EMF.
+    The torque of the drive is ``clip(kp (command - position) - kd velocity, -limit, limit) -
+    back_emf velocity``; the linear law has neither limit nor back-EMF.
 
     Attributes:
         joint: Name of the joint.
         kp: Proportional gain, N m/rad.
         kd: Derivative gain inside the drive's limit, N m s/rad.
-        back_emf: Damping outside the limit, N m s/rad; 0 under the law ``pd``. Under ``motor`` it
-            is the slope of the torque-speed line, and ``kd`` what is left of the gain, less than 0
+        back_emf: Damping outside the limit, N m s/rad; 0 with the law ``pd``. With ``motor`` it
+            is the slope of the torque-speed line, and ``kd`` the remaining gain, negative
             where the line damps more than the servo does.
         limit: Largest torque of the drive in N m, None if no limit was identified.
-        latency: From sending a set-point to its taking effect, s.
-        inertia: On the output shaft, kg m2.
-        gravity: Torque of the stated load held level, N m; position 0 hangs straight down.
+        latency: Time from sending a set-point to its effect, s.
+        inertia: Inertia of the load on the output shaft, kg m2.
+        gravity: Torque of the horizontal pendulum of the load, N m; it hangs down at position 0.
         per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
         effects: Parameters of the other effects by name, in the catalogue's units.
-        motor: Parameters of the law ``motor`` that are none of these.
-        sheet: The joint's limits and data sheet, if a robot was given.
+        motor: Remaining parameters of the law ``motor``.
+        sheet: Limits and data sheet of the joint, if a robot was given.
     """
 
     joint: str
@@ -49,19 +49,19 @@ class Actuator:
     sheet: Joint | None = None
 
     def value(self, effect: str, parameter: str) -> float:
-        """A parameter of an effect, 0 where the joint does not have it."""
+        """A parameter of an effect, 0 if the joint does not have it."""
         return self.effects.get(effect, {}).get(parameter, 0.0)
 
     @property
     def stall_torque(self) -> float | None:
-        """Largest torque that was identified, else the data sheet's, N m."""
+        """Identified torque limit, else that of the data sheet, N m."""
         if self.limit is not None:
             return self.limit
         return self.sheet.servo.max_torque_Nm if self.sheet else None
 
     @property
     def no_load_speed(self) -> float | None:
-        """Where the torque-speed line meets zero torque, else the data sheet's, rad/s."""
+        """Identified no-load speed, else that of the data sheet, rad/s."""
         if self.limit is not None and self.back_emf > 0:
             return self.limit / self.back_emf
         return self.sheet.servo.no_load_speed_rad_s if self.sheet else None
@@ -69,7 +69,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Something of the model that the target does not have, or has only in part."""
+    """A part of the model that the target does not express, or only partly."""
 
     component: str
     what: str
@@ -81,7 +81,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Export:
-    """A text for another simulator, and what it leaves out (the text lists that too)."""
+    """A text for another simulator, and what it does not express (also listed in the text)."""
 
     text: str
     left_out: tuple[LeftOut, ...]
@@ -92,19 +92,19 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
 
     Args:
         model: The fitted model.
-        robot: Gives limits and data sheets where there is no identified value.
+        robot: Source of limits and data sheets where no value was identified.
 
     Raises:
-        InputError: If the model has no joint, the robot lacks one of the model's, or there is an
-            effect that the catalogue lacks or a law that is not known here.
+        InputError: If the model has no joint, the robot lacks a joint of the model, or an effect
+            or a law is unknown.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
     for name in model.joints if robot else ():
         if robot is not None and robot.joint(name) is None:
-            known = ", ".join(joint.name for joint in robot.joints)
+            names = ", ".join(joint.name for joint in robot.joints)
             file = robot.path or robot.name
-            raise InputError(file, "joints", known, f"the model's joint {name} among them")
+            raise InputError(file, "joints", names, f"the model's joint {name} among them")
     return tuple(
         _actuator(name, joint, robot.joint(name) if robot else None)
         for name, joint in model.joints.items()
@@ -112,16 +112,18 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
 
 
 def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
-    # Another law of the drive maps onto kd, limit and back_emf, which every exporter knows.
+    # Other laws of the drive are mapped to kd, limit and back_emf, which every exporter supports.
     law = getattr(joint, "law", "pd")
     if law not in ("pd", "motor"):
         raise InputError("model", f"joints.{name}.law", repr(law), "the law 'pd' or 'motor'")
     motor = {key: value for key, value in getattr(joint, "motor", {}).items() if value}
     effects: dict[str, dict[str, float]] = {}
     for fitted in joint.effects:
-        known = {parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters}
-        if unknown := set(fitted.parameters) - known:
-            expected = f"one of {', '.join(sorted(known))}"
+        parameters = {
+            parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters
+        }
+        if unknown := set(fitted.parameters) - parameters:
+            expected = f"one of {', '.join(sorted(parameters))}"
             raise InputError(
                 "model", f"joints.{name}.{fitted.effect}", ", ".join(sorted(unknown)), expected
             )
@@ -160,67 +162,67 @@ MOTOR_TERMS = (
     ("rotor_inertia_kgm2", "unmodelled_inertia", "inertia_kgm2"),
     ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
 )
-"""Parameters of the law ``motor`` that an effect of the catalogue has too."""
+"""Parameters of the law ``motor`` that an effect of the catalogue also has."""
 
 MOTOR_LACKS = {
     "resistance_rise": "it weakens the motor as its current grows",
-    "loop_period_s": "it holds the drive between two looks of the controller",
-    "loop_phase_s": "it is when the controller looks first",
+    "loop_period_s": "it holds the drive between two samples of the controller",
+    "loop_phase_s": "it is the time of the controller's first sample",
     "stick_time_s": "it is how soon dry friction stops the shaft",
     "creep_time_s": "it is how fast the shaft creeps against dry friction",
 }
-"""What a parameter of the law ``motor`` does; the others are friction that grows with load."""
+"""Meaning of parameters of the law ``motor``; the others are load-dependent friction."""
 
-PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of what the shaft turns"
+PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
 
 
 def left_out(
-    given: Actuator, has: Iterable[str], lacks: Mapping[str, str], target: str
+    servo: Actuator, has: Iterable[str], lacks: Mapping[str, str], target: str
 ) -> list[LeftOut]:
-    """What a target leaves out of one actuator.
+    """What a target does not express of one actuator.
 
     Args:
-        given: The actuator.
-        has: The effects that it expresses.
-        lacks: Why it lacks an effect, or anything else, where there is something to say.
-        target: Its name.
+        servo: The actuator.
+        has: The effects that the target expresses.
+        lacks: Reasons for the effects that it lacks, where there is a specific one.
+        target: Name of the target.
     """
-    known = set(has)
-    lines = [LeftOut(given.joint, "unit of the gains", PER_INERTIA)] if given.per_inertia else []
-    for effect, values in given.effects.items():
-        if effect not in known:
+    expressed = set(has)
+    lines = [LeftOut(servo.joint, "unit of the gains", PER_INERTIA)] if servo.per_inertia else []
+    for effect, values in servo.effects.items():
+        if effect not in expressed:
             shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
-            why = lacks.get(effect, f"{target} has nothing like it")
-            lines.append(LeftOut(given.joint, f"{effect} ({shown})", why))
-    for name, value in given.motor.items():
-        does = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
-        why = f"{target} has nothing like it: {does}"
-        lines.append(LeftOut(given.joint, f"motor.{name} ({value:.6g})", why))
+            why = lacks.get(effect, f"{target} has no equivalent")
+            lines.append(LeftOut(servo.joint, f"{effect} ({shown})", why))
+    for name, value in servo.motor.items():
+        meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
+        why = f"{target} has no equivalent: {meaning}"
+        lines.append(LeftOut(servo.joint, f"motor.{name} ({value:.6g})", why))
     return lines
 
 
 def quantity(joint: str, name: str, value: float, unit: str, why: str) -> list[LeftOut]:
-    """The line of a number that a target lacks; none where it is 0 and there is nothing to lack."""
+    """The line of a number that a target lacks; empty if the number is 0."""
     return [LeftOut(joint, f"{name} ({value:.6g} {unit})", why)] if value else []
 
 
 def shared_left_out(model: Model) -> list[LeftOut]:
-    """The effects on supply, link and body, which no actuator of one joint can express."""
-    why = "it belongs to no single joint, and predict leaves it out too"
-    there = [fitted for fitted in model.effects if any(fitted.parameters.values())]
-    shared = [LeftOut("robot", fitted.effect, why) for fitted in there]
+    """Effects on supply, link and body, which the actuator of one joint cannot express."""
+    why = "it belongs to no single joint, and predict does not include it either"
+    active = [fitted for fitted in model.effects if any(fitted.parameters.values())]
+    shared = [LeftOut("robot", fitted.effect, why) for fitted in active]
     if any(model.body.values()):
         shared.append(LeftOut("robot", "body", "only the actuators are exported"))
     return shared
 
 
 def comment(lines: Sequence[str], mark: str = "# ") -> str:
-    """Lines as comments of a program; a line break inside one (in a name) does not end it."""
+    """Lines as comments of a program; line breaks within a line are replaced by spaces."""
     return "".join(f"{mark}{' '.join(line.splitlines())}".rstrip() + "\n" for line in lines)
 
 
 def listed(lines: Sequence[LeftOut]) -> list[str]:
-    """What the head of an exported file says of what is not in it."""
+    """Lines for the head of an exported file on what it does not express."""
     if not lines:
         return ["Everything that was identified is expressed."]
     return ["Not expressed here:", *(f"  {line}" for line in lines)]

@@ -1,4 +1,4 @@
-"""A standard excitation of a fitted joint, and what its model predicts on it."""
+"""A standard excitation of a fitted joint, and the prediction of its model on it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SEED = 20240
 
 
 def commands(reach_rad: float = REACH_RAD) -> tuple[Array, dict[str, Array]]:
-    """Random steps, a sine that quickens from 0.1 to 2.5 Hz and a slow triangle.
+    """Random steps, a chirp from 0.1 to 2.5 Hz and a slow triangle wave.
 
     Args:
         reach_rad: Largest set-point.
@@ -42,12 +42,12 @@ def commands(reach_rad: float = REACH_RAD) -> tuple[Array, dict[str, Array]]:
 
 
 def excitation(joint: JointModel, name: str, reach_rad: float | None = None) -> list[Trace]:
-    """What a joint's model predicts on the standard commands, as noiseless traces.
+    """Predictions of a joint's model on the standard commands, as noiseless traces.
 
     Args:
         joint: The fitted joint.
         name: Its name.
-        reach_rad: Largest set-point; ``REACH_RAD`` where None, and never more.
+        reach_rad: Largest set-point; at most ``REACH_RAD``, the default.
     """
     t, signals = commands(min(reach_rad or REACH_RAD, REACH_RAD))
     load = PER_INERTIA if joint.per_inertia else joint.load or Load(joint.inertia_kgm2)

@@ -1,9 +1,9 @@
-"""The nearest model that a target can express: what it lacks is dropped, the rest fitted again.
+"""The nearest model that a target can express: missing effects are dropped, the rest refitted.
 
-Gains that were fitted beside an effect are wrong without it: a dead band, dropped from a model,
-leaves a servo that is too stiff. So a joint whose effects (or losses of the motor) a target lacks
-is refitted without them, to recordings, or to what the full model predicts on a standard
-excitation where there are none.
+Gains that were fitted together with an effect are wrong without it: without its dead band, for
+example, a servo is too stiff. A joint with effects (or losses of the motor) that a target lacks is
+therefore refitted without them, to recordings, or without recordings to the predictions of the full
+model on a standard excitation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim2real.servo.parameters import LINE, joint_row
 from sim2real.servo.trace import Trace, split, traces
 
 NEGLIGIBLE_RAD = 1e-4
-"""Change of the motion, RMS, below which an effect is dropped without mention: a fifteenth of a
+"""RMS change of the motion below which an effect is dropped without being listed: a fifteenth of a
 count of a 12-bit encoder."""
 _LINE = {name.removeprefix("motor.") for name in LINE}
 
@@ -35,8 +35,8 @@ class Expressible:
 
     Attributes:
         model: The model.
-        dropped: What it lacks of the full one, for the head of an exported file.
-        refits: What that costs, joint by joint.
+        dropped: Parts of the full model that it lacks, for the head of an exported file.
+        refits: Errors of the refitted joints.
     """
 
     model: Model
@@ -50,22 +50,22 @@ def expressible(
     recordings: Sequence[Recording] = (),
     robot: Robot | None = None,
 ) -> Expressible:
-    """The model without the effects that a target lacks, its other parameters fitted again.
+    """The model without the effects that a target lacks, with its other parameters refitted.
 
-    Effects that no other parameter can stand in for stay, and the target lists them: those drawn
-    anew for each set-point, errors of the angle sensor that depend on the angle alone, and what
-    makes up for a load, which belongs to the robot's link.
+    Effects that no other parameter can replace are kept, and the target lists them: those drawn
+    for each set-point, errors of the angle sensor that depend only on the angle, and corrections
+    of the load, which belongs to the link of the robot.
 
     Args:
         model: The fitted model.
         expressed: Names of the effects of a joint that the target expresses, and ``motor.NAME`` of
-            the losses of its motor; the torque-speed line is taken for granted.
-        recordings: What to refit to; the last is held out, of a lone one its last quarter. The
-            model's own predictions where none of them moves a joint.
-        robot: Its limits bound the standard excitation.
+            the losses of its motor; the torque-speed line is always expressed.
+        recordings: Recordings to refit to; the last is held out, or the last quarter of a single
+            one. If no recording moves a joint, the predictions of the model are used.
+        robot: Source of the limits of the standard excitation.
 
     Raises:
-        InputError: If the model has an effect that the catalogue lacks.
+        InputError: If the model has an unknown effect.
     """
     joints, dropped, refits = dict(model.joints), [], []
     for name, joint in model.joints.items():
@@ -73,42 +73,41 @@ def expressible(
         if not lost:
             continue
         data = fitting_data(name, joint, recordings, robot)
-        matter = {what for what in lost if _moves(data.own, joint, what) > NEGLIGIBLE_RAD}
-        joints[name] = without(joint, lost - matter)
-        if not (stood_for := sorted(what for what in matter if _replaceable(what))):
+        relevant = {effect for effect in lost if _moves(data.own, joint, effect) > NEGLIGIBLE_RAD}
+        joints[name] = without(joint, lost - relevant)
+        if not (replaced := sorted(effect for effect in relevant if _replaceable(effect))):
             continue
         soft = STICKS in expressed(joint)
-        joints[name], cost = refitted(name, joints[name], stood_for, data, soft=soft)
+        joints[name], cost = refitted(name, joints[name], replaced, data, soft=soft)
         refits.append(cost)
-        why = "the other parameters were refitted to stand in for it; do not add it"
-        dropped += [LeftOut(name, _shown(joint, what), why) for what in stood_for]
+        why = "the other parameters were refitted to compensate for it; do not add it"
+        dropped += [LeftOut(name, _shown(joint, effect), why) for effect in replaced]
     return Expressible(replace(model, joints=joints), tuple(dropped), tuple(refits))
 
 
 def fitting_data(
     name: str, joint: JointModel, recordings: Sequence[Recording], robot: Robot | None
 ) -> FittingData:
-    """What a joint is fitted to: recordings in which it moves, else its own predictions."""
+    """Data to refit a joint to: recordings in which it moves, else predictions of its model."""
     sheet = robot.joint(name) if robot else None
     reach = 0.9 * min(abs(x) for x in sheet.limits_rad) if sheet else None
-    own = excitation(joint, name, reach)
+    predicted = excitation(joint, name, reach)
     data = _on_load(traces(recordings, name), joint)
-    return FittingData(own, *(split(data, None) if data else (own, [], "")))
+    return FittingData(predicted, *(split(data, None) if data else (predicted, [], "")))
 
 
 def _on_load(data: Sequence[Trace], joint: JointModel) -> list[Trace]:
-    """The traces on loads that the model's gains are meant for."""
+    """The traces with the load that the gains of the model refer to."""
     if joint.per_inertia:
         return [replace(trace, load=PER_INERTIA) for trace in data]
-    known = joint.load
+    load = joint.load
     return [
-        replace(trace, load=known) if trace.load is PER_INERTIA and known else trace
-        for trace in data
+        replace(trace, load=load) if trace.load is PER_INERTIA and load else trace for trace in data
     ]
 
 
 def _lost(joint: JointModel, has: Collection[str]) -> set[str]:
-    """What the target lacks: effects that a fit can follow, and ``motor.NAME`` for losses."""
+    """What the target lacks: effects that can be fitted, and ``motor.NAME`` for losses."""
     effects = {
         fitted.effect
         for fitted in joint.effects
@@ -119,22 +118,22 @@ def _lost(joint: JointModel, has: Collection[str]) -> set[str]:
     return effects | {f"motor.{key}" for key in losses if terms.get(key, f"motor.{key}") not in has}
 
 
-def _replaceable(what: str) -> bool:
-    """Whether other parameters of the servo may stand in for an effect or a loss of the motor."""
-    if what.startswith("motor."):
+def _replaceable(name: str) -> bool:
+    """Whether other parameters of the servo may replace an effect or a loss of the motor."""
+    if name.startswith("motor."):
         return True
-    effect = named(what)
+    effect = named(name)
     return not effect.load and not (effect.site == "sensor" and effect.steady)
 
 
-def _shown(joint: JointModel, what: str) -> str:
-    if what.startswith("motor."):
-        return f"{what} ({joint.motor[what.removeprefix('motor.')]:.6g})"
-    values = next(fitted.parameters for fitted in joint.effects if fitted.effect == what)
-    return f"{what} ({', '.join(f'{n} = {x:.6g}' for n, x in values.items() if x)})"
+def _shown(joint: JointModel, effect: str) -> str:
+    if effect.startswith("motor."):
+        return f"{effect} ({joint.motor[effect.removeprefix('motor.')]:.6g})"
+    values = next(fitted.parameters for fitted in joint.effects if fitted.effect == effect)
+    return f"{effect} ({', '.join(f'{n} = {x:.6g}' for n, x in values.items() if x)})"
 
 
-def _moves(own: Sequence[Trace], joint: JointModel, what: str) -> float:
-    """RMS by which one effect changes the motion, rad."""
-    load = own[0].load
-    return rms(residuals(joint_row(without(joint, {what}), load), own))
+def _moves(predicted: Sequence[Trace], joint: JointModel, effect: str) -> float:
+    """RMS change of the motion by one effect, rad."""
+    load = predicted[0].load
+    return rms(residuals(joint_row(without(joint, {effect}), load), predicted))

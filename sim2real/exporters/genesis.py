@@ -1,4 +1,4 @@
-"""The identified actuators for Genesis, in Python text.
+"""Export of the identified actuators to Genesis, as Python text.
 
 Calls: https://genesis-world.readthedocs.io, ``RigidEntity``.
 """
@@ -35,58 +35,58 @@ LACKS = {
 
 
 def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
-    """Python text that defines ``set_actuators(entity)``, to be called once the scene is built.
+    """Python text that defines ``set_actuators(entity)``, to be called after the scene is built.
 
     Args:
         model: The fitted model.
-        robot: Its data sheets give limits where none was identified, if there is one.
-        dropped: What the model had more, for the file to list, see `expressible`.
+        robot: Source of limits (data sheets) where none was identified.
+        dropped: Parts that were dropped from the model, to be listed, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
-    given = actuators(model, robot)
-    lines = [line for actuator in given for line in _left_out(actuator)]
+    servos = actuators(model, robot)
+    lines = [line for actuator in servos for line in _left_out(actuator)]
     lines += [*dropped, *shared_left_out(model)]
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    names = ", ".join(repr(actuator.joint) for actuator in given)
+    names = ", ".join(repr(actuator.joint) for actuator in servos)
     text = comment(head) + f"\nJOINTS = [{names}]\n\n\n"
     text += "def set_actuators(entity):\n"
     text += '    """Gains and losses, for entity.control_dofs_position(angles, dofs)."""\n'
     text += "    dofs = [entity.get_joint(name).dofs_idx_local[0] for name in JOINTS]\n"
-    for call, values in _calls(given).items():
+    for call, values in _calls(servos).items():
         text += f"    entity.{call}({values}, dofs)\n"
     return Export(text + "    return dofs\n", tuple(lines))
 
 
-def _calls(given: tuple[Actuator, ...]) -> dict[str, str]:
-    def every(values: list[float]) -> str:
+def _calls(servos: tuple[Actuator, ...]) -> dict[str, str]:
+    def listing(values: list[float]) -> str:
         return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
-    armature = [max(one.value("unmodelled_inertia", "inertia_kgm2"), 0.0) for one in given]
-    friction = [one.value("coulomb_friction", "torque_Nm") for one in given]
+    armature = [max(servo.value("unmodelled_inertia", "inertia_kgm2"), 0.0) for servo in servos]
+    friction = [servo.value("coulomb_friction", "torque_Nm") for servo in servos]
     calls = {
-        "set_dofs_kp": every([one.kp for one in given]),
-        "set_dofs_kv": every([one.kd for one in given]),
-        "set_dofs_damping": every([one.back_emf for one in given]),
-        "set_dofs_armature": every(armature),
-        "set_dofs_frictionloss": every(friction),
+        "set_dofs_kp": listing([servo.kp for servo in servos]),
+        "set_dofs_kv": listing([servo.kd for servo in servos]),
+        "set_dofs_damping": listing([servo.back_emf for servo in servos]),
+        "set_dofs_armature": listing(armature),
+        "set_dofs_frictionloss": listing(friction),
     }
-    limits = [one.stall_torque for one in given]
+    limits = [servo.stall_torque for servo in servos]
     if any(limit is not None for limit in limits):
-        most = ", ".join("float('inf')" if limit is None else f"{limit:.9g}" for limit in limits)
-        least = ", ".join("-float('inf')" if limit is None else f"{-limit:.9g}" for limit in limits)
-        calls["set_dofs_force_range"] = f"[{least}], [{most}]"
+        upper = ", ".join("float('inf')" if limit is None else f"{limit:.9g}" for limit in limits)
+        lower = ", ".join("-float('inf')" if limit is None else f"{-limit:.9g}" for limit in limits)
+        calls["set_dofs_force_range"] = f"[{lower}], [{upper}]"
     return calls
 
 
-def _left_out(given: Actuator) -> list[LeftOut]:
-    lines = left_out(given, HAS, LACKS, "Genesis")
-    why = "position control has no delay; hold set-points back for so long"
-    lines += quantity(given.joint, "latency", given.latency, "s", why)
-    if given.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        why = "an armature is not negative; take it off the link's inertia"
-        lines.append(LeftOut(given.joint, "unmodelled_inertia", why))
-    load = f"inertia of the load ({given.inertia:.6g} kg m2)"
-    lines.append(LeftOut(given.joint, load, "it belongs to the link"))
+def _left_out(servo: Actuator) -> list[LeftOut]:
+    lines = left_out(servo, HAS, LACKS, "Genesis")
+    why = "position control has no delay; delay the set-points by this time"
+    lines += quantity(servo.joint, "latency", servo.latency, "s", why)
+    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
+        why = "an armature cannot be negative; subtract it from the link's inertia"
+        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
+    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
+    lines.append(LeftOut(servo.joint, load, "it belongs to the link"))
     return lines

@@ -1,7 +1,7 @@
-"""The identified actuators as Isaac Lab configurations, in Python text.
+"""Export of the identified actuators as Isaac Lab configurations, as Python text.
 
 Fields: https://isaac-sim.github.io/IsaacLab, ``isaaclab.actuators``, releases 2.3 and 3.0 (which
-calls ``effort_limit`` and ``velocity_limit`` also ``actuator_...`` and takes both).
+also names ``effort_limit`` and ``velocity_limit`` ``actuator_...`` and accepts both).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LACKS = {
     "sensor_gain": "scale the observation",
     "sensor_filter": "filter the observation",
     "encoder_quantization": "round the observation",
-    "packet_loss": "leave actions out in the environment",
+    "packet_loss": "omit actions in the environment",
 }
 
 
@@ -48,76 +48,77 @@ def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut
 
     Args:
         model: The fitted model.
-        robot: Its data sheets give limits where none was identified, if there is one.
-        dropped: What the model had more, for the file to list, see `expressible`.
+        robot: Source of limits (data sheets) where none was identified.
+        dropped: Parts that were dropped from the model, to be listed, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
-    given = actuators(model, robot)
-    lines = [line for actuator in given for line in _left_out(actuator)]
+    servos = actuators(model, robot)
+    lines = [line for actuator in servos for line in _left_out(actuator)]
     lines += [*dropped, *shared_left_out(model)]
-    kinds = sorted({_kind(actuator) for actuator in given})
+    kinds = sorted({_kind(actuator) for actuator in servos})
     head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     text = comment(head) + f"from isaaclab.actuators import {', '.join(kinds)}\n\n\n"
     text += "def actuators(physics_dt):\n"
     text += '    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""\n'
     text += "    return {\n"
-    text += "".join(_entry(actuator) for actuator in given)
+    text += "".join(_entry(actuator) for actuator in servos)
     return Export(text + "    }\n", tuple(lines))
 
 
-def _kind(given: Actuator) -> str:
-    return "DCMotorCfg" if given.back_emf > 0 and given.limit else "DelayedPDActuatorCfg"
+def _kind(servo: Actuator) -> str:
+    return "DCMotorCfg" if servo.back_emf > 0 and servo.limit else "DelayedPDActuatorCfg"
 
 
-def _entry(given: Actuator) -> str:
-    fields: dict[str, str] = {"joint_names_expr": repr([re.escape(given.joint)])}
-    fields["stiffness"] = f"{given.kp:.9g}"
-    fields["damping"] = f"{given.kd + given.back_emf:.9g}"
-    if _kind(given) == "DCMotorCfg":
-        fields["saturation_effort"] = f"{given.limit:.9g}"
-        # Braking adds the back-EMF: up to twice the stall torque, which effort_limit must not cut.
-        fields["effort_limit"] = f"{2 * (given.limit or 0):.9g}"
-        fields["velocity_limit"] = f"{given.no_load_speed:.9g}"
+def _entry(servo: Actuator) -> str:
+    fields: dict[str, str] = {"joint_names_expr": repr([re.escape(servo.joint)])}
+    fields["stiffness"] = f"{servo.kp:.9g}"
+    fields["damping"] = f"{servo.kd + servo.back_emf:.9g}"
+    if _kind(servo) == "DCMotorCfg":
+        fields["saturation_effort"] = f"{servo.limit:.9g}"
+        # Braking adds the back-EMF: up to twice the stall torque, which effort_limit must not clip.
+        fields["effort_limit"] = f"{2 * (servo.limit or 0):.9g}"
+        fields["velocity_limit"] = f"{servo.no_load_speed:.9g}"
     else:
-        if given.stall_torque is not None:
-            fields["effort_limit"] = f"{given.stall_torque:.9g}"
-        if given.no_load_speed is not None:
-            fields["velocity_limit"] = f"{given.no_load_speed:.9g}"
-        spread = given.value("latency_jitter", "halfwidth_s")
-        ends = max(given.latency - spread, 0.0), given.latency + spread
+        if servo.stall_torque is not None:
+            fields["effort_limit"] = f"{servo.stall_torque:.9g}"
+        if servo.no_load_speed is not None:
+            fields["velocity_limit"] = f"{servo.no_load_speed:.9g}"
+        spread = servo.value("latency_jitter", "halfwidth_s")
+        ends = max(servo.latency - spread, 0.0), servo.latency + spread
         fields["min_delay"], fields["max_delay"] = (f"round({x:.9g} / physics_dt)" for x in ends)
-    if (armature := given.value("unmodelled_inertia", "inertia_kgm2")) > 0:
+    if (armature := servo.value("unmodelled_inertia", "inertia_kgm2")) > 0:
         fields["armature"] = f"{armature:.9g}"
-    sliding = given.value("coulomb_friction", "torque_Nm")
-    sticking = sliding + given.value("stribeck_friction", "breakaway_Nm")
-    sliding += given.value("stribeck_friction", "torque_Nm")
+    sliding = servo.value("coulomb_friction", "torque_Nm")
+    sticking = sliding + servo.value("stribeck_friction", "breakaway_Nm")
+    sliding += servo.value("stribeck_friction", "torque_Nm")
     if sticking > 0:
         fields |= {"friction": f"{sticking:.9g}", "dynamic_friction": f"{sliding:.9g}"}
     body = "".join(f"            {name}={value},\n" for name, value in fields.items())
-    return f"        {given.joint!r}: {_kind(given)}(\n{body}        ),\n"
+    return f"        {servo.joint!r}: {_kind(servo)}(\n{body}        ),\n"
 
 
-def _left_out(given: Actuator) -> list[LeftOut]:
-    lines = left_out(given, HAS, LACKS, "Isaac Lab")
+def _left_out(servo: Actuator) -> list[LeftOut]:
+    lines = left_out(servo, HAS, LACKS, "Isaac Lab")
 
     def add(what: str, why: str) -> None:
-        lines.append(LeftOut(given.joint, what, why))
+        lines.append(LeftOut(servo.joint, what, why))
 
-    if _kind(given) == "DCMotorCfg":
-        why = "DCMotorCfg has no delay; hold actions back"
-        lines += quantity(given.joint, "latency", given.latency, "s", why)
-        if "latency_jitter" in given.effects:
+    if _kind(servo) == "DCMotorCfg":
+        why = "DCMotorCfg has no delay; delay the actions"
+        lines += quantity(servo.joint, "latency", servo.latency, "s", why)
+        if "latency_jitter" in servo.effects:
             add("latency_jitter", "DCMotorCfg has no delay")
     else:
-        if given.latency:
+        if servo.latency:
             add("fractions of a step of the latency", "a delay is a whole number of physics steps")
-        if "latency_jitter" in given.effects:
+        if "latency_jitter" in servo.effects:
             add("part of latency_jitter", "the delay is drawn at a reset, not for each set-point")
-    if "stribeck_friction" in given.effects:
+    if "stribeck_friction" in servo.effects:
         add("velocity_rad_s of stribeck_friction", "friction drops as soon as the joint moves")
-    if given.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        add("unmodelled_inertia", "an armature is not negative; take it off the link's inertia")
-    add(f"inertia of the load ({given.inertia:.6g} kg m2)", "it belongs to the link")
+    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
+        why = "an armature cannot be negative; subtract it from the link's inertia"
+        add("unmodelled_inertia", why)
+    add(f"inertia of the load ({servo.inertia:.6g} kg m2)", "it belongs to the link")
     return lines

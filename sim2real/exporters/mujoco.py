@@ -1,7 +1,7 @@
-"""The identified actuators as a MuJoCo model (MJCF): a bench with each joint on a shaft of its own.
+"""Export of the identified actuators as a MuJoCo model (MJCF): a bench with a shaft for each joint.
 
-Joint attributes and the ``<actuator>`` section carry over to a robot's own model; the bodies are
-the load that the recordings were made with. Terms: https://mujoco.readthedocs.io, XML reference.
+Joint attributes and the ``<actuator>`` section can be copied to the model of a robot; the bodies
+are the load of the recordings. Terms: https://mujoco.readthedocs.io, XML reference.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sim2real.robot import Robot
 from sim2real.servo.parameters import SOFT
 
 TIMESTEP_S = 0.00025
-SHAFT_SHARE = 1 / 500  # of the inertia that stands on the motor's side of a spring
+SHAFT_SHARE = 1 / 500  # of the inertia, placed on the motor's side of a spring
 
 HAS = (
     "asymmetric_friction",
@@ -50,17 +50,17 @@ HAS = (
 
 LACKS = {
     "torque_saturation": "the motor's own limit is the actuator's forcerange",
-    "backlash": "a loose body within stops crosses the play otherwise where torques are small",
+    "backlash": "a free body between stops crosses the play differently at small torques",
     "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
-    "sensor_eccentricity": "add a wave of the angle to the observation",
+    "sensor_eccentricity": "add a sine of the angle to the observation",
     "deadband": "an actuator's bias is linear in the angle",
     "punch": "an actuator's bias is linear in the angle",
     "acceleration_limit": "its slewmax limits the speed of a set-point only",
     "encoder_quantization": "sensors are continuous; round the reading",
     "sensor_filter": "sensors have no dynamics; filter the reading",
-    "latency_jitter": "a delay is constant; delay each set-point by a time of its own",
-    "packet_loss": "it is up to the program that sets ctrl to leave set-points out",
+    "latency_jitter": "a delay is constant; delay each set-point by a different time",
+    "packet_loss": "the program that sets ctrl has to omit set-points",
     "clock_drift": "a delay is constant",
     "thermal_derating": "gains do not change while it runs",
     "supply_droop": "gains do not change while it runs",
@@ -69,7 +69,7 @@ LACKS = {
 
 
 def expressed(joint: JointModel) -> set[str]:
-    """Effects of a joint that an MJCF file expresses; a ``pid`` has no filter of its commands."""
+    """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
     has = {*HAS, "torque_saturation", *SOFT}
     names = {fitted.effect for fitted in joint.effects}
     return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
@@ -78,19 +78,19 @@ def expressed(joint: JointModel) -> set[str]:
 def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """An MJCF model of a fitted model's actuators.
 
-    ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. Where
-    an older one is installed the model has no delays; `mujoco_bench.simulate` then holds commands
-    back itself, and shows how.
+    ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. If an
+    older version is installed, the model has no delays, and `mujoco_bench.simulate` delays the
+    commands.
 
     Args:
         model: The fitted model.
-        robot: Gives the joints' limits, as their ``range``, if there is one.
-        dropped: What the model had more, for the file to list, see `expressible`.
+        robot: Source of the limits of the joints (``range``).
+        dropped: Parts that were dropped from the model, to be listed, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
-    given = actuators(model, robot)
+    servos = actuators(model, robot)
     root = Element("mujoco", model="sim2real")
     SubElement(root, "compiler", angle="radian")
     SubElement(
@@ -103,14 +103,14 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
     parts = {name: Element(name) for name in ("worldbody", "tendon", "actuator", "sensor")}
     custom = SubElement(root, "custom")
     lines: list[LeftOut] = []
-    for whole in given:
-        actuator, moved = _within_a_pid(whole)
+    for servo in servos:
+        actuator, moved = _limit_with_back_emf(servo)
         lines += moved
         numeric = {"name": f"{actuator.joint}_latency_s", "data": _text(actuator.latency)}
         SubElement(custom, "numeric", numeric)
         _shaft(actuator, parts["worldbody"], parts["tendon"])
         lines += _motor(actuator, parts["actuator"])
-        lines += _late(actuator, parts["actuator"][-1])
+        lines += _delay(actuator, parts["actuator"][-1])
         lines += _passive(actuator, parts["actuator"])
         _sensor(actuator, parts["sensor"])
         hard = {name: x for name, x in actuator.motor.items() if f"motor.{name}" not in SOFT}
@@ -123,82 +123,84 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
     return Export(f"{text}\n{ElementTree.tostring(root, encoding='unicode')}\n", tuple(lines))
 
 
-def _shaft(given: Actuator, world: Element, tendons: Element) -> None:
-    """The shaft, its load, and what lies between them; tendons add up angles along the chain."""
-    inertia, armature = given.inertia, given.value("unmodelled_inertia", "inertia_kgm2")
+def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
+    """The shaft, its load and the spring between them; tendons sum angles along the chain."""
+    inertia, armature = servo.inertia, servo.value("unmodelled_inertia", "inertia_kgm2")
     if armature < 0:
         inertia, armature = inertia + armature, 0.0
-    rotor = given.value("compliance", "rotor_inertia_kgm2")
-    # A rotor would ring on its spring: as the law has it, what the motor feels of it is softer.
-    spring = given.value("compliance", "compliance_rad_per_Nm") * (1 - rotor / inertia) ** 2
+    rotor = servo.value("compliance", "rotor_inertia_kgm2")
+    # Without a separate rotor, which would oscillate on its spring, the spring is softer.
+    spring = servo.value("compliance", "compliance_rad_per_Nm") * (1 - rotor / inertia) ** 2
     shaft = SHAFT_SHARE * (inertia + armature) if spring > 0 else 0.0
-    body = SubElement(world, "body", name=f"{given.joint}_link")
-    attributes = {"name": given.joint, "type": "hinge", "axis": "0 1 0"}
+    body = SubElement(world, "body", name=f"{servo.joint}_link")
+    attributes = {"name": servo.joint, "type": "hinge", "axis": "0 1 0"}
     if armature > 0:
         attributes["armature"] = _text(armature)
-    attributes |= _losses(given)
-    if offset := _offset(given):
+    attributes |= _losses(servo)
+    if offset := _offset(servo):
         attributes["ref"] = _text(offset)
-    if given.sheet is not None:
-        attributes["range"] = _text(*given.sheet.limits_rad)
+    if servo.sheet is not None:
+        attributes["range"] = _text(*servo.sheet.limits_rad)
     SubElement(body, "joint", attributes)
-    weight = given.gravity + given.value("gravity_load", "torque_Nm")
+    weight = servo.gravity + servo.value("gravity_load", "torque_Nm")
     _inertial(body, inertia - shaft, weight)
     if spring > 0:
-        twist = SubElement(body, "body", name=f"{given.joint}_shaft")
+        twist = SubElement(body, "body", name=f"{servo.joint}_shaft")
         SubElement(
             twist,
             "joint",
             {
-                "name": f"{given.joint}_twist",
+                "name": f"{servo.joint}_twist",
                 "type": "hinge",
                 "axis": "0 1 0",
                 "stiffness": _text(1 / spring),
             },
         )
         _inertial(twist, shaft, 0.0)
-    gain = 1 + given.value("sensor_gain", "gain")
+    gain = 1 + servo.value("sensor_gain", "gain")
     if spring > 0:
-        _sum(tendons, f"{given.joint}_motor", {given.joint: 1.0, f"{given.joint}_twist": 1.0})
+        _add_tendon(
+            tendons, f"{servo.joint}_motor", {servo.joint: 1.0, f"{servo.joint}_twist": 1.0}
+        )
     if spring > 0 or gain != 1:
-        chain = {given.joint: gain}
-        chain |= {f"{given.joint}_twist": gain} if spring > 0 else {}
-        _sum(tendons, f"{given.joint}_seen", chain)
+        chain = {servo.joint: gain}
+        chain |= {f"{servo.joint}_twist": gain} if spring > 0 else {}
+        _add_tendon(tendons, f"{servo.joint}_seen", chain)
 
 
-def _within_a_pid(given: Actuator) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF within the limit, where a ``pid`` or a spring needs it."""
-    if given.back_emf > 0 and given.value("compliance", "compliance_rad_per_Nm") > 0:
-        why = "the spring passes on what the motor makes, its damping included"
-    elif given.kd >= 0 or not given.effects.keys() & {"integral_action", "rate_limit"}:
-        return given, []
+def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
+    """The actuator with its back-EMF inside the limit, if a ``pid`` or a spring requires it."""
+    if servo.back_emf > 0 and servo.value("compliance", "compliance_rad_per_Nm") > 0:
+        why = "the spring transmits the torque of the motor, including its damping"
+    elif servo.kd >= 0 or not servo.effects.keys() & {"integral_action", "rate_limit"}:
+        return servo, []
     else:
-        why = "a pid's velocity gain is not negative"
-    why += ": the limit holds for drive and back-EMF together"
-    moved = replace(given, kd=given.kd + given.back_emf, back_emf=0.0)
-    return moved, [LeftOut(given.joint, "a drive that clips before the back-EMF", why)]
+        why = "the velocity gain of a pid cannot be negative"
+    why += ": the limit applies to the sum of drive and back-EMF"
+    moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
+    return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
 
 
-def _losses(given: Actuator) -> dict[str, str]:
+def _losses(servo: Actuator) -> dict[str, str]:
     """Attributes of dry friction and damping of a joint."""
-    friction = given.value("coulomb_friction", "torque_Nm")
-    friction += given.value("asymmetric_friction", "torque_Nm")
+    friction = servo.value("coulomb_friction", "torque_Nm")
+    friction += servo.value("asymmetric_friction", "torque_Nm")
     attributes = {}
     if friction > 0:
         attributes["frictionloss"] = _text(friction)
         attributes |= _softness(
-            *(given.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
+            *(servo.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
         )
-    square = given.value("quadratic_drag", "coefficient_Nms2")
+    square = servo.value("quadratic_drag", "coefficient_Nms2")
     if square > 0:
-        attributes["damping"] = _text(given.back_emf, square, 0)
-    elif given.back_emf > 0:
-        attributes["damping"] = _text(given.back_emf)
+        attributes["damping"] = _text(servo.back_emf, square, 0)
+    elif servo.back_emf > 0:
+        attributes["damping"] = _text(servo.back_emf)
     return attributes
 
 
 def _softness(stick: float, creep: float) -> dict[str, str]:
-    """Attributes of dry friction that stops a shaft in these times, s; at once where both are 0.
+    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0.
 
     Impedance d and time constant T of the constraint: ``stick = T d / 2``, ``creep = stick (1 - d)
     / d``. Source: MuJoCo's documentation, Computation, Constraint model (friction loss), where
@@ -214,49 +216,49 @@ def _softness(stick: float, creep: float) -> dict[str, str]:
     }
 
 
-def _motor(given: Actuator, section: Element) -> list[LeftOut]:
-    """The drive: gain, bias, delay, limit; a ``pid`` where it integrates or limits the rate."""
-    at = {"name": given.joint}
-    if given.effects.get("compliance"):
-        at["tendon"] = f"{given.joint}_motor"
+def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
+    """The drive: gain, bias, limit; a ``pid`` if it has integral action or a rate limit."""
+    attributes = {"name": servo.joint}
+    if servo.effects.get("compliance"):
+        attributes["tendon"] = f"{servo.joint}_motor"
     else:
-        at["joint"] = given.joint
-    # Dry friction that differs by direction is an even one and a constant torque.
-    torque, uneven = (
-        given.value("asymmetric_friction", name) for name in ("torque_Nm", "asymmetry")
+        attributes["joint"] = servo.joint
+    # Asymmetric dry friction is symmetric friction plus a constant torque.
+    torque, asymmetry = (
+        servo.value("asymmetric_friction", name) for name in ("torque_Nm", "asymmetry")
     )
-    constant = -torque * uneven
-    if given.limit is not None:
-        at["forcerange"] = _text(constant - given.limit, constant + given.limit)
-    ki = given.value("integral_action", "ki_Nm_per_rad_s")
-    slew = given.value("rate_limit", "limit_rad_s")
-    smooth = given.value("command_filter", "time_constant_s")
-    bias = constant + given.kp * _offset(given)
+    constant = -torque * asymmetry
+    if servo.limit is not None:
+        attributes["forcerange"] = _text(constant - servo.limit, constant + servo.limit)
+    ki = servo.value("integral_action", "ki_Nm_per_rad_s")
+    slew = servo.value("rate_limit", "limit_rad_s")
+    smooth = servo.value("command_filter", "time_constant_s")
+    bias = constant + servo.kp * _offset(servo)
     if not ki and not slew:
-        at |= {"gaintype": "fixed", "gainprm": _text(given.kp), "biastype": "affine"}
-        # A velocity gain above 0 would be taken for a damping ratio, were kp the same in both.
-        stiff = given.kp * (1 + 1e-7) if given.kd < 0 else given.kp
-        at["biasprm"] = _text(bias, -stiff, -given.kd)
+        attributes |= {"gaintype": "fixed", "gainprm": _text(servo.kp), "biastype": "affine"}
+        # With equal kp in gain and bias, MuJoCo reads a positive biasprm[2] as a damping ratio.
+        stiff = servo.kp * (1 + 1e-7) if servo.kd < 0 else servo.kp
+        attributes["biasprm"] = _text(bias, -stiff, -servo.kd)
         if smooth:
-            at |= {"dyntype": "filterexact", "dynprm": _text(smooth), "actearly": "true"}
-        SubElement(section, "general", at)
+            attributes |= {"dyntype": "filterexact", "dynprm": _text(smooth), "actearly": "true"}
+        SubElement(section, "general", attributes)
         return []
-    at |= {"kp": _text(given.kp), "kv": _text(given.kd), "input": "pos"}
-    at |= {"ki": _text(ki)} if ki else {}
-    at |= {"slewmax": _text(slew)} if slew else {}
-    SubElement(section, "pid", at)
+    attributes |= {"kp": _text(servo.kp), "kv": _text(servo.kd), "input": "pos"}
+    attributes |= {"ki": _text(ki)} if ki else {}
+    attributes |= {"slewmax": _text(slew)} if slew else {}
+    SubElement(section, "pid", attributes)
     lines = []
-    why = "not beside integral action or a rate limit: a pid has neither filter nor bias"
+    why = "not with integral action or a rate limit: a pid has neither filter nor bias"
     if smooth:
-        lines.append(LeftOut(given.joint, f"command_filter ({smooth:.6g} s)", why))
+        lines.append(LeftOut(servo.joint, f"command_filter ({smooth:.6g} s)", why))
     if bias:
-        lines.append(LeftOut(given.joint, f"a constant torque of {bias:.6g} N m", why))
+        lines.append(LeftOut(servo.joint, f"a constant torque of {bias:.6g} N m", why))
     return lines
 
 
-def _late(given: Actuator, motor: Element) -> list[LeftOut]:
-    """Delay the commands of a motor, if this version of MuJoCo does."""
-    if given.latency <= 0:
+def _delay(servo: Actuator, motor: Element) -> list[LeftOut]:
+    """Delay the commands of a motor, if this version of MuJoCo supports it."""
+    if servo.latency <= 0:
         return []
     try:
         installed = version("mujoco")
@@ -264,64 +266,66 @@ def _late(given: Actuator, motor: Element) -> list[LeftOut]:
         installed = ""
     if installed and tuple(int(part) for part in installed.split(".")[:2]) < (3, 5):
         why = (
-            f"MuJoCo {installed} has no delays; sim2real.exporters.mujoco_bench holds commands back"
+            f"MuJoCo {installed} has no delays; sim2real.exporters.mujoco_bench delays the commands"
         )
-        return [LeftOut(given.joint, f"latency ({given.latency:.6g} s)", why)]
-    motor.set("delay", _text(given.latency))
-    motor.set("nsample", str(math.ceil(given.latency / TIMESTEP_S) + 2))
+        return [LeftOut(servo.joint, f"latency ({servo.latency:.6g} s)", why)]
+    motor.set("delay", _text(servo.latency))
+    motor.set("nsample", str(math.ceil(servo.latency / TIMESTEP_S) + 2))
     return []
 
 
-def _passive(given: Actuator, section: Element) -> list[LeftOut]:
-    """Cogging and bristle friction, which MuJoCo has as a motor without inputs."""
+def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
+    """Cogging and bristle friction, which are motors without inputs in MuJoCo."""
 
     def motor(name: str, **terms: str) -> None:
-        at = {"name": f"{given.joint}_{name}", "joint": given.joint, "input": "none"}
-        SubElement(section, "dcmotor", at | {"resistance": "1", "motorconst": "0 0"} | terms)
+        attributes = {"name": f"{servo.joint}_{name}", "joint": servo.joint, "input": "none"}
+        SubElement(
+            section, "dcmotor", attributes | {"resistance": "1", "motorconst": "0 0"} | terms
+        )
 
-    ripple = given.effects.get("cogging", {})
+    ripple = servo.effects.get("cogging", {})
     if ripple.get("torque_Nm") and ripple.get("period_rad"):
         turns = 2 * math.pi / ripple["period_rad"]
-        phase = ripple.get("phase_rad", 0.0) - turns * _offset(given)
+        phase = ripple.get("phase_rad", 0.0) - turns * _offset(servo)
         cogging = _text(ripple["torque_Nm"] / turns, 1, phase)
         motor("cogging", gear=_text(turns), cogging=cogging)
-    bristles = given.effects.get("presliding_friction", {})
+    bristles = servo.effects.get("presliding_friction", {})
     if bristles.get("torque_Nm"):
         torque, stiffness = bristles["torque_Nm"], bristles["stiffness_Nm_per_rad"]
         ratio = bristles.get("damping_ratio", 0.0)
-        damping = 2 * ratio * math.sqrt(stiffness * given.inertia)
+        damping = 2 * ratio * math.sqrt(stiffness * servo.inertia)
         motor("bristles", lugre=_text(stiffness, damping, torque, torque, 1))
-    falling = given.effects.get("stribeck_friction", {})
+    falling = servo.effects.get("stribeck_friction", {})
     if falling:
         sliding, breakaway = falling["torque_Nm"], falling["breakaway_Nm"]
-        stiffness = given.inertia / (4 * TIMESTEP_S) ** 2  # as stiff as the step allows
-        damping = 0.03 * math.sqrt(stiffness * given.inertia)
+        stiffness = servo.inertia / (4 * TIMESTEP_S) ** 2  # as stiff as the step allows
+        damping = 0.03 * math.sqrt(stiffness * servo.inertia)
         motor(
             "friction",
             lugre=_text(stiffness, damping, sliding, breakaway, falling["velocity_rad_s"]),
         )
         give = max(sliding, breakaway) / stiffness
-        why = f"bristles that give {give:.2g} rad stand for it; a shorter timestep allows less"
-        return [LeftOut(given.joint, "rigid sticking of stribeck_friction", why)]
+        why = f"bristles yield {give:.2g} rad before slip; a shorter timestep allows less"
+        return [LeftOut(servo.joint, "rigid sticking of stribeck_friction", why)]
     return []
 
 
-def _sensor(given: Actuator, section: Element) -> None:
-    name = f"{given.joint}_position"
-    if given.effects.keys() & {"compliance", "sensor_gain"}:
-        SubElement(section, "tendonpos", name=name, tendon=f"{given.joint}_seen")
+def _sensor(servo: Actuator, section: Element) -> None:
+    name = f"{servo.joint}_position"
+    if servo.effects.keys() & {"compliance", "sensor_gain"}:
+        SubElement(section, "tendonpos", name=name, tendon=f"{servo.joint}_seen")
     else:
-        SubElement(section, "jointpos", name=name, joint=given.joint)
+        SubElement(section, "jointpos", name=name, joint=servo.joint)
 
 
-def _offset(given: Actuator) -> float:
-    """What the joint's coordinate is ahead of its angle, so that the sensor is off as measured."""
-    gain = 1 + given.value("sensor_gain", "gain")
-    return given.value("sensor_offset", "offset_rad") / gain
+def _offset(servo: Actuator) -> float:
+    """Offset of the joint's coordinate from its angle, which gives the sensor its offset."""
+    gain = 1 + servo.value("sensor_gain", "gain")
+    return servo.value("sensor_offset", "offset_rad") / gain
 
 
 def _inertial(body: Element, inertia: float, weight: float) -> None:
-    """Inertia in kg m2 about the joint whose weight, held level, has this torque in N m."""
+    """Add an inertia in kg m2 about the joint, with this gravity torque in N m when horizontal."""
     mass, arm = 0.1, 0.0
     if weight:
         arm = min(0.05, inertia * GRAVITY_M_S2 / (2 * abs(weight)))
@@ -336,7 +340,7 @@ def _inertial(body: Element, inertia: float, weight: float) -> None:
     )
 
 
-def _sum(section: Element, name: str, joints: dict[str, float]) -> None:
+def _add_tendon(section: Element, name: str, joints: dict[str, float]) -> None:
     tendon = SubElement(section, "fixed", name=name)
     for joint, share in joints.items():
         SubElement(tendon, "joint", joint=joint, coef=_text(share))

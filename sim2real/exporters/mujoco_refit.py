@@ -1,4 +1,4 @@
-"""The MuJoCo model of a servo that is nearest to it when MuJoCo itself runs it."""
+"""Export to MuJoCo of the model whose simulation in MuJoCo is nearest to the servo."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from sim2real.robot import Robot
 from sim2real.servo.trace import Trace
 
 BRISTLES = frozenset({"presliding_friction", "stribeck_friction"})
-"""Effects that MuJoCo steps explicitly, and not well where their bristles are stiff or damped."""
+"""Effects with explicit integration in MuJoCo, inaccurate for stiff or damped bristles."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far MuJoCo, running the exported actuator on each recording's load, is from it.
+    """Difference of the exported actuator, simulated in MuJoCo, from the servo.
 
     Attributes:
         joint: The joint.
         error_rad: RMS difference from ``what``.
-        what: A recording that was held out, or the full model.
+        what: A held-out recording, or the full model.
     """
 
     joint: str
@@ -40,12 +40,12 @@ class Agreement:
     def __str__(self) -> str:
         """The difference in mrad."""
         error = f"{1e3 * self.error_rad:.2f} mrad RMS"
-        return f"{self.joint}: MuJoCo, running this actuator: {error} from {self.what}"
+        return f"{self.joint}: this actuator in MuJoCo: {error} from {self.what}"
 
 
 @dataclass(frozen=True)
 class MujocoExport:
-    """The export, the model that it expresses, and how far MuJoCo is from it by joint."""
+    """The export, the model that it expresses, and the difference of MuJoCo by joint."""
 
     export: Export
     expressible: Expressible
@@ -55,15 +55,15 @@ class MujocoExport:
 def mujoco_refit(
     model: Model, recordings: Sequence[Recording] = (), robot: Robot | None = None
 ) -> MujocoExport:
-    """Export a model to MuJoCo, refitted without what MuJoCo lacks.
+    """Export a model to MuJoCo, refitted without the effects that MuJoCo lacks.
 
-    Where MuJoCo is installed it runs the file. Joints with ``BRISTLES`` are then exported with
-    plain dry friction in their place if that comes nearer to what they were fitted to.
+    If MuJoCo is installed, the file is simulated. Joints with ``BRISTLES`` are then exported with
+    Coulomb friction instead if its simulation is nearer to the fitted data.
 
     Args:
         model: The fitted model.
-        recordings: What to refit to, see ``expressible``.
-        robot: Gives limits, if there is one.
+        recordings: Recordings to refit to, see ``expressible``.
+        robot: Source of limits.
     """
     rough: list[JointModel] = []
 
@@ -71,40 +71,42 @@ def mujoco_refit(
         return expressed(joint) - BRISTLES if joint in rough else expressed(joint)
 
     def written() -> tuple[Expressible, Export]:
-        found = expressible(model, has, recordings, robot)
-        return found, mujoco(found.model, robot, found.dropped)
+        result = expressible(model, has, recordings, robot)
+        return result, mujoco(result.model, robot, result.dropped)
 
-    found, export = written()
+    result, export = written()
     if find_spec("mujoco") is None:
-        return MujocoExport(export, found, ())
+        return MujocoExport(export, result, ())
     data = {
         name: fitting_data(name, joint, recordings, robot) for name, joint in model.joints.items()
     }
-    rough += [model.joints[name] for name, joint in found.model.joints.items() if _bristly(joint)]
+    rough += [model.joints[name] for name, joint in result.model.joints.items() if _bristly(joint)]
     if rough:
         plainer = written()[0]
         rough[:] = [
             model.joints[name]
             for name in model.joints
-            if model.joints[name] in rough and _nearer(plainer, found, name, data[name])
+            if model.joints[name] in rough and _nearer(plainer, result, name, data[name])
         ]
-        found, export = written()
-    agreement = tuple(_agreement(found, name, data[name]) for name in model.joints)
-    return MujocoExport(export, found, agreement)
+        result, export = written()
+    agreement = tuple(_agreement(result, name, data[name]) for name in model.joints)
+    return MujocoExport(export, result, agreement)
 
 
 def _bristly(joint: JointModel) -> bool:
     return any(effect.effect in BRISTLES for effect in joint.effects)
 
 
-def _nearer(one: Expressible, other: Expressible, name: str, data: FittingData) -> bool:
-    """Whether MuJoCo comes nearer to what a joint was fitted to with one model than the other."""
-    first, second = (mujoco_error(x.model.joints[name], name, data.fitted) for x in (one, other))
-    return first < second
+def _nearer(candidate: Expressible, reference: Expressible, name: str, data: FittingData) -> bool:
+    """Whether MuJoCo is nearer to the fitted data of a joint with the first model."""
+    candidate_error, reference_error = (
+        mujoco_error(x.model.joints[name], name, data.fitted) for x in (candidate, reference)
+    )
+    return candidate_error < reference_error
 
 
-def _agreement(found: Expressible, name: str, data: FittingData) -> Agreement:
-    joint = found.model.joints[name]
+def _agreement(result: Expressible, name: str, data: FittingData) -> Agreement:
+    joint = result.model.joints[name]
     if data.scored:
         error = mujoco_error(joint, name, data.scored)
         return Agreement(name, error, f"{data.held_out}, held out")
@@ -112,12 +114,12 @@ def _agreement(found: Expressible, name: str, data: FittingData) -> Agreement:
 
 
 def mujoco_error(joint: JointModel, name: str, traces: Sequence[Trace]) -> float:
-    """RMS difference of MuJoCo from the used samples of traces of a joint, each on its own load.
+    """RMS difference of MuJoCo from the used samples of traces, each with its load.
 
     Args:
         joint: A joint that MuJoCo expresses.
         name: Its name.
-        traces: What was sent and measured.
+        traces: Commands and measured angles.
 
     Returns:
         The difference in rad.

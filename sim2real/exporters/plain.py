@@ -1,4 +1,4 @@
-"""The identified actuators as plain JSON, for simulators that have no exporter here."""
+"""Export of the identified actuators as JSON, for simulators without an exporter."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ LAW = (
 
 
 def plain(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
-    """JSON with every number that was identified of the joints, and the law in words.
+    """JSON with all identified parameters of the joints, and the law as a formula.
 
     Args:
         model: The fitted model.
-        robot: Gives limits and data sheets, if there is one.
-        dropped: What the model had more, for the file to list; nothing is, as a rule.
+        robot: Source of limits and data sheets.
+        dropped: Parts that were dropped from the model, to be listed; usually none.
 
     Raises:
         InputError: See `actuators`.
@@ -34,29 +34,29 @@ def plain(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] =
     content = {
         "schema": SCHEMA,
         "law": LAW,
-        "joints": {one.joint: _content(one) for one in actuators(model, robot)},
+        "joints": {servo.joint: _content(servo) for servo in actuators(model, robot)},
         "not_expressed": [str(line) for line in lines],
     }
     return Export(json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n", lines)
 
 
-def _content(given: Actuator) -> dict[str, Any]:
+def _content(servo: Actuator) -> dict[str, Any]:
     content: dict[str, Any] = {
-        "kp_Nm_per_rad": given.kp,
-        "kd_Nms_per_rad": given.kd,
-        "back_emf_Nms_per_rad": given.back_emf,
-        "limit_Nm": given.limit,
-        "latency_s": given.latency,
-        "inertia_kgm2": given.inertia,
-        "gravity_Nm": given.gravity,
-        "per_inertia": given.per_inertia,
-        "motor": dict(given.motor),
+        "kp_Nm_per_rad": servo.kp,
+        "kd_Nms_per_rad": servo.kd,
+        "back_emf_Nms_per_rad": servo.back_emf,
+        "limit_Nm": servo.limit,
+        "latency_s": servo.latency,
+        "inertia_kgm2": servo.inertia,
+        "gravity_Nm": servo.gravity,
+        "per_inertia": servo.per_inertia,
+        "motor": dict(servo.motor),
         "effects": [
-            {"effect": name, "parameters": dict(values)} for name, values in given.effects.items()
+            {"effect": name, "parameters": dict(values)} for name, values in servo.effects.items()
         ],
     }
-    if given.sheet is not None:
-        content["limits_rad"] = list(given.sheet.limits_rad)
-        sheet = vars(given.sheet.servo)
+    if servo.sheet is not None:
+        content["limits_rad"] = list(servo.sheet.limits_rad)
+        sheet = vars(servo.sheet.servo)
         content["data_sheet"] = {name: sheet[name] for name in sheet if name != "where"}
     return content

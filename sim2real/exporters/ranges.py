@@ -1,4 +1,4 @@
-"""Randomization ranges for other simulators: what all of them need to know of an entry."""
+"""Export of randomization ranges to other simulators: functions common to all targets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim2real.ranges.entry import Range, Ranges
 _EFFECTS = {effect.name for effect in CATALOGUE}
 
 SHARED = "robot"
-"""Stands in for a joint where a range belongs to all of them, the supply or the link."""
+"""Used instead of a joint for ranges of all joints, the supply or the link."""
 
 REASONS = {
     "normalised_density": "relative to the robot's mean density: scale the masses of its links",
@@ -23,7 +23,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class Term:
-    """One range and what it is a range of.
+    """A range and its quantity.
 
     Attributes:
         joint: The joint's name, ``body`` or ``robot``.
@@ -41,7 +41,7 @@ class Term:
         return f"({self.range.first!r}, {self.range.second!r})"
 
     def left_out(self, target: str) -> LeftOut:
-        """The line that says that a target lacks it."""
+        """The line of a quantity that a target lacks."""
         kind = self.quantity.partition(".")[0]
         why = REASONS.get(kind, f"{target} has no such parameter")
         numbers = f"{self.range.distribution} {self.range.first:.6g}, {self.range.second:.6g}"
@@ -57,30 +57,30 @@ def _term(entry: Range) -> Term:
     head, dot, tail = entry.parameter.partition(".")
     if not dot or head in _EFFECTS:
         return Term(SHARED, entry.parameter, entry)
-    before, _, last = entry.parameter.rpartition(".")
+    before, _, parameter = entry.parameter.rpartition(".")
     joint, _, effect = before.rpartition(".")
     if head != "body" and effect in _EFFECTS:
-        return Term(joint, f"{effect}.{last}", entry)
+        return Term(joint, f"{effect}.{parameter}", entry)
     if head == "body":
         return Term(head, tail, entry)
-    return Term(before, last, entry)
+    return Term(before, parameter, entry)
 
 
-def split(found: list[Term], quantities: Collection[str]) -> tuple[list[Term], list[Term]]:
-    """The terms that a target draws once an episode, by quantity, and those left over.
+def split(all_terms: list[Term], quantities: Collection[str]) -> tuple[list[Term], list[Term]]:
+    """The terms that a target draws once per episode, and the remaining ones.
 
-    Latency and the noise of joints are in neither: see `delays` and `noises`.
+    Latency and the noise of joints are in neither: see `delays` and `noise_sds`.
     """
-    drawn = [t for t in found if t.quantity in quantities and t.range.period == "episode"]
-    elsewhere = {t.range.parameter for t in found if _delay(t) or _noise(t)}
-    known = elsewhere | {term.range.parameter for term in drawn}
-    return drawn, [term for term in found if term.range.parameter not in known]
+    drawn = [t for t in all_terms if t.quantity in quantities and t.range.period == "episode"]
+    separate = {t.range.parameter for t in all_terms if _delay(t) or _noise(t)}
+    used = separate | {term.range.parameter for term in drawn}
+    return drawn, [term for term in all_terms if term.range.parameter not in used]
 
 
-def delays(found: list[Term]) -> tuple[dict[str, str], list[LeftOut]]:
-    """Ends of each joint's delay in s as Python text, and what of it is not drawn."""
-    latency = next((term for term in found if term.quantity == "command_latency_s"), None)
-    names = dict.fromkeys(t.joint for t in found if t.joint not in (SHARED, "body"))
+def delays(all_terms: list[Term]) -> tuple[dict[str, str], list[LeftOut]]:
+    """Range of each joint's delay in s as Python text, and parts of it that are not drawn."""
+    latency = next((term for term in all_terms if term.quantity == "command_latency_s"), None)
+    names = dict.fromkeys(t.joint for t in all_terms if t.joint not in (SHARED, "body"))
     if latency is None:
         return {}, []
     if not names:
@@ -88,25 +88,25 @@ def delays(found: list[Term]) -> tuple[dict[str, str], list[LeftOut]]:
     lines, low, high = [], latency.range.first, latency.range.second
     if latency.range.distribution == "normal":
         low, high = low - 2 * high, low + 2 * high
-        why = "drawn evenly within two standard deviations"
+        why = "drawn from a uniform distribution within two standard deviations"
         lines.append(LeftOut(SHARED, "shape of command_latency_s", why))
     texts = {}
     for joint in names:
-        mine = (t for t in found if (t.joint, t.quantity) == (joint, "latency_offset_s"))
-        offset = next((term.range for term in mine), None)
+        offsets = (t for t in all_terms if (t.joint, t.quantity) == (joint, "latency_offset_s"))
+        offset = next((term.range for term in offsets), None)
         mean = 0.0
         if offset is not None:
             normal = offset.distribution == "normal"
             mean = offset.first if normal else (offset.first + offset.second) / 2
-            why = "the joint's delay is moved by its mean"
+            why = "only its mean is added to the joint's delay"
             lines.append(LeftOut(joint, "spread of latency_offset_s", why))
         texts[joint] = f"({max(low + mean, 0.0)!r}, {max(high + mean, 0.0)!r})"
     return texts, lines
 
 
-def noises(found: list[Term]) -> dict[str, str]:
+def noise_sds(all_terms: list[Term]) -> dict[str, str]:
     """Standard deviation of each joint's measured angle in rad, as Python text."""
-    return {term.joint: repr(term.range.second) for term in found if _noise(term)}
+    return {term.joint: repr(term.range.second) for term in all_terms if _noise(term)}
 
 
 def _delay(term: Term) -> bool:
@@ -115,12 +115,12 @@ def _delay(term: Term) -> bool:
 
 def _noise(term: Term) -> bool:
     drawn = term.range
-    plain = drawn.distribution == "normal" and drawn.first == 0 and drawn.period == "step"
-    return term.quantity == "position_noise_rad" and plain
+    zero_mean = drawn.distribution == "normal" and drawn.first == 0 and drawn.period == "step"
+    return term.quantity == "position_noise_rad" and zero_mean
 
 
 def table(name: str, comment: str, values: dict[str, str]) -> str:
-    """A dictionary by joint as Python text; empty where there is nothing in it."""
+    """A dictionary by joint as Python text; an empty string without values."""
     if not values:
         return ""
     rows = "".join(f"    {joint!r}: {value},\n" for joint, value in values.items())

@@ -1,4 +1,4 @@
-"""Randomization ranges as Isaac Lab event terms, in Python text.
+"""Export of randomization ranges as Isaac Lab event terms, as Python text.
 
 Terms: https://isaac-sim.github.io/IsaacLab, ``isaaclab.envs.mdp.events``, releases 2.3 and 3.0.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from sim2real.exporters.actuator import Export, comment, listed
-from sim2real.exporters.ranges import Term, delays, noises, split, table, terms
+from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
 GAINS, JOINT = "randomize_actuator_gains", "randomize_joint_parameters"
@@ -19,7 +19,7 @@ TERMS = {
     "coulomb_friction.torque_Nm": (JOINT, "friction_distribution_params"),
     "unmodelled_inertia.inertia_kgm2": (JOINT, "armature_distribution_params"),
 }
-"""Event function and its argument for each quantity that has one."""
+"""Event function and argument of each quantity that has one."""
 
 HEADER = """import isaaclab.envs.mdp as mdp
 from isaaclab.managers import EventTermCfg, SceneEntityCfg
@@ -37,20 +37,22 @@ def delay_steps(joint, physics_dt):
 def isaaclab_ranges(ranges: Ranges) -> Export:
     """Python text with a class ``RandomizationCfg`` of event terms, drawn at every reset.
 
-    Delays and the noise of joints, which are no events there, stand beside it as tables.
+    Delays and the noise of joints, which are not events there, are written as tables.
 
     Args:
         ranges: The ranges.
     """
-    found = terms(ranges)
-    late, lines = delays(found)
-    mapped, rest = split(found, TERMS)
-    lines += [term.left_out("Isaac Lab") for term in rest]
+    all_terms = terms(ranges)
+    joint_delays, lines = delays(all_terms)
+    mapped, others = split(all_terms, TERMS)
+    lines += [term.left_out("Isaac Lab") for term in others]
     head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
     text = comment(head) + HEADER
-    text += table("DELAY_S", "ends of the delay, s: drawn at reset", late)
-    text += table("JOINT_POS_NOISE_SD", "of GaussianNoiseCfg on joint_pos, rad", noises(found))
-    text += DELAY_STEPS if late else ""
+    text += table("DELAY_S", "ends of the delay, s: drawn at reset", joint_delays)
+    text += table(
+        "JOINT_POS_NOISE_SD", "of GaussianNoiseCfg on joint_pos, rad", noise_sds(all_terms)
+    )
+    text += DELAY_STEPS if joint_delays else ""
     text += '\n@configclass\nclass RandomizationCfg:\n    """Drawn anew at every reset."""\n\n'
     text += "\n".join(_event(k, term) for k, term in enumerate(mapped)) or "    pass\n"
     return Export(text, tuple(lines))

@@ -1,4 +1,4 @@
-"""Randomization ranges as a function that MuJoCo Playground's training takes, in Python text.
+"""Export of randomization ranges as a function for MuJoCo Playground, as Python text.
 
 Form: ``randomization_fn`` of https://github.com/google-deepmind/mujoco_playground.
 """
@@ -6,7 +6,7 @@ Form: ``randomization_fn`` of https://github.com/google-deepmind/mujoco_playgrou
 from __future__ import annotations
 
 from sim2real.exporters.actuator import Export, comment, listed
-from sim2real.exporters.ranges import Term, delays, noises, split, table, terms
+from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
 FIELDS = {
@@ -38,21 +38,20 @@ def playground_ranges(ranges: Ranges) -> Export:
     """Python text with ``randomizer(mj_model)``, which makes a Playground ``domain_randomize``.
 
     Actuators and joints have the names of the ranges' joints, as `mujoco.mujoco` writes them.
-    Delays and the noise of joints, which are no part of an ``mjx.Model``, stand beside it as
-    tables.
+    Delays and the noise of joints, which are not part of an ``mjx.Model``, are written as tables.
 
     Args:
         ranges: The ranges.
     """
-    found = terms(ranges)
-    late, lines = delays(found)
-    mapped, rest = split(found, SET)
-    lines += [term.left_out("an mjx.Model") for term in rest]
+    all_terms = terms(ranges)
+    joint_delays, lines = delays(all_terms)
+    mapped, others = split(all_terms, SET)
+    lines += [term.left_out("an mjx.Model") for term in others]
     fields = sorted({field for term in mapped for field in FIELDS[term.quantity]})
     head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
     text = comment(head) + "import jax\nimport jax.numpy as jp\n\n"
-    text += table("DELAY_S", "ends of the delay, s: draw one an episode", late)
-    text += table("JOINT_POS_NOISE_SD", "of each measured angle, rad", noises(found))
+    text += table("DELAY_S", "ends of the delay, s: draw one per episode", joint_delays)
+    text += table("JOINT_POS_NOISE_SD", "of each measured angle, rad", noise_sds(all_terms))
     text += "\ndef randomizer(mj_model):\n"
     text += '    """For a model whose actuators are named after their joints."""\n\n'
     text += "    def actuator(joint):\n        return mj_model.actuator(joint).id\n\n"

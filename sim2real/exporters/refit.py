@@ -1,4 +1,4 @@
-"""One joint fitted again without effects that a target lacks, and what that costs."""
+"""Refit of one joint without effects that a target lacks, and its error."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 STICKS = SOFT[0]
-"""Time in which dry friction stops the shaft."""
+"""Time in which dry friction stops the shaft, a parameter of the motor."""
 _STICK_TIME = STICKS.removeprefix("motor.")
 _LONGEST_STICK_S = 1.0
 _WORTH = 0.99
-"""Share of the error that a model with added friction may leave, for it to be preferred."""
+"""Largest relative error of a model with added friction for it to be preferred."""
 _DRY = "coulomb_friction"
 _STRENGTHS = (0.3, 1.0, 3.0)
-"""Sizes from which dry friction starts, in typical ones."""
+"""Start values of dry friction, relative to its typical size."""
 
 
 @dataclass(frozen=True)
 class Refit:
-    """One joint that was fitted again without what the target lacks.
+    """Errors of one joint that was refitted without effects that the target lacks.
 
     Attributes:
-        joint: Its name.
-        dropped: What is not in it any more, by name.
+        joint: Name of the joint.
+        dropped: Names of the dropped effects.
         full_rad: RMS difference of the refitted joint from the full model.
-        dropped_rad: The same of the full model with the effects merely dropped.
-        recorded_rad: RMS errors on a recording that the refit did not see, of the full model and
-            of the refitted one; None without recordings.
+        dropped_rad: RMS difference without refit of the other parameters.
+        recorded_rad: RMS errors on a held-out recording, of the full model and of the refitted
+            one; None without recordings.
         held_out: That recording.
     """
 
@@ -53,26 +53,28 @@ class Refit:
     held_out: str = ""
 
     def __str__(self) -> str:
-        """What the refit costs, in mrad."""
+        """The errors in mrad."""
         names = ", ".join(self.dropped)
         text = f"{self.joint}: refitted without {names}: {1e3 * self.full_rad:.2f} mrad RMS from "
-        text += f"the full model ({1e3 * self.dropped_rad:.2f} had it only been dropped)"
+        text += f"the full model ({1e3 * self.dropped_rad:.2f} without refit)"
         if self.recorded_rad is not None:
-            full, now = (1e3 * x for x in self.recorded_rad)
-            text += f"; on {self.held_out}, held out: {now:.2f} mrad as exported, {full:.2f} of "
+            full, exported = (1e3 * x for x in self.recorded_rad)
+            text += (
+                f"; on {self.held_out}, held out: {exported:.2f} mrad as exported, {full:.2f} of "
+            )
             text += "the full model"
         return text
 
 
 @dataclass(frozen=True)
 class FittingData:
-    """What a joint is fitted to.
+    """Data for the refit of a joint.
 
     Attributes:
-        own: What its full model predicts on the standard excitation.
+        own: Predictions of its full model on the standard excitation.
         fitted: Recordings to fit, or ``own``.
-        scored: Those held out; none where there is no recording.
-        held_out: What is held out, in words.
+        scored: Held-out recordings; empty without recordings.
+        held_out: Description of the held-out part.
     """
 
     own: list[Trace]
@@ -91,51 +93,51 @@ def without(joint: JointModel, lost: Collection[str]) -> JointModel:
 def refitted(
     name: str, joint: JointModel, lost: Sequence[str], data: FittingData, *, soft: bool = False
 ) -> tuple[JointModel, Refit]:
-    """The joint fitted again without some effects, and what that costs.
+    """The joint refitted without some effects, and the errors.
 
-    Dry friction stands in for them where the joint has none and that comes nearer, and with
-    ``soft`` friction that stops the shaft in a time of its own: without a spring a dead band's
-    damping does just that.
+    Dry friction is added if the joint has none and it reduces the error; with ``soft`` also
+    friction that stops the shaft within a finite time, which resembles the damping of a dead band
+    without its spring.
 
     Args:
         name: Name of the joint.
         joint: The full joint.
-        lost: Effects, and losses ``motor.NAME``, that it may not have.
-        data: What to fit, and what to score.
+        lost: Effects, and losses ``motor.NAME``, to drop.
+        data: Data for the fit and the errors.
         soft: Whether friction may be soft.
     """
-    own, fitted, scored = data.own, data.fitted, data.scored
-    load = own[0].load
-    bare = without(joint, lost)
-    start = joint_row(bare, load)
-    kept = [named(e.effect) for e in bare.effects if named(e.effect).fitted]
+    predicted, fitted, scored = data.own, data.fitted, data.scored
+    load = predicted[0].load
+    reduced = without(joint, lost)
+    start = joint_row(reduced, load)
+    effects_kept = [named(e.effect) for e in reduced.effects if named(e.effect).fitted]
     free = [*gains(start, load.inertia_kgm2)]
-    free += of_effects(kept, start, load.inertia_kgm2)
-    free += _motor(start, bare)
+    free += of_effects(effects_kept, start, load.inertia_kgm2)
+    free += _motor(start, reduced)
     best = fit(fitted, start, free)
-    best = _with_friction(fitted, best, bare, soft=soft)
-    effects = _valued(best.row, bare.effects)
+    best = _with_friction(fitted, best, reduced, soft=soft)
+    effects = _valued(best.row, reduced.effects)
     if best.row[FIRST_COLUMN[_DRY]] > 0 and not any(e.effect == _DRY for e in effects):
         effects += _valued(best.row, [FittedEffect(_DRY, {})])
-    new = stated(best.row, PER_INERTIA if joint.per_inertia else load, effects)
-    law: Law = "motor" if new.motor else joint.law
-    new = replace(new, law=law, load=joint.load, inertia_kgm2=joint.inertia_kgm2)
+    refit = stated(best.row, PER_INERTIA if joint.per_inertia else load, effects)
+    law: Law = "motor" if refit.motor else joint.law
+    refit = replace(refit, law=law, load=joint.load, inertia_kgm2=joint.inertia_kgm2)
     recorded = None
     if scored:
         full = joint_row(joint, load)
         recorded = rms(residuals(full, scored)), rms(residuals(best.row, scored))
-    return new, Refit(
+    return refit, Refit(
         name,
         tuple(lost),
-        full_rad=rms(residuals(best.row, own)),
-        dropped_rad=rms(residuals(start, own)),
+        full_rad=rms(residuals(best.row, predicted)),
+        dropped_rad=rms(residuals(start, predicted)),
         recorded_rad=recorded,
         held_out=data.held_out,
     )
 
 
 def _motor(row: Array, joint: JointModel) -> list[Parameter]:
-    """The motor's parameters that a joint has, free within a tenth and ten times."""
+    """The motor parameters of a joint, bounded to a tenth and ten times their values."""
     columns = [f"motor.{key}" for key, value in joint.motor.items() if value]
     sizes = [float(row[COLUMNS.index(column)]) for column in columns]
     return [
@@ -144,19 +146,19 @@ def _motor(row: Array, joint: JointModel) -> list[Parameter]:
     ]
 
 
-def _with_friction(fitted: list[Trace], best: Fit, bare: JointModel, *, soft: bool) -> Fit:
-    """The fit, with dry friction or soft dry friction as well where that comes nearer."""
+def _with_friction(fitted: list[Trace], best: Fit, reduced: JointModel, *, soft: bool) -> Fit:
+    """The fit, with added dry or soft dry friction if that reduces the error."""
     inertia = fitted[0].load.inertia_kgm2
     family = named(_DRY).family
-    rubs = bool(bare.motor.get("coulomb_Nm"))
-    rubs |= any(named(effect.effect).family == family for effect in bare.effects)
+    has_friction = bool(reduced.motor.get("coulomb_Nm"))
+    has_friction |= any(named(effect.effect).family == family for effect in reduced.effects)
     candidates, stiff = [best], best
-    if not rubs:
+    if not has_friction:
         (dry,) = of_effects([named(_DRY)], best.row, inertia)
         size = scaled(named(_DRY).parameters[0], float(best.row[0]), inertia).typical
         stiff = _from_several(fitted, best, dry, [strength * size for strength in _STRENGTHS])
         candidates.append(stiff)
-    if soft and not bare.motor.get(_STICK_TIME):
+    if soft and not reduced.motor.get(_STICK_TIME):
         settles = inertia / max(float(best.row[1]), 1e-9)
         sticks = Parameter(STICKS, 0.0, _LONGEST_STICK_S, 0.5 * settles)
         candidates.append(_from_several(fitted, stiff, sticks, [0.3 * settles, settles]))
@@ -170,26 +172,26 @@ def _with_friction(fitted: list[Trace], best: Fit, bare: JointModel, *, soft: bo
 def _from_several(
     fitted: list[Trace], before: Fit, added: Parameter, sizes: Sequence[float]
 ) -> Fit:
-    """The fit with one parameter more, the best of those that start from these sizes of it."""
+    """The best fit with one more parameter, started from several values of it."""
     free = [*before.parameters, added]
-    tried = []
+    candidates = []
     for size in sizes:
         row = before.row.copy()
         row[COLUMNS.index(added.name)] = size
-        tried.append(fit(fitted, row, free, rounds=1, evaluations=15))
-    nearest = min(tried, key=lambda each: rms(each.residuals))
+        candidates.append(fit(fitted, row, free, rounds=1, evaluations=15))
+    nearest = min(candidates, key=lambda candidate: rms(candidate.residuals))
     return fit(fitted, nearest.row, free)
 
 
 def _valued(row: Array, effects: Sequence[FittedEffect]) -> list[FittedEffect]:
-    """The effects with the parameters that a row gives them."""
+    """The effects with their parameters in a row."""
     return [
         FittedEffect(
-            given.effect,
+            effect.effect,
             {
-                p.name: float(row[FIRST_COLUMN[given.effect] + k])
-                for k, p in enumerate(named(given.effect).parameters)
+                p.name: float(row[FIRST_COLUMN[effect.effect] + k])
+                for k, p in enumerate(named(effect.effect).parameters)
             },
         )
-        for given in effects
+        for effect in effects
     ]

@@ -1,10 +1,10 @@
-"""What a URDF can say of the identified actuators: friction, damping, limits and the load.
+"""Export of the identified actuators as a URDF: friction, damping, limits and the load.
 
 Elements: http://wiki.ros.org/urdf/XML/joint and http://wiki.ros.org/urdf/XML/link. ``damping`` (N m
 s/rad) and ``friction`` (N m) of ``<dynamics>`` are positive and oppose the motion: the joint turns
 under ``controller torque - damping velocity - friction sign(velocity)``. The identified damping is
-shared between the joint and its position controller, whose gains a URDF does not have: the joint
-takes the motor's back-EMF, but no more than the whole, so that the controller's share is never
+split between the joint and its position controller, whose gains a URDF does not have: the joint has
+that of the motor's back-EMF, but at most the whole, so that the controller's share is never
 negative.
 """
 
@@ -34,22 +34,22 @@ LACKS = {"gravity_load": "the link here has inertia only; add the weight to your
 
 
 def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
-    """A URDF with one link on each joint; its ``<joint>`` elements are what carries over.
+    """A URDF with one link on each joint; its ``<joint>`` elements can be copied.
 
     Args:
         model: The fitted model.
-        robot: Gives the limits, which a URDF has only all together; without it joints are
-            ``continuous``.
-        dropped: What the model had more, for the file to list, see `expressible`.
+        robot: Source of the limits of angle, torque and speed, of which a URDF requires all;
+            without it joints are ``continuous``.
+        dropped: Parts that were dropped from the model, to be listed, see `expressible`.
 
     Raises:
         InputError: See `actuators`.
     """
-    given = actuators(model, robot)
+    servos = actuators(model, robot)
     root = Element("robot", name=robot.name if robot else "sim2real")
     SubElement(root, "link", name="bench")
     lines: list[LeftOut] = []
-    for actuator in given:
+    for actuator in servos:
         _joint(actuator, root)
         lines += _left_out(actuator)
     lines += [*dropped, *shared_left_out(model)]
@@ -60,55 +60,55 @@ def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = 
     return Export(f'<?xml version="1.0"?>\n{text}\n{body}\n', tuple(lines))
 
 
-def _joint(given: Actuator, root: Element) -> None:
-    kind = "revolute" if given.sheet else "continuous"
-    joint = SubElement(root, "joint", name=given.joint, type=kind)
+def _joint(servo: Actuator, root: Element) -> None:
+    kind = "revolute" if servo.sheet else "continuous"
+    joint = SubElement(root, "joint", name=servo.joint, type=kind)
     SubElement(joint, "parent", link="bench")
-    SubElement(joint, "child", link=f"{given.joint}_link")
+    SubElement(joint, "child", link=f"{servo.joint}_link")
     SubElement(joint, "axis", xyz="0 1 0")
-    friction = given.value("coulomb_friction", "torque_Nm")
-    damping = f"{_damping(given):.9g}"
+    friction = servo.value("coulomb_friction", "torque_Nm")
+    damping = f"{_damping(servo):.9g}"
     SubElement(joint, "dynamics", damping=damping, friction=f"{friction:.9g}")
-    if given.sheet is not None:
-        low, high = given.sheet.limits_rad
+    if servo.sheet is not None:
+        low, high = servo.sheet.limits_rad
         limit = {"lower": f"{low:.9g}", "upper": f"{high:.9g}"}
-        limit |= {"effort": f"{given.stall_torque:.9g}", "velocity": f"{given.no_load_speed:.9g}"}
+        limit |= {"effort": f"{servo.stall_torque:.9g}", "velocity": f"{servo.no_load_speed:.9g}"}
         SubElement(joint, "limit", limit)
-    inertial = SubElement(SubElement(root, "link", name=f"{given.joint}_link"), "inertial")
+    inertial = SubElement(SubElement(root, "link", name=f"{servo.joint}_link"), "inertial")
     SubElement(inertial, "mass", value="0.1")
-    moment = f"{given.inertia + given.value('unmodelled_inertia', 'inertia_kgm2'):.9g}"
+    moment = f"{servo.inertia + servo.value('unmodelled_inertia', 'inertia_kgm2'):.9g}"
     terms = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
     SubElement(inertial, "inertia", terms)
 
 
-def _damping(given: Actuator) -> float:
-    """The joint's own share of the identified damping, N m s/rad: that of the back-EMF."""
-    return max(min(given.back_emf, given.kd + given.back_emf), 0.0)
+def _damping(servo: Actuator) -> float:
+    """The share of the identified damping in the joint, N m s/rad: that of the back-EMF."""
+    return max(min(servo.back_emf, servo.kd + servo.back_emf), 0.0)
 
 
-def _left_out(given: Actuator) -> list[LeftOut]:
+def _left_out(servo: Actuator) -> list[LeftOut]:
     lines = []
-    damping = _damping(given)
-    own = given.kd + given.back_emf - damping
-    for what, value, unit in (
-        ("kp", given.kp, "N m/rad"),
-        ("kd", own if abs(own) > 1e-9 * damping else 0.0, "N m s/rad"),
-        ("latency", given.latency, "s"),
+    damping = _damping(servo)
+    controller_kd = servo.kd + servo.back_emf - damping
+    for name, value, unit in (
+        ("kp", servo.kp, "N m/rad"),
+        ("kd", controller_kd if abs(controller_kd) > 1e-9 * damping else 0.0, "N m s/rad"),
+        ("latency", servo.latency, "s"),
     ):
         why = "a URDF has no controller; set it there"
-        if what == "kd" and damping:
-            why += f", beside the damping of {damping:.6g} N m s/rad in the joint"
-        lines += quantity(given.joint, what, value, unit, why)
-    if given.limit is not None and given.sheet is None:
-        why = "a URDF has it only with limits of angle and speed, which a robot file gives"
-        lines.append(LeftOut(given.joint, f"torque limit ({given.limit:.6g} N m)", why))
-    if given.back_emf > damping:
-        why = "only while the drive is not at its limit: there the motor damps with "
-        why += f"{given.back_emf:.6g} N m s/rad"
-        lines.append(LeftOut(given.joint, f"damping ({damping:.6g} N m s/rad)", why))
+        if name == "kd" and damping:
+            why += f", in addition to the damping of {damping:.6g} N m s/rad in the joint"
+        lines += quantity(servo.joint, name, value, unit, why)
+    if servo.limit is not None and servo.sheet is None:
+        why = "a URDF has it only with limits of angle and speed, which a robot file contains"
+        lines.append(LeftOut(servo.joint, f"torque limit ({servo.limit:.6g} N m)", why))
+    if servo.back_emf > damping:
+        why = "only below the limit of the drive; at the limit the damping is "
+        why += f"{servo.back_emf:.6g} N m s/rad"
+        lines.append(LeftOut(servo.joint, f"damping ({damping:.6g} N m s/rad)", why))
     why = "the link here has inertia only"
-    lines += quantity(given.joint, "pendulum", given.gravity, "N m", why)
-    inertia = given.value("unmodelled_inertia", "inertia_kgm2")
-    why = "a URDF has no armature: it is in the inertia of the link here; add it to your link's"
-    lines += quantity(given.joint, "unmodelled_inertia", inertia, "kg m2", why)
-    return lines + left_out(given, HAS, LACKS, "URDF")
+    lines += quantity(servo.joint, "pendulum", servo.gravity, "N m", why)
+    inertia = servo.value("unmodelled_inertia", "inertia_kgm2")
+    why = "a URDF has no armature: it is added to the inertia of the link here; do so for yours"
+    lines += quantity(servo.joint, "unmodelled_inertia", inertia, "kg m2", why)
+    return lines + left_out(servo, HAS, LACKS, "URDF")

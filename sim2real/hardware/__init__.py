@@ -1,1 +1,1 @@
-"""Real robots: the bus of their servos, how it is reached, and what records from it."""
+"""Hardware: the servo bus, its transports, recording, and tracking of the body by camera."""

@@ -1,4 +1,4 @@
-"""A coloured patch on the head: the fallback where no marker can be put on."""
+"""Tracking of a coloured patch on the head, for robots that cannot carry a marker."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ LEAST_PX = 6
 
 @dataclass(frozen=True)
 class Blob:
-    """A patch, longer than wide, along the head.
+    """An elongated patch along the head.
 
     Attributes:
-        low_hsv, high_hsv: Its colours in OpenCV's ranges (hue to 180, the others to 255); where
-            the low hue is above the high one, the range goes through red.
-        height_m: How far it is above the level of the pool's corners.
+        low_hsv, high_hsv: Range of its colour in OpenCV's units (hue to 180, the others to 255); if
+            the low hue is above the high one, the range includes red.
+        height_m: Height above the pool's corners.
     """
 
     low_hsv: Array
@@ -31,15 +31,15 @@ class Blob:
 
 
 def find_blob(picture: Picture, plane: Plane, blob: Blob) -> Array | None:
-    """x, y in m and the direction of the long axis, of either end, of the largest patch; (3,).
+    """x, y in m and direction of the long axis (modulo pi) of the largest patch, shape (3,).
 
-    The pixels are taken to the world one by one; their mean and the main axis of their scatter
-    are the pose. None where there is no such patch.
+    The pose is the mean and the principal axis of its pixels in world coordinates. None if there
+    is no such patch.
 
     Args:
         picture: Blue, green, red, shape (V, U, 3).
         plane: The camera.
-        blob: What to look for.
+        blob: The patch.
     """
     import cv2
 
@@ -64,22 +64,22 @@ def find_blob(picture: Picture, plane: Plane, blob: Blob) -> Array | None:
 
 
 def ahead(poses: Array) -> Array:
-    """Headings of a track of blobs, whose axes may point either way: a robot swims head first.
+    """Resolve the direction of the axes in a track of blobs, as a robot swims head first.
 
     Args:
         poses: x, y and axis, shape (T, 3); NaN where missing.
 
     Returns:
-        The same with headings that do not jump and, on the whole, point the way it goes.
+        The poses with unwrapped headings that point in the mean direction of motion.
     """
     out = np.array(poses)
-    known = np.flatnonzero(np.isfinite(out[:, 2]))
-    if known.size < 2:
+    found = np.flatnonzero(np.isfinite(out[:, 2]))
+    if found.size < 2:
         return out
-    out[known, 2] = np.unwrap(out[known, 2], period=np.pi)
-    way = np.diff(out[known, :2], axis=0)
-    heading = (out[known, 2][1:] + out[known, 2][:-1]) / 2
-    forward = way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
+    out[found, 2] = np.unwrap(out[found, 2], period=np.pi)
+    steps = np.diff(out[found, :2], axis=0)
+    heading = (out[found, 2][1:] + out[found, 2][:-1]) / 2
+    forward = steps[:, 0] * np.cos(heading) + steps[:, 1] * np.sin(heading)
     if forward.sum() < 0:
-        out[known, 2] += np.pi
+        out[found, 2] += np.pi
     return out

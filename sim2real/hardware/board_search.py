@@ -1,7 +1,7 @@
-"""Where in a frame a print may be: a matched filter that needs no corners.
+"""Search for a print in a frame by a matched filter.
 
-OpenCV's own detector wants a marker of 20 pixels or so. This one knows the print, its size and its
-level, and finds it at 8, comparing every spot with the print turned by every angle.
+OpenCV's detector needs a marker of about 20 pixels. This filter uses the known print, size and
+level, and finds it at 8 pixels, by comparing all positions with the print at all angles.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 YAWS = 24
-SIDE_PX = 12.0  # a print larger than this is looked for in a smaller picture
+SIDE_PX = 12.0  # larger prints are searched in a picture of lower resolution
 SPOTS = 12
 BLUR_PX = 0.55
-QUIET_CELLS = 0.6  # of the white margin that belong to a pattern
+QUIET_CELLS = 0.6  # width of the white margin in a pattern
 
 
 @dataclass(frozen=True)
 class Bank:
-    """A print as it looks at every angle.
+    """Images of a print at all angles.
 
     Attributes:
         patterns: Grey levels from 0 to 1, shape (K, side, side).
-        masks: 1 where the print and its white margin are, likewise.
+        masks: 1 within the print and its white margin, same shape.
         yaws: Their angles in the world, rad, shape (K,).
-        shrink: How many pixels of the frame make one of the patterns'.
+        shrink: Pixels of the frame per pixel of a pattern.
     """
 
     patterns: NDArray[np.float32]
@@ -43,40 +43,40 @@ class Bank:
 
 
 def bank(plane: Plane, marker: Print) -> Bank:
-    """The patterns as seen in the middle of the frame."""
+    """The patterns in the middle of the frame."""
     middle = (np.array(plane.lens.size_px) - 1) // 2
-    here = plane.world(middle[None], marker.height_m)[0]
-    side = marker.side_m * plane.pixels_per_m(here, marker.height_m)
+    centre_m = plane.world(middle[None], marker.height_m)[0]
+    side = marker.side_m * plane.pixels_per_m(centre_m, marker.height_m)
     shrink = max(1.0, side / SIDE_PX)
     cells = marker.ink.shape[0]
-    half = int(np.ceil(side / shrink * (0.5 + QUIET_CELLS / cells) * np.sqrt(2)))
-    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    radius = int(np.ceil(side / shrink * (0.5 + QUIET_CELLS / cells) * np.sqrt(2)))
+    v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float64)
     spots = plane.world(middle + shrink * np.column_stack([u.ravel(), v.ravel()]), marker.height_m)
-    east, north = ((spots - here) / marker.cell_m).T
+    east, north = ((spots - centre_m) / marker.cell_m).T
     blur = BLUR_PX / SIDE_PX * cells * max(1.0, SIDE_PX / side)
     yaws = np.arange(YAWS) * 2 * np.pi / YAWS
-    patterns, masks = np.empty((2, YAWS, 2 * half + 1, 2 * half + 1), dtype=np.float32)
+    patterns, masks = np.empty((2, YAWS, 2 * radius + 1, 2 * radius + 1), dtype=np.float32)
     for k, yaw in enumerate(yaws):
         c, s = np.cos(yaw), np.sin(yaw)
-        ahead, left = c * east + s * north, c * north - s * east
-        dark, _ = darkness(marker.ink, cells / 2 - ahead, cells / 2 - left, blur)
+        ahead, leftward = c * east + s * north, c * north - s * east
+        dark, _ = darkness(marker.ink, cells / 2 - ahead, cells / 2 - leftward, blur)
         patterns[k] = (1 - dark).reshape(u.shape)
-        inside = np.maximum(np.abs(ahead), np.abs(left)) < cells / 2 + QUIET_CELLS
-        masks[k] = inside.reshape(u.shape)
+        within = np.maximum(np.abs(ahead), np.abs(leftward)) < cells / 2 + QUIET_CELLS
+        masks[k] = within.reshape(u.shape)
     return Bank(patterns, masks, yaws, shrink)
 
 
 def search(
     frame: Picture, plane: Plane, marker: Print, patterns: Bank, window: tuple[int, int, int, int]
 ) -> Array:
-    """Poses worth a closer look, the likeliest first.
+    """Candidate poses, the most similar first.
 
     Args:
         frame: Grey levels, shape (V, U).
         plane: The camera.
-        marker: What to look for.
-        patterns: How it looks.
-        window: First column and row, last column and row (exclusive) to look in.
+        marker: The print.
+        patterns: Its images.
+        window: First column and row, last column and row (exclusive) of the search.
 
     Returns:
         Poses, shape (N, 3); N may be 0.
@@ -87,8 +87,8 @@ def search(
     left, top, right, bottom = window
     part: NDArray[Any] = frame[top:bottom, left:right]
     if patterns.shrink > 1:
-        wanted = np.maximum(np.round(np.array(part.shape[::-1]) / patterns.shrink), 1).astype(int)
-        part = cv2.resize(part, (int(wanted[0]), int(wanted[1])), interpolation=cv2.INTER_AREA)
+        shrunk = np.maximum(np.round(np.array(part.shape[::-1]) / patterns.shrink), 1).astype(int)
+        part = cv2.resize(part, (int(shrunk[0]), int(shrunk[1])), interpolation=cv2.INTER_AREA)
     if min(part.shape) < size:
         return np.empty((0, 3))
     grey = part.astype(np.float32)

@@ -1,4 +1,4 @@
-"""A bus of LX servos: packets out, replies in, never later than a deadline."""
+"""A bus of LX servos: requests and replies with deadlines."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from sim2real.hardware.transport import Transport
 
 
 class Bus:
-    """Requests and replies over one transport. A reply that does not come is None and counted.
+    """Requests and replies over one transport. A missing reply is None and counted.
 
-    On one wire the host hears what it sends; an echo is no reply, as it lacks the reply's bytes,
-    and is passed over like anything else that was not asked for.
+    On one wire the host receives an echo of what it sends; an echo lacks the parameters of a reply
+    and is ignored, as is any other unexpected packet.
 
     Args:
-        transport: What carries the bytes; the bus closes it.
+        transport: The transport, which the bus closes.
 
     Attributes:
-        asked: Number of replies that were due.
-        missed: Number of those that did not come in time.
+        asked: Number of expected replies.
+        missed: Number of expected replies that did not arrive in time.
     """
 
     def __init__(self, transport: Transport) -> None:
@@ -32,31 +32,31 @@ class Bus:
 
     @property
     def together(self) -> bool:
-        """Whether one exchange may ask several servos."""
+        """Whether one exchange may address several servos."""
         return self._transport.together
 
     @property
     def device_s(self) -> float | None:
-        """The far side's clock at the last answered exchange, if it tells."""
+        """Clock of the remote device at the last answered exchange, if it sends one."""
         return self._transport.device_s
 
     @property
     def garbled(self) -> int:
-        """Number of packets that came spoilt."""
+        """Number of corrupted packets."""
         return self._decoder.garbled
 
     def exchange(self, packets: Sequence[Packet], deadline: float) -> list[Packet | None]:
-        """Send packets in one go and wait for the replies.
+        """Send packets together and wait for the replies.
 
         Args:
-            packets: What to send, in order; where not ``together``, only the last may ask.
-            deadline: When to give up, by ``time.monotonic``.
+            packets: Packets in order; if not ``together``, only the last may be a request.
+            deadline: Time limit, by ``time.monotonic``.
 
         Returns:
-            The reply to each packet; None where none came or none was due.
+            The reply to each packet; None if it is missing or none was expected.
 
         Raises:
-            OSError: If the port is gone.
+            OSError: If the port is lost.
         """
         replies: list[Packet | None] = [None] * len(packets)
         due = [k for k, packet in enumerate(packets) if expects_reply(packet)]
@@ -66,10 +66,10 @@ class Bus:
             data = self._transport.read(deadline)
             if not data:
                 break
-            for found in self._decoder.feed(data):
-                k = next((k for k in due if is_reply(packets[k], found)), None)
+            for packet in self._decoder.feed(data):
+                k = next((k for k in due if is_reply(packets[k], packet)), None)
                 if k is not None:
-                    replies[k] = found
+                    replies[k] = packet
                     due.remove(k)
             if due and time.monotonic() > deadline:
                 break
@@ -81,7 +81,7 @@ class Bus:
         return self.exchange([Packet(servo_id, command)], time.monotonic() + within_s)[0]
 
     def drain(self) -> None:
-        """Throw away what came too late, so that it answers nothing asked from now on."""
+        """Discard late replies, so that they are not taken for replies to later requests."""
         deadline = time.monotonic() + 0.001
         while self._transport.read(0.0) and time.monotonic() < deadline:
             pass

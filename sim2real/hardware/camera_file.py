@@ -1,4 +1,4 @@
-"""``camera.toml``: a lens, the pool under it, and what swims there."""
+"""``camera.toml``: lens, pool corners, and the marker or patch on the robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """What a tracker must know.
+    """Configuration of a tracker.
 
     Attributes:
         plane: The camera over the pool.
@@ -41,24 +41,27 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
     """Read ``camera.toml``.
 
     Raises:
-        InputError: If the file or one of its fields is not as the format says.
+        InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_toml(path))
     lens = _lens(top.table("lens"))
     pool = top.table("pool")
-    seen, known = _matrix(pool, "corners_px", (None, 2)), _matrix(pool, "corners_m", (None, 2))
-    if len(seen) != len(known) or len(seen) < 4:
+    corners_px, corners_m = (
+        _matrix(pool, "corners_px", (None, 2)),
+        _matrix(pool, "corners_m", (None, 2)),
+    )
+    if len(corners_px) != len(corners_m) or len(corners_px) < 4:
         expected = "four or more corners, as many as corners_m has"
-        raise InputError(path, "pool.corners_px", f"{len(seen)} corners", expected)
+        raise InputError(path, "pool.corners_px", f"{len(corners_px)} corners", expected)
     try:
-        plane = stand(lens, seen, known)
+        plane = stand(lens, corners_px, corners_m)
     except ValueError as error:
         raise InputError(path, "pool.corners_px", str(error), "corners seen from above") from None
     marker = _marker(top.table("marker")) if "marker" in top else None
     blob = _blob(top.table("blob")) if "blob" in top else None
     if marker is None and blob is None:
         raise InputError(path, "marker", "nothing", "a table [marker] or [blob]")
-    return Camera(plane, known, marker, blob)
+    return Camera(plane, corners_m, marker, blob)
 
 
 def _lens(fields: Fields) -> Lens:
@@ -98,7 +101,7 @@ def _blob(fields: Fields) -> Blob:
 
 
 def _matrix(fields: Fields, name: str, shape: tuple[int | None, ...]) -> Array:
-    """Nested lists of finite numbers of a shape; None where any length will do."""
+    """Nested lists of finite numbers of a shape; None for any length."""
     words = " by ".join("some" if n is None else str(n) for n in shape) + " numbers"
     try:
         values = np.array(fields.content[name], dtype=np.float64)
@@ -119,10 +122,10 @@ def write_camera(
     corners_m: Array,
     marker: Marker | None = None,
 ) -> Path:
-    """Write ``camera.toml``; without a marker its table stands there to be filled in.
+    """Write ``camera.toml``; without a marker its table has values to be filled in.
 
     Raises:
-        InputError: If the folder can't be written.
+        InputError: If the folder cannot be written.
     """
     shown = marker or Marker("4x4_50", 0, 0.06)
     lines = [

@@ -1,4 +1,4 @@
-"""Ctrl-C, kill and a closed terminal as a wish that is looked at, not a blow in mid-packet."""
+"""Handling of Ctrl-C, kill and a closed terminal as a flag, so that no packet is cut off."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 @contextmanager
 def interruption() -> Iterator[Callable[[], bool]]:
-    """Within this block, a function that says whether the user has asked to stop.
+    """Context manager that gives a function: whether the user has asked to stop.
 
-    In a thread other than the main one nothing is caught, and it says no.
+    In threads other than the main one no signal is handled, and it returns False.
     """
     asked = threading.Event()
 

@@ -13,13 +13,13 @@ SHORTEST, LONGEST = 3, 7  # values of LEN in this family
 TICK_RAD = math.radians(0.24)
 CENTRE_TICKS, LARGEST_TICKS = 500, 1000
 LONGEST_MOVE_MS = 30_000
-BAUD_RATES = (115_200, 9600)  # the second is what a servo at times falls back to
+BAUD_RATES = (115_200, 9600)  # servos sometimes fall back to the second
 BYTE_S = 10 / BAUD_RATES[0]
 """Time of one byte on the wire: eight bits, a start and a stop bit."""
 
 
 class BusCommand(IntEnum):
-    """Every command of the family but one: 13, which gives servos new identities for good."""
+    """All commands of the family except 13, which changes the identity of a servo permanently."""
 
     MOVE_TIME_WRITE = 1
     MOVE_TIME_READ = 2
@@ -66,12 +66,12 @@ REPLY_BYTES = {
     BusCommand.LED_CTRL_READ: 1,
     BusCommand.LED_ERROR_READ: 1,
 }
-"""Bytes of parameters in the reply to each command that has one."""
+"""Number of parameter bytes in the reply to each command that has a reply."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet, either way: a command to a servo or the reply, which carries the same command."""
+    """A packet: a command to a servo, or the reply, which has the same command number."""
 
     servo_id: int
     command: int
@@ -84,15 +84,15 @@ def checksum(body: bytes) -> int:
 
 
 def encode(packet: Packet) -> bytes:
-    """The packet as it goes over the wire.
+    """The packet as bytes.
 
     Raises:
-        ValueError: If identity, command or number of parameters is none of the protocol's.
+        ValueError: If identity, command or number of parameters is not in the protocol.
     """
     if not 0 <= packet.servo_id <= BROADCAST:
         raise ValueError(f"servo {packet.servo_id}: identities run from 0 to {LARGEST_ID}")
     if packet.command not in BusCommand.__members__.values():
-        raise ValueError(f"command {packet.command} is not one that this library sends")
+        raise ValueError(f"command {packet.command} is not supported")
     length = len(packet.parameters) + SHORTEST
     if length > LONGEST:
         raise ValueError(f"{len(packet.parameters)} bytes of parameters, at most 4 are possible")
@@ -101,12 +101,12 @@ def encode(packet: Packet) -> bytes:
 
 
 def expects_reply(packet: Packet) -> bool:
-    """Whether ``packet`` is a request that the servo answers."""
+    """Whether a servo replies to ``packet``."""
     return packet.command in REPLY_BYTES and not packet.parameters
 
 
 def is_reply(request: Packet, packet: Packet) -> bool:
-    """Whether ``packet`` answers ``request``; the echo of the request itself does not."""
+    """Whether ``packet`` is the reply to ``request``; an echo of the request is not."""
     return (
         packet.command == request.command
         and request.servo_id in (packet.servo_id, BROADCAST)
@@ -115,10 +115,10 @@ def is_reply(request: Packet, packet: Packet) -> bool:
 
 
 def move(servo_id: int, ticks: int, time_ms: int = 0) -> Packet:
-    """Go to ``ticks`` evenly within ``time_ms``; 0 is as fast as the servo can.
+    """Move to ``ticks`` at constant speed in ``time_ms``; 0 for the largest speed.
 
     Raises:
-        ValueError: If ticks or time are outside what the servo takes.
+        ValueError: If ticks or time are out of range.
     """
     if not 0 <= ticks <= LARGEST_TICKS or not 0 <= time_ms <= LONGEST_MOVE_MS:
         raise ValueError(f"{ticks} ticks in {time_ms} ms is outside 0 to 1000 in 0 to 30000")
@@ -132,14 +132,16 @@ def load(servo_id: int, on: bool) -> Packet:
 
 
 def signed_word(reply: Packet) -> int:
-    """The reply's two bytes as a signed number: ticks of position."""
+    """First two bytes of the reply as a signed number, such as a position in ticks."""
     return int.from_bytes(reply.parameters[:2], "little", signed=True)
 
 
 def words(reply: Packet) -> tuple[int, ...]:
-    """The reply's bytes two by two as numbers from 0 up: the ends of a range."""
-    given = reply.parameters
-    return tuple(int.from_bytes(given[k : k + 2], "little") for k in range(0, len(given), 2))
+    """Pairs of bytes of the reply as unsigned numbers, such as the ends of a range."""
+    parameters = reply.parameters
+    return tuple(
+        int.from_bytes(parameters[k : k + 2], "little") for k in range(0, len(parameters), 2)
+    )
 
 
 def supply_V(reply: Packet) -> float:
@@ -148,14 +150,14 @@ def supply_V(reply: Packet) -> float:
 
 
 class Decoder:
-    """Finds whole packets with a right checksum; whatever else it is fed, it raises nothing.
+    """Extracts packets with correct checksums from any bytes, without raising errors.
 
-    After a wrong length or checksum it goes on looking one byte further, so that a packet behind
-    noise, or behind the beginning of another, is found. It never holds more than nine bytes back.
+    After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
+    after the start of another, is found. It buffers at most nine bytes.
 
     Attributes:
-        garbled: Number of headers that no packet followed.
-        skipped: Number of bytes that belonged to no packet.
+        garbled: Number of headers without a valid packet.
+        skipped: Number of bytes outside packets.
     """
 
     def __init__(self) -> None:
@@ -169,14 +171,14 @@ class Decoder:
         packets = []
         start, end = 0, len(self._waiting)
         while True:
-            found = self._waiting.find(HEADER, start)
-            if found < 0:
-                found = end - self._waiting.endswith(HEADER[:1])
-                self.skipped += max(found - start, 0)
-                start = max(found, start)
+            header = self._waiting.find(HEADER, start)
+            if header < 0:
+                header = end - self._waiting.endswith(HEADER[:1])
+                self.skipped += max(header - start, 0)
+                start = max(header, start)
                 break
-            self.skipped += found - start
-            start = found
+            self.skipped += header - start
+            start = header
             length = self._waiting[start + 3] if end - start > 3 else None
             if length is None:
                 break
@@ -196,6 +198,6 @@ class Decoder:
         return packets
 
     def clear(self) -> None:
-        """Forget the beginning of a packet: its end is not to come any more."""
+        """Discard an incomplete packet."""
         self.skipped += len(self._waiting)
         self._waiting.clear()

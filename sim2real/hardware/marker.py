@@ -1,4 +1,4 @@
-"""The square marker on the robot's head: what is printed, how large, and where it sits."""
+"""The square marker on the robot's head: pattern, size and position."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ DICTIONARIES = {
     "apriltag_25h9": "DICT_APRILTAG_25H9",
     "apriltag_36h11": "DICT_APRILTAG_36H11",
 }
-"""Names used in ``camera.toml`` and OpenCV's for them."""
+"""Names in ``camera.toml`` and the corresponding names in OpenCV."""
 
 
 @dataclass(frozen=True)
 class Marker:
-    """An ArUco or AprilTag marker; its top, as printed, points to the robot's nose.
+    """An ArUco or AprilTag marker; its printed top points to the robot's nose.
 
     Attributes:
         dictionary: One of ``DICTIONARIES``.
-        number: Its id there.
+        number: Its id in the dictionary.
         side_m: Side of the black square.
-        height_m: How far it is above the level of the pool's corners.
-        x_m: How far ahead of the body's reference point its centre sits.
-        y_m: How far to the left of it.
-        yaw_rad: How far it is turned anticlockwise on the body.
+        height_m: Height above the pool's corners.
+        x_m: Distance of its centre ahead of the body's reference point.
+        y_m: Distance of its centre to the left of it.
+        yaw_rad: Anticlockwise rotation on the body.
     """
 
     dictionary: str
@@ -46,12 +46,12 @@ class Marker:
     y_m: float = 0.0
     yaw_rad: float = 0.0
 
-    def body(self, seen: Array) -> Array:
+    def body(self, poses: Array) -> Array:
         """Body poses (T, 3) of marker poses (T, 3)."""
-        yaw = seen[:, 2] - self.yaw_rad
+        yaw = poses[:, 2] - self.yaw_rad
         c, s = np.cos(yaw), np.sin(yaw)
-        x = seen[:, 0] - c * self.x_m + s * self.y_m
-        y = seen[:, 1] - s * self.x_m - c * self.y_m
+        x = poses[:, 0] - c * self.x_m + s * self.y_m
+        y = poses[:, 1] - s * self.x_m - c * self.y_m
         return np.stack([x, y, yaw], axis=1)
 
 
@@ -63,7 +63,7 @@ def dictionary_of(dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
 
 
 def size_of(dictionary: str) -> int:
-    """How many markers a dictionary holds."""
+    """Number of markers of a dictionary."""
     return int(dictionary_of(dictionary).bytesList.shape[0])
 
 

@@ -1,4 +1,4 @@
-"""What is done with the servos before a recording and after it: to the start, and let go."""
+"""Motion of the servos before and after a recording: approach of the start, release."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ATTEMPTS = 10
 
 
 class Stopped(Exception):
-    """The servos must not be driven any further; the message says why."""
+    """The servos must not be driven any further; the message is the reason."""
 
 
 def approach(
@@ -28,18 +28,18 @@ def approach(
     hottest_C: float,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Move every joint gently to its first set-point, and let it come to rest there.
+    """Move every joint slowly to its first set-point, and wait until it is at rest.
 
     Args:
         bus: The bus.
         mountings: The J servos.
-        target: Where to, in rad, shape (J,).
+        target: Set-points in rad, shape (J,).
         hottest_C: Temperature above which a servo is not switched on.
-        interrupted: Whether the user wants to stop.
+        interrupted: Whether the user has asked to stop.
 
     Raises:
-        Stopped: If a servo does not answer or is too hot, or the user wants it.
-        OSError: If the port is gone.
+        Stopped: If a servo does not answer or is too hot, or the user has asked to stop.
+        OSError: If the port is lost.
     """
     longest = 0.0
     for mounting, angle in zip(mountings, target, strict=True):
@@ -61,7 +61,7 @@ def approach(
 
 
 def switch_on(bus: Bus, mounting: Mounting) -> None:
-    """Switch one servo's torque on, and make sure of it.
+    """Switch the torque of a servo on, and check it.
 
     Raises:
         Stopped: If it does not confirm.
@@ -74,21 +74,21 @@ def release(bus: Bus, mountings: Sequence[Mounting]) -> list[str]:
     """Stop every servo and switch its torque off.
 
     Returns:
-        Names of the joints whose servo did not confirm it; they may still hold.
+        Names of the joints whose servo did not confirm it; their torque may still be on.
     """
-    held = []
+    unconfirmed = []
     for mounting in mountings:
         with contextlib.suppress(OSError):
             bus.drain()
             bus.exchange([Packet(mounting.servo_id, BusCommand.MOVE_STOP)], time.monotonic())
             if _set_load(bus, mounting, on=False):
                 continue
-        held.append(mounting.joint.name)
-    return held
+        unconfirmed.append(mounting.joint.name)
+    return unconfirmed
 
 
 def check_temperature(mounting: Mounting, temperature_C: float, hottest_C: float) -> None:
-    """Make sure that a servo is not too hot.
+    """Check that a servo is not too hot.
 
     Raises:
         Stopped: If it is.

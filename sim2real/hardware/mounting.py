@@ -1,4 +1,4 @@
-"""How a servo sits in its joint: which it is on the bus, and what its ticks mean there."""
+"""Mounting of servos in joints: identity on the bus, conversion of ticks to angles."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Mounting:
     Attributes:
         joint: The joint, with its limits.
         servo_id: The servo's identity on the bus.
-        trim_ticks: Ticks at angle 0, less 500.
-        sign: -1 where the servo turns against the joint.
+        trim_ticks: Ticks at angle 0, minus 500.
+        sign: -1 if servo and joint turn in opposite directions.
     """
 
     joint: Joint
@@ -31,7 +31,7 @@ class Mounting:
         return self.sign * (ticks - CENTRE_TICKS - self.trim_ticks) * TICK_RAD
 
     def ticks(self, angle: float) -> int:
-        """The nearest tick to ``angle`` that is inside the joint's limits."""
+        """The nearest tick to ``angle`` within the joint limits."""
         low, high = self.joint.limits_rad
         steps = round(min(max(angle, low), high) / TICK_RAD)
         steps = min(max(steps, math.ceil(low / TICK_RAD)), math.floor(high / TICK_RAD))
@@ -46,34 +46,34 @@ def mount(
     trim_ticks: list[int] | None = None,
     reverse: list[str] | None = None,
 ) -> tuple[Mounting, ...]:
-    """Put servos into the joints of a robot.
+    """Assign servos to the joints of a robot.
 
     Args:
         robot: The robot.
-        ids: Identity of the servo in each joint.
-        joints: Names of the joints; all of the robot where None.
-        trim_ticks: Trim of each; none where None.
-        reverse: Names of the joints whose servo turns the other way.
+        ids: Identity of the servo of each joint.
+        joints: Names of the joints; default: all of the robot.
+        trim_ticks: Trim of each servo; default: 0.
+        reverse: Names of the joints whose servo turns in the opposite direction.
 
     Raises:
-        InputError: If the numbers do not match, a name or an identity is wrong, or a joint's
-            limits are out of its servo's reach.
+        InputError: If the numbers do not match, a name or an identity is wrong, or the limits of a
+            joint exceed the range of its servo.
     """
     names = joints or [joint.name for joint in robot.joints]
     trims = trim_ticks or [0] * len(names)
-    known = ", ".join(joint.name for joint in robot.joints)
+    names_known = ", ".join(joint.name for joint in robot.joints)
     for name in [*names, *(reverse or [])]:
         if robot.joint(name) is None:
             raise InputError(
-                robot.path or robot.name, "joints", f"no joint {name!r}", f"some of {known}"
+                robot.path or robot.name, "joints", f"no joint {name!r}", f"some of {names_known}"
             )
-    for option, given in (("--ids", ids), ("--trim", trims)):
-        if len(given) != len(names):
+    for option, numbers in (("--ids", ids), ("--trim", trims)):
+        if len(numbers) != len(names):
             expected = f"{len(names)}, for {', '.join(names)}"
-            raise InputError(option, "", f"{len(given)} numbers", expected)
+            raise InputError(option, "", f"{len(numbers)} numbers", expected)
     if len(set(ids)) != len(ids) or not all(0 <= k <= LARGEST_ID for k in ids):
-        found = ", ".join(str(k) for k in ids)
-        raise InputError("--ids", "", found, f"different numbers from 0 to {LARGEST_ID}")
+        given_ids = ", ".join(str(k) for k in ids)
+        raise InputError("--ids", "", given_ids, f"different numbers from 0 to {LARGEST_ID}")
     return tuple(
         _mounting(robot, name, servo_id, trim, -1 if name in (reverse or []) else 1)
         for name, servo_id, trim in zip(names, ids, trims, strict=True)
@@ -87,7 +87,7 @@ def _mounting(robot: Robot, name: str, servo_id: int, trim: int, sign: int) -> M
     ends = [mounting.angle(0), mounting.angle(LARGEST_TICKS)]
     low, high = joint.limits_rad
     if low < min(ends) or high > max(ends):
-        found = f"{low:g} to {high:g} rad for {name}"
+        limits = f"{low:g} to {high:g} rad for {name}"
         expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
-        raise InputError(robot.path or robot.name, "joints.limits_rad", found, expected)
+        raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
     return mounting

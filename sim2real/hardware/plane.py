@@ -1,4 +1,4 @@
-"""A camera above the pool: which way each pixel looks, and the level that it sees."""
+"""Model of a camera above the pool: projection between pixels and horizontal planes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ ITERATIONS, CLOSE_ENOUGH = 50, 1e-10
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with the distortion of Brown and Conrady.
+    """A pinhole camera with the distortion of Brown and Conrady.
 
     Attributes:
-        size_px: Width and height of the picture it was calibrated for.
+        size_px: Width and height of the pictures of the calibration.
         matrix: Focal lengths and principal point in pixels, shape (3, 3).
         distortion: k1, k2, p1, p2, k3 in OpenCV's order.
         rms_px: RMS reprojection error of the calibration.
@@ -30,20 +30,20 @@ class Lens:
 
 
 def directions(lens: Lens, pixels: Array) -> Array:
-    """Where pixels (N, 2) look: x / z and y / z in the camera's axes, shape (N, 2).
+    """Directions of pixels (N, 2): x / z and y / z in camera axes, shape (N, 2).
 
-    The distortion has no inverse in closed form; OpenCV's fixed point is run to 1e-10.
+    The distortion has no inverse in closed form; OpenCV's fixed-point iteration runs to 1e-10.
     """
     import cv2
 
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ITERATIONS, CLOSE_ENOUGH)
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    looked = cv2.undistortPoints(points, lens.matrix, lens.distortion, None, None, None, stop)
-    return np.asarray(looked, dtype=np.float64).reshape(-1, 2)
+    undistorted = cv2.undistortPoints(points, lens.matrix, lens.distortion, None, None, None, stop)
+    return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
 
 
 def seen_at(lens: Lens, points: Array) -> Array:
-    """The pixels (N, 2) at which points (N, 3) in the camera's axes are seen."""
+    """Projection of points (N, 3) in camera axes to pixels (N, 2)."""
     import cv2
 
     none = np.zeros(3)
@@ -59,13 +59,13 @@ def seen_at(lens: Lens, points: Array) -> Array:
 
 @dataclass(frozen=True)
 class Plane:
-    """A camera over a world whose z is up and whose level z = 0 holds the pool's corners.
+    """A camera above a world with z up and the pool's corners in the plane z = 0.
 
     Attributes:
         lens: The camera's lens.
         rotation: From world to camera axes, shape (3, 3).
         translation: The world's origin in camera axes, m, shape (3,).
-        residual_px: RMS distance between the given corners and where this camera sees them.
+        residual_px: RMS distance between measured and projected corners.
     """
 
     lens: Lens
@@ -75,58 +75,60 @@ class Plane:
 
     @property
     def position(self) -> Array:
-        """Where the camera is in the world, m, shape (3,)."""
-        at: Array = -self.rotation.T @ self.translation
-        return at
+        """Position of the camera in the world, m, shape (3,)."""
+        position: Array = -self.rotation.T @ self.translation
+        return position
 
     def homography(self, height: float) -> Array:
-        """From x, y, 1 on the level z = ``height`` to undistorted directions, shape (3, 3)."""
-        right, left, up = self.rotation.T
-        return np.column_stack([right, left, self.translation + height * up])
+        """From x, y, 1 in the plane z = ``height`` to undistorted directions, shape (3, 3)."""
+        right, leftward, up = self.rotation.T
+        return np.column_stack([right, leftward, self.translation + height * up])
 
     def world(self, pixels: Array, height: float = 0.0) -> Array:
-        """x, y in m where pixels (N, 2) look at the level z = ``height``, shape (N, 2)."""
-        seen = directions(self.lens, pixels)
-        back = np.linalg.inv(self.homography(height))
-        on = seen @ back[:, :2].T + back[:, 2]
-        result: Array = on[:, :2] / on[:, 2:]
+        """x, y in m of pixels (N, 2) in the plane z = ``height``, shape (N, 2)."""
+        rays = directions(self.lens, pixels)
+        inverse = np.linalg.inv(self.homography(height))
+        homogeneous = rays @ inverse[:, :2].T + inverse[:, 2]
+        result: Array = homogeneous[:, :2] / homogeneous[:, 2:]
         return result
 
     def pixels(self, points: Array, height: float = 0.0) -> Array:
-        """Pixels (N, 2) at which x, y (N, 2) on the level z = ``height`` are seen."""
+        """Pixels (N, 2) of points x, y (N, 2) in the plane z = ``height``."""
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         level = np.column_stack([points, np.full(len(points), height)])
         return seen_at(self.lens, level @ self.rotation.T + self.translation)
 
     def pixels_per_m(self, point: Array, height: float = 0.0) -> float:
-        """How many pixels a metre takes around x, y (2,), the mean of both directions."""
+        """Pixels per metre around x, y (2,), the geometric mean of both directions."""
         step = 0.01
-        ahead, left, here = self.pixels(np.array([[step, 0], [0, step], [0, 0]]) + point, height)
-        across = np.stack([ahead - here, left - here])
-        return float(np.sqrt(abs(np.linalg.det(across)))) / step
+        ahead, leftward, centre = self.pixels(
+            np.array([[step, 0], [0, step], [0, 0]]) + point, height
+        )
+        edges = np.stack([ahead - centre, leftward - centre])
+        return float(np.sqrt(abs(np.linalg.det(edges)))) / step
 
 
 def stand(lens: Lens, corners_px: Array, corners_m: Array) -> Plane:
-    """The camera's stand from four or more corners of the level z = 0.
+    """The pose of the camera from four or more corners in the plane z = 0.
 
-    The homography between the level and the undistorted corners gives a first pose (Zhang, IEEE
-    PAMI 22 (2000) 1330, section 3.1), which is then refined to the least reprojection error.
+    The homography between plane and undistorted corners gives an initial pose (Zhang, IEEE
+    PAMI 22 (2000) 1330, section 3.1), which is refined to the least reprojection error.
 
     Args:
-        lens: The camera's lens.
+        lens: The lens.
         corners_px: The corners in the picture, shape (N, 2).
-        corners_m: The same in the world, x and y, shape (N, 2).
+        corners_m: The corners in the world, x and y, shape (N, 2).
 
     Raises:
-        ValueError: If no camera can see such corners there.
+        ValueError: If no pose of a camera fits the corners.
     """
     import cv2
 
     objects = np.column_stack([corners_m, np.zeros(len(corners_m))])
-    seen = directions(lens, corners_px)
+    rays = directions(lens, corners_px)
     try:
-        found, turn, shift = cv2.solvePnP(objects, seen, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-        if not found:
+        solved, turn, shift = cv2.solvePnP(objects, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        if not solved:
             raise ValueError("no camera sees such corners")
         turn, shift = cv2.solvePnPRefineLM(
             objects, np.asarray(corners_px, dtype=np.float64), lens.matrix, lens.distortion,

@@ -1,4 +1,4 @@
-"""What is about to be sent, and what was tracked, drawn."""
+"""Figures of set-points and of a track."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def signal_figure(excitation: Excitation, joints: Sequence[Joint]) -> Figure:
-    """Draw each joint's set-points over time between its limits."""
+    """Plot the set-points of each joint over time with its limits."""
     with house_style():
         figure = new_figure(60 + 120 * len(joints), "set-points")
         panels = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
@@ -37,7 +37,7 @@ _ARROW_M = 0.18
 
 
 def track_figure(track: Track, corners_m: Array) -> Figure:
-    """Way and headings over the pool's outline; where it was not seen the way is broken."""
+    """Plot path and headings in the pool; the path is interrupted at missing frames."""
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
     shape = (high[1] - low[1]) / (high[0] - low[0])
     with house_style():
@@ -45,17 +45,17 @@ def track_figure(track: Track, corners_m: Array) -> Figure:
         axes = figure.subplots()
         axes.fill(*corners_m.T, facecolor="none", edgecolor=MUTED, linewidth=1.0)
         axes.plot(*track.pose[:, :2].T, color=ACCENT, linewidth=1.2)
-        every = max(1, round(1.0 / float(np.median(np.diff(track.t)))))
-        shown = track.pose[::every][track.seen[::every]]
+        stride = max(1, round(1.0 / float(np.median(np.diff(track.t)))))
+        shown = track.pose[::stride][track.seen[::stride]]
         ends = shown[:, :2] + _ARROW_M * np.stack([np.cos(shown[:, 2]), np.sin(shown[:, 2])], 1)
         for (x, y, _), (x1, y1) in zip(shown, ends, strict=True):
             axes.annotate(
                 "", (x1, y1), (x, y), arrowprops={"arrowstyle": "->", "color": FAINT, "lw": 1.0}
             )
-        first = track.pose[track.seen][0]
-        axes.plot(first[0], first[1], "o", color=INK, markersize=5)
+        start = track.pose[track.seen][0]
+        axes.plot(start[0], start[1], "o", color=INK, markersize=5)
         axes.grid(visible=False)
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-        seen = f"seen in {100 * track.seen.mean():.0f} % of {track.t.size} frames"
-        axes.set_title(f"{seen}; an arrow a second")
+        coverage = f"seen in {100 * track.seen.mean():.0f} % of {track.t.size} frames"
+        axes.set_title(f"{coverage}; one arrow per second")
     return figure

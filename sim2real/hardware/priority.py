@@ -1,4 +1,4 @@
-"""Ahead of other programs while the servos are driven, where the system allows it."""
+"""Real-time priority while the servos are driven, if the system permits it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def priority() -> Iterator[bool]:
-    """Within this block the calling thread has real-time priority, if it may; says whether.
+    """Context manager that gives the calling thread real-time priority; returns whether it did.
 
-    A computer with other work then still keeps the bus's schedule; the loop sleeps most of the
-    time, so that the others lose little. On Linux it takes root or a limit on ``rtprio``.
+    The timing of the bus is then kept on a loaded computer; the loop sleeps most of the time, so
+    other programs are hardly affected. Linux requires root or a limit on ``rtprio``.
     """
     granted = False
     if sys.platform == "linux":

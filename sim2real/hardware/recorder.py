@@ -1,4 +1,4 @@
-"""The loop that plays set-points on the servos and records what they do."""
+"""The loop that sends set-points to the servos and records their positions."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from sim2real.hardware.mounting import Mounting
 Array = NDArray[np.float64]
 
 CONTACT_S = 0.5
-"""A servo that has not answered for so long is lost."""
+"""Time without an answer after which a servo is regarded as lost."""
 BUSY_SHARE = 0.8
-"""Share of the period after which what has not been answered is missing."""
+"""Share of the period after which a reply counts as missing."""
 
 
 @dataclass
 class Outcome:
-    """How a recording went.
+    """Outcome of a recording.
 
     Attributes:
         missing: Number of missing positions by joint.
-        skipped: Set-points left out because the computer came too late for them.
-        late_s: How late each row's cycle began, in s.
-        stopped: Why it ended early; None if it did not.
+        skipped: Set-points that were skipped because the computer was late.
+        late_s: Delay of each row's cycle, in s.
+        stopped: Reason of an early end; None if there was none.
     """
 
     missing: dict[str, int]
@@ -41,7 +41,7 @@ class Outcome:
 
 
 USUAL_S = 0.0025
-"""A servo's set-point, request and reply on the wire, and the adapter's share."""
+"""Typical time of a servo's set-point, request and reply on the wire, with the adapter."""
 
 
 def columns(mountings: Sequence[Mounting]) -> list[str]:
@@ -69,24 +69,24 @@ def record(
     interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[int], object] = lambda _: None,
 ) -> Outcome:
-    """Send the set-points at an even rate and write one row for each time.
+    """Send the set-points at a regular rate and write one row for each.
 
-    Cycle k begins at k periods after the first, whatever the cycles before it took. Each servo is
-    asked right behind its set-point, so that set-point and sample are of the same moment; then one
-    servo tells its supply or its temperature, in turn.
+    Cycle k starts k periods after the first, regardless of the previous cycles. The position of
+    each servo is requested directly after its set-point, so that both have the same time; then one
+    servo in turn reports its supply or temperature.
 
     Args:
         bus: The bus.
         mountings: The J servos, at rest on their first set-point.
         command: Set-points in rad, shape (T, J).
-        write: Takes each row, in the order of ``columns``.
-        rate_hz: Set-points a second.
+        write: Called with each row, in the order of ``columns``.
+        rate_hz: Set-points per second.
         hottest_C: Temperature at which to stop.
-        interrupted: Whether the user wants to stop; looked at once a cycle.
-        progress: Told how many set-points have passed since it was last told.
+        interrupted: Whether the user has asked to stop; called once per cycle.
+        progress: Called with the number of set-points since its last call.
 
     Returns:
-        How it went; a lost port, a lost servo, heat and the user's wish are said in ``stopped``.
+        The outcome; ``stopped`` is set for a lost port or servo, heat, or an interrupt.
     """
     outcome = Outcome({mounting.joint.name: 0 for mounting in mountings})
     period = 1 / rate_hz
@@ -111,13 +111,13 @@ def record(
     except Stopped as stop:
         outcome.stopped = str(stop)
     except OSError as error:
-        outcome.stopped = f"the port is gone ({error.strerror or error})"
+        outcome.stopped = f"the port was lost ({error.strerror or error})"
     return outcome
 
 
 @dataclass(frozen=True)
 class _Sample:
-    """What one cycle sent and got."""
+    """Set-points and replies of one cycle."""
 
     sent_s: float
     command: list[float]
@@ -128,7 +128,7 @@ class _Sample:
 
 
 def _health_request(mountings: Sequence[Mounting], cycle: int) -> tuple[int, BusCommand]:
-    """Which servo tells what in this cycle: each its supply, then its temperature, in turn."""
+    """Servo and quantity reported in a cycle: supply, then temperature, of each in turn."""
     j = cycle // 2 % len(mountings)
     return j, BusCommand.TEMP_READ if cycle % 2 else BusCommand.VIN_READ
 
@@ -140,7 +140,7 @@ def _cycle(
     ask: tuple[int, BusCommand],
     deadline: float,
 ) -> _Sample:
-    """One round over the bus; each may wait as long as those after it keep the usual time."""
+    """One round over the bus; a servo may take the time that the later ones do not need."""
     bus.drain()
     ticks = [m.ticks(float(angle)) for m, angle in zip(mountings, command, strict=True)]
     groups = [
@@ -154,11 +154,13 @@ def _cycle(
     sent, round_trips = [], []
     for after, group in zip(reversed(range(len(groups))), groups, strict=True):
         sent.append(time.monotonic())
-        left = deadline - sent[-1]
-        found = bus.exchange(group, sent[-1] + max(left - after * USUAL_S, left / (after + 1)))
-        if found[-1] is not None:
+        remaining = deadline - sent[-1]
+        received = bus.exchange(
+            group, sent[-1] + max(remaining - after * USUAL_S, remaining / (after + 1))
+        )
+        if received[-1] is not None:
             round_trips.append(time.monotonic() - sent[-1])
-        replies += found
+        replies += received
     joints = max(len(groups) - 1, 1)  # the last group of several is the health request
     health = replies[-1]
     return _Sample(
@@ -203,7 +205,7 @@ def _check(
     outcome: Outcome,
     hottest_C: float,
 ) -> None:
-    """Count what is missing, and stop where a servo is lost or too hot."""
+    """Count missing positions, and stop if a servo is lost or too hot."""
     for j, mounting in enumerate(mountings):
         name = mounting.joint.name
         if not math.isnan(sample.position[j]):

@@ -1,4 +1,4 @@
-"""A recording written as it comes: the sidecar first, then row by row."""
+"""Incremental writing of a recording: the sidecar first, then row by row."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 from sim2real.hardware.motion import Stopped
 from sim2real.output import check_writable, write_json
 
-FEWEST_ROWS = 2  # of a recording that can be read
+FEWEST_ROWS = 2  # of a valid recording
 
 
 class RowStream:
-    """``NAME.csv`` and ``NAME.json``, on disk and valid after every row from the second on.
+    """``NAME.csv`` and ``NAME.json``, valid on disk after every row from the second on.
 
-    A recording of fewer rows leaves no file.
+    Files of a recording with fewer rows are removed.
 
     Args:
         path: The CSV file.
@@ -26,7 +26,7 @@ class RowStream:
         sidecar: Content of the JSON file.
 
     Raises:
-        InputError: If the folder can't be written.
+        InputError: If the folder cannot be written.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], sidecar: dict[str, Any]) -> None:
@@ -39,10 +39,10 @@ class RowStream:
         self._writer.writerow(columns)
 
     def write(self, row: Sequence[float]) -> None:
-        """Append one row and hand it to the operating system; NaN becomes an empty cell.
+        """Append one row and flush it; NaN is written as an empty cell.
 
         Raises:
-            Stopped: If the disk does not take it.
+            Stopped: If it cannot be written.
         """
         try:
             self._writer.writerow("" if math.isnan(x) else f"{x:.6f}" for x in row)
@@ -52,7 +52,7 @@ class RowStream:
         self.rows += 1
 
     def add(self, **fields: object) -> None:
-        """Put what is known only afterwards into the sidecar."""
+        """Add fields to the sidecar."""
         self._sidecar |= fields
 
     def __enter__(self) -> RowStream:

@@ -1,4 +1,4 @@
-"""Who is on a bus, and how each servo is."""
+"""Search for servos on a bus, with their state."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from sim2real.hardware.bus import Bus
 from sim2real.hardware.lx import BusCommand, Packet, signed_word, supply_V, words
 
 ATTEMPTS = 2  # to find a servo
-INSISTENCE = 5  # attempts to ask one that is there
+INSISTENCE = 5  # attempts per request to a servo that was found
 
 
 @dataclass(frozen=True)
 class Found:
-    """A servo on the bus; None for what it did not tell.
+    """A servo on the bus; None for values without a reply.
 
     Attributes:
-        servo_id: Its identity.
-        ticks: Its position, of 0.24 degrees each.
-        supply_V: Its supply.
-        temperature_C: Its temperature.
+        servo_id: Identity.
+        ticks: Position in ticks of 0.24 degrees.
+        supply_V: Supply voltage.
+        temperature_C: Temperature.
         powered: Whether its torque is on.
-        errors: Which of the limits stored in it are passed. The protocol has no register of errors:
-            LED_ERROR_READ tells which of them would light the lamp.
+        errors: Limits stored in the servo that are exceeded. The protocol has no error register:
+            LED_ERROR_READ is only a mask of the errors that switch the LED on.
     """
 
     servo_id: int
@@ -35,29 +35,29 @@ class Found:
 
 
 def scan(bus: Bus, ids: Iterable[int], patience_s: float) -> tuple[list[Found], list[int]]:
-    """Ask each identity in turn; nothing is written to any servo.
+    """Request the position of each identity in turn; nothing is written to any servo.
 
     Args:
         bus: The bus.
-        ids: Whom to ask.
-        patience_s: How long to wait for each reply.
+        ids: Identities.
+        patience_s: Time to wait for each reply.
 
     Returns:
-        The servos that answered, and the identities at which something answered unreadably: two
-        servos that share one, perhaps.
+        The servos that answered, and the identities with corrupted answers, possibly from several
+        servos with the same identity.
 
     Raises:
-        OSError: If the port is gone.
+        OSError: If the port is lost.
     """
-    found, garbled = [], []
+    servos, garbled = [], []
     for servo_id in ids:
         before = bus.garbled
         if any(bus.ask(servo_id, BusCommand.POS_READ, patience_s) for _ in range(ATTEMPTS)):
-            found.append(_look(bus, servo_id, patience_s))
+            servos.append(_look(bus, servo_id, patience_s))
         elif bus.garbled > before:
             garbled.append(servo_id)
         bus.drain()
-    return found, garbled
+    return servos, garbled
 
 
 def _look(bus: Bus, servo_id: int, patience_s: float) -> Found:

@@ -1,7 +1,7 @@
-"""From an overhead video to the body's pose in every frame.
+"""Tracking of the body's pose in an overhead video.
 
-The marker is expected where it was going; only where it is not there is it searched for, first
-nearby, then in the whole frame. A frame in which it is not found stays missing.
+The position of the marker is predicted from its motion; if it is not found there, it is searched
+nearby, then in the whole frame. Frames in which it is not found are missing.
 """
 
 from __future__ import annotations
@@ -25,25 +25,24 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 LIKENESS = 0.85
-"""Correlation with the print from which a sighting counts."""
+"""Smallest correlation with the print of a valid sighting."""
 NEARBY_M = 0.25
 EVERYWHERE = 10
-"""While the marker is lost the whole frame is searched once in so many frames."""
+"""Interval in frames between searches of the whole frame while the marker is lost."""
 TRIES = 6
-"""Spots of a search that are looked at closely."""
+"""Candidates of a search that are registered."""
 _STEADY = 0.7
 _TURN = np.deg2rad(25)
-"""Largest change of yaw between frames before a sighting is doubted."""
+"""Largest change of yaw between frames; sightings beyond it are rejected."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """What was seen.
+    """Track of the body in a video.
 
     Attributes:
         t: Times in s since the first frame, shape (T,).
-        pose: x, y in m and heading in rad without jumps, of the body, shape (T, 3); NaN where it
-            was not seen.
+        pose: x, y in m and unwrapped heading in rad of the body, shape (T, 3); NaN if not found.
         brightness: Mean grey level of each frame, shape (T,).
     """
 
@@ -53,7 +52,7 @@ class Track:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """In which frames, shape (T,)."""
+        """Mask of frames in which the body was found, shape (T,)."""
         return np.asarray(np.isfinite(self.pose[:, 0]))
 
 
@@ -62,7 +61,7 @@ class MarkerTracker:
 
     Attributes:
         plane: The camera.
-        marker: What to look for.
+        marker: The marker.
     """
 
     def __init__(self, plane: Plane, marker: Marker) -> None:
@@ -74,30 +73,30 @@ class MarkerTracker:
         self._lost = 0
 
     def see(self, frame: Picture) -> Array | None:
-        """The marker's pose (3,) in the next frame, grey, or None."""
-        found = self._expected(frame) or self._searched(frame)
-        if found is None:
+        """Pose of the marker (3,) in the next grey frame, or None."""
+        sighting = self._predicted(frame) or self._searched(frame)
+        if sighting is None:
             self._lost += 1
             return None
-        pose = found.pose
+        pose = sighting.pose
         if self._last is not None:
             pose = pose.copy()
             pose[2] += 2 * np.pi * np.round((self._last[2] - pose[2]) / (2 * np.pi))
             step = (pose - self._last) / (self._lost + 1)
             self._rate = step if self._lost else _STEADY * step + (1 - _STEADY) * self._rate
         self._last, self._lost = pose, 0
-        self._blur = found.blur_m
+        self._blur = sighting.blur_m
         return pose
 
-    def _expected(self, frame: Picture) -> Sighting | None:
+    def _predicted(self, frame: Picture) -> Sighting | None:
         if self._last is None or self._lost > 3:
             return None
         guess = self._last + (self._lost + 1) * self._rate
-        found = register(frame, self.plane, self.marker, guess, self._blur)
-        if found is None or found.likeness < LIKENESS:
+        sighting = register(frame, self.plane, self.marker, guess, self._blur)
+        if sighting is None or sighting.likeness < LIKENESS:
             return None
-        turned = (found.pose[2] - self._last[2] + np.pi) % (2 * np.pi) - np.pi
-        return found if abs(turned) < _TURN * (self._lost + 1) else None
+        turned = (sighting.pose[2] - self._last[2] + np.pi) % (2 * np.pi) - np.pi
+        return sighting if abs(turned) < _TURN * (self._lost + 1) else None
 
     def _searched(self, frame: Picture) -> Sighting | None:
         windows = []
@@ -109,40 +108,40 @@ class MarkerTracker:
             poses = search(frame, self.plane, self.marker, self._bank, window)
             best: Sighting | None = None
             for pose in poses[:TRIES]:
-                found = register(frame, self.plane, self.marker, pose, self._blur)
-                if found and (best is None or found.likeness > best.likeness):
-                    best = found
+                sighting = register(frame, self.plane, self.marker, pose, self._blur)
+                if sighting and (best is None or sighting.likeness > best.likeness):
+                    best = sighting
             if best is not None and best.likeness >= LIKENESS:
                 return best
         return None
 
     def _window(self, frame: Picture, pose: Array) -> tuple[int, int, int, int]:
         reach = NEARBY_M * (1 + self._lost / 10)
-        around = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-        seen = self.plane.pixels(around, self.marker.height_m)
-        low = np.clip(np.floor(seen.min(axis=0)), 0, None).astype(int)
-        high = np.clip(np.ceil(seen.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
+        corners = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+        pixels = self.plane.pixels(corners, self.marker.height_m)
+        low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
+        high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
         return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
 def track(
     video: str | os.PathLike[str], camera: Camera, *, progress: Callable[[], None] = lambda: None
 ) -> Track:
-    """Track the body through a video.
+    """Track the body in a video.
 
     Args:
-        video: Whatever OpenCV can read.
-        camera: The lens, the pool, and what to look for: the marker, else the blob.
+        video: A file that OpenCV can read.
+        camera: Lens, pool, and marker or else blob.
         progress: Called after every frame.
 
     Raises:
-        InputError: If the video can't be read, has another size than the camera, or nothing is
-            found in any of its frames.
+        InputError: If the video cannot be read, has another size than the camera, or the body is
+            not found in any frame.
     """
     import cv2
 
     frames, rate = open_video(video, camera)
-    seen: list[Array] = []
+    poses_found: list[Array] = []
     bright: list[float] = []
     tracker = MarkerTracker(camera.plane, camera.marker) if camera.marker else None
     for picture in frames:
@@ -151,12 +150,12 @@ def track(
         pose = tracker.see(grey) if tracker else None
         if tracker is None and camera.blob is not None:
             pose = find_blob(picture, camera.plane, camera.blob)
-        seen.append(np.full(3, np.nan) if pose is None else pose)
+        poses_found.append(np.full(3, np.nan) if pose is None else pose)
         progress()
-    poses = np.array(seen).reshape(-1, 3)
+    poses = np.array(poses_found).reshape(-1, 3)
     if not np.isfinite(poses).any():
-        what = "marker" if camera.marker else "blob"
-        raise InputError(video, "", f"no {what} in any of {len(poses)} frames", f"the {what}")
+        target = "marker" if camera.marker else "blob"
+        raise InputError(video, "", f"no {target} in any of {len(poses)} frames", f"the {target}")
     poses = camera.marker.body(poses) if camera.marker else ahead(poses)
     return Track(np.arange(len(poses)) / rate, poses, np.array(bright))
 
@@ -167,7 +166,7 @@ def open_video(
     """Frames of a video and their rate in 1/s.
 
     Raises:
-        InputError: If it can't be read, or its size is not the camera's.
+        InputError: If it cannot be read, or its size is not that of the camera.
     """
     import cv2
 
@@ -177,16 +176,18 @@ def open_video(
     rate = float(source.get(cv2.CAP_PROP_FPS))
     size = tuple(int(source.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if camera is not None and size != camera.plane.lens.size_px:
-        wanted = "x".join(map(str, camera.plane.lens.size_px))
-        raise InputError(video, "", f"frames of {size[0]}x{size[1]}", f"{wanted}, as the camera's")
+        expected = "x".join(map(str, camera.plane.lens.size_px))
+        raise InputError(
+            video, "", f"frames of {size[0]}x{size[1]}", f"{expected}, as the camera's"
+        )
     if not rate > 0:
-        raise InputError(video, "", "no frame rate", "a video that says its frame rate")
+        raise InputError(video, "", "no frame rate", "a video with a frame rate")
 
     def frames() -> Iterator[Picture]:
         try:
             while True:
-                there, picture = source.read()
-                if not there:
+                success, picture = source.read()
+                if not success:
                     return
                 yield picture  # type: ignore[misc]
         finally:
@@ -196,7 +197,7 @@ def open_video(
 
 
 def frame_count(video: str | os.PathLike[str]) -> int | None:
-    """How many frames the file says it has, for a progress bar."""
+    """Number of frames stated in the file, for a progress bar."""
     import cv2
 
     source = cv2.VideoCapture(os.fspath(video))

@@ -1,4 +1,4 @@
-"""What carries bytes to a servo bus and back, behind one small interface."""
+"""Interface of the transports of bytes to and from a servo bus."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from sim2real.hardware.port import EXPECTED
 
 
 class Transport(Protocol):
-    """A way to the bus. Every call returns by its deadline; ``OSError`` means that it is gone.
+    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost.
 
     Attributes:
-        together: Whether requests to several servos may be under way at once. A wire that both
-            sides share does not allow it; a radio that plays them in order does.
-        device_s: The far side's clock when it took the last answered request, if it has told.
+        together: Whether requests to several servos may be pending at once. A shared wire does not
+            allow it; a radio that sends them in order does.
+        device_s: Clock of the remote device at the last answered request, if it sends one.
     """
 
     together: bool
@@ -27,19 +27,19 @@ class Transport(Protocol):
         """Send ``data``."""
 
     def read(self, deadline: float) -> bytes:
-        """What has arrived; empty only if by ``deadline`` (``time.monotonic``) nothing has."""
+        """Bytes that have arrived; empty only after ``deadline`` (``time.monotonic``)."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
 
 def open_transport(url: str, *, baud: int = BAUD_RATES[0]) -> Transport:
-    """The transport that ``url`` names.
+    """Open the transport of a URL.
 
     Args:
         url: A serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network
             (``socket://``, ``rfc2217://``), or a radio (``udp://HOST:PORT``).
-        baud: Bits a second, on a serial port.
+        baud: Bits per second of a serial port.
 
     Raises:
         InputError: If there is no such port, or it cannot be opened.

@@ -1,4 +1,4 @@
-"""A serial port, on this computer or served over a network, through pyserial."""
+"""Serial ports, local or over a network, with pyserial."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import serial
 from sim2real.errors import InputError
 from sim2real.hardware.port import EXPECTED
 
-PATIENCE_S = 0.05  # of one read: how soon the port closes
+PATIENCE_S = 0.05  # timeout of a read, which limits the time to close the port
 WRITE_TIMEOUT_S = 0.5
 
 
 class SerialTransport:
     """A serial port, ``socket://HOST:PORT`` or ``rfc2217://HOST:PORT``, 8 bits, no parity.
 
-    Two threads of its own wait for the port, which under load can take tens of milliseconds for a
-    call that should not block: whoever keeps a schedule must not. They have the priority of the
-    thread that opens it.
+    Two threads read and write, as calls that should not block can take tens of milliseconds under
+    load, which would disturb the timing of the caller. They have the priority of the thread that
+    opens the port.
 
     Raises:
         InputError: If it cannot be opened.
@@ -41,7 +41,7 @@ class SerialTransport:
             reason = str(error).splitlines()[0]
             raise InputError("--port", "", f"{url!r} ({reason})", EXPECTED) from None
         self._arrived: SimpleQueue[bytes] = SimpleQueue()
-        self._leaving: SimpleQueue[bytes] = SimpleQueue()  # an empty piece ends it
+        self._leaving: SimpleQueue[bytes] = SimpleQueue()  # an empty item ends the thread
         self._open, self._failure = True, ""
         self._threads = [
             Thread(target=self._until_it_fails, args=(work,), daemon=True)
@@ -51,12 +51,12 @@ class SerialTransport:
             thread.start()
 
     def write(self, data: bytes) -> None:
-        """Send ``data``; ``OSError`` if the port is gone."""
+        """Send ``data``; ``OSError`` if the port is lost."""
         self._check()
         self._leaving.put(data)
 
     def read(self, deadline: float) -> bytes:
-        """What has arrived by ``deadline``, as soon as something has."""
+        """Wait for bytes until ``deadline``; empty if none arrive."""
         self._check()
         try:
             return self._arrived.get(timeout=max(deadline - time.monotonic(), 0.0))
@@ -65,7 +65,7 @@ class SerialTransport:
             return b""
 
     def close(self) -> None:
-        """Let go of the port when all is sent."""
+        """Close the port after all is sent."""
         self._open = False
         self._leaving.put(b"")
         for thread in self._threads:
@@ -81,13 +81,13 @@ class SerialTransport:
             work()
         except (OSError, TypeError, ValueError) as error:  # the latter from a port just closed
             self._failure = str(error) or type(error).__name__
-            self._arrived.put(b"")  # whoever waits learns of it now
+            self._arrived.put(b"")  # wakes a waiting reader
 
     def _receive(self) -> None:
         while self._open:
-            first = self._port.read(1)
-            if first:
-                self._arrived.put(bytes(first + self._port.read(self._port.in_waiting)))
+            byte = self._port.read(1)
+            if byte:
+                self._arrived.put(bytes(byte + self._port.read(self._port.in_waiting)))
 
     def _send(self) -> None:
         while data := self._leaving.get():

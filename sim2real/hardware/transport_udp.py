@@ -1,4 +1,4 @@
-"""The robot's radio, by UDP."""
+"""The robot's radio over UDP."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sim2real.hardware.port import EXPECTED
 
 
 class UdpTransport:
-    """A radio at ``udp://HOST:PORT``. What it does not answer is lost, not an error.
+    """A radio at ``udp://HOST:PORT``. Missing answers are not errors.
 
-    An answer to another datagram than the last one comes too late and is dropped.
+    Late answers, to other datagrams than the last one, are dropped.
 
     Raises:
-        InputError: If the address is none.
+        InputError: If the address is invalid.
     """
 
     together = True
@@ -40,22 +40,22 @@ class UdpTransport:
     def write(self, data: bytes) -> None:
         """Send ``data`` in one datagram."""
         self._number = (self._number + 1) % NUMBERS
-        # refused: nobody listens there just now, as while the robot starts anew
+        # refused: no listener at present, for example while the robot restarts
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             self._socket.send(request(self._number, data))
 
     def read(self, deadline: float) -> bytes:
-        """What has arrived by ``deadline``, as soon as something has."""
+        """Wait for bytes until ``deadline``; empty if none arrive."""
         while True:
-            left = max(deadline - time.monotonic(), 0.0)
-            if not select.select([self._socket], [], [], left)[0]:
+            remaining = max(deadline - time.monotonic(), 0.0)
+            if not select.select([self._socket], [], [], remaining)[0]:
                 return b""
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                found = read_answer(self._socket.recv(LARGEST))
-                if found.number in (None, self._number) and found.data:
-                    self.device_s = found.clock_s
-                    return found.data
+                reply = read_answer(self._socket.recv(LARGEST))
+                if reply.number in (None, self._number) and reply.data:
+                    self.device_s = reply.clock_s
+                    return reply.data
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()

@@ -1,4 +1,4 @@
-"""Virtual servos on one wire, with the time that bytes take, noise and losses."""
+"""Virtual servos on one wire, with transmission times, noise and losses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim2real.hardware.lx import BYTE_S, Decoder, encode
 from sim2real.hardware.virtual_servo import VirtualServo
 
 QUIET_S = 0.005
-"""A packet that is not whole after so long a silence never will be."""
+"""Silence after which an incomplete packet is discarded."""
 
 
 class VirtualBus:
@@ -19,11 +19,11 @@ class VirtualBus:
 
     Args:
         servos: The servos.
-        rng: Source of chance.
-        noise: Share of bytes, either way, that come spoilt; as many stray ones come between.
-        loss: Share of packets, either way, that never arrive.
-        echo: Whether the host hears what it sends, as on a one-wire adapter.
-        byte_s: Time that a byte takes on the wire.
+        rng: Random number generator.
+        noise: Share of corrupted bytes in both directions; as many random bytes are inserted.
+        loss: Share of lost packets in both directions.
+        echo: Whether the host receives an echo, as with a one-wire adapter.
+        byte_s: Transmission time of a byte.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class VirtualBus:
         self._heard = 0.0
 
     def advance(self) -> None:
-        """Let time pass for every servo."""
+        """Advance all servos to the present time."""
         for servo in self.servos:
             servo.advance(time.monotonic())
 
     def receive(self, data: bytes) -> Iterator[bytes]:
-        """Take bytes from the host; what comes back, each piece when its last byte is through.
+        """Process bytes of the host; yields each reply after its transmission time.
 
-        A servo acts when the last byte of a packet has reached it, not before.
+        A servo acts on a packet when its last byte has arrived.
         """
         now = time.monotonic()
         if now - self._heard > QUIET_S:
@@ -75,7 +75,7 @@ class VirtualBus:
         return bool(self._rng.random() < self._loss)
 
     def spoil(self, data: bytes) -> bytes:
-        """The bytes as they arrive through the noise of the line."""
+        """The bytes after the noise of the line."""
         if not self._noise:
             return data
         spoilt = bytearray()

@@ -1,4 +1,4 @@
-"""How a host reaches virtual servos: a pseudo-terminal, or datagrams as through the radio."""
+"""Connections to virtual servos: a pseudo-terminal, or UDP datagrams as with the radio."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sim2real.errors import InputError
 from sim2real.hardware.datagram import LARGEST, answer, read_request
 from sim2real.hardware.virtual_bus import VirtualBus
 
-TICK_S = 0.02  # how often time passes for servos that nobody talks to
+TICK_S = 0.02  # period of the simulation without requests
 
 
 def serve_terminal(
     bus: VirtualBus, announce: Callable[[str], object], stop: Callable[[], bool]
 ) -> None:
-    """Be a serial port until ``stop``; ``announce`` is told its name.
+    """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name.
 
     Raises:
         InputError: On a system without pseudo-terminals.
@@ -40,7 +40,7 @@ def serve_terminal(
         while not stop():
             if select.select([host], [], [], TICK_S)[0]:
                 for reply in bus.receive(os.read(host, LARGEST)):
-                    with contextlib.suppress(BlockingIOError):  # nobody reads: it is lost
+                    with contextlib.suppress(BlockingIOError):  # no reader: the reply is lost
                         os.write(host, reply)
             bus.advance()
     finally:
@@ -57,25 +57,25 @@ def serve_udp(
     rng: np.random.Generator,
     loss: float = 0.0,
 ) -> None:
-    """Be a radio at ``address`` until ``stop``; ``announce`` is told its URL.
+    """Serve a radio at ``address`` until ``stop``.
 
     Args:
-        bus: What the radio plays datagrams on.
-        address: Host and port to listen at; port 0 is any that is free.
-        announce: Told ``udp://HOST:PORT``.
+        bus: The bus of the radio.
+        address: Host and port; port 0 for any free port.
+        announce: Called with ``udp://HOST:PORT``.
         stop: Whether to end.
-        rng: Source of chance.
-        loss: Share of datagrams, either way, that never arrive.
+        rng: Random number generator.
+        loss: Share of lost datagrams in both directions.
 
     Raises:
-        InputError: If the address can't be had.
+        InputError: If the address is not available.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
         try:
             radio.bind(address)
         except (OSError, OverflowError) as error:
-            found = f"{address[0]}:{address[1]} ({error})"
-            raise InputError("--udp", "", found, "an address of this computer") from None
+            problem = f"{address[0]}:{address[1]} ({error})"
+            raise InputError("--udp", "", problem, "an address of this computer") from None
         host, port = radio.getsockname()
         announce(f"udp://{host}:{port}")
         while not stop():
@@ -92,8 +92,12 @@ def _serve_datagram(
     clock = time.monotonic()
     if rng.random() < loss:
         return
-    given = read_request(datagram)
-    replies = b"".join(bus.receive(given.data))
+    datagram_read = read_request(datagram)
+    replies = b"".join(bus.receive(datagram_read.data))
     if rng.random() >= loss:
-        whole = replies if given.number is None else answer(given.number, clock, replies)
-        radio.sendto(whole, sender)
+        reply = (
+            replies
+            if datagram_read.number is None
+            else answer(datagram_read.number, clock, replies)
+        )
+        radio.sendto(reply, sender)

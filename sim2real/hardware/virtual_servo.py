@@ -1,4 +1,4 @@
-"""A virtual LX servo: what it answers to each packet, and how its shaft follows."""
+"""A virtual LX servo: replies to packets, and motion of the shaft."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _MOVES = (BusCommand.MOVE_TIME_WRITE, BusCommand.MOVE_TIME_WAIT_WRITE)
 
 
 class VirtualServo:
-    """One servo on a virtual bus. It is at rest at angle 0, its torque off.
+    """One servo on a virtual bus, initially at rest at angle 0 with its torque off.
 
     Args:
-        servo_id: Its identity.
-        law: How its shaft moves.
-        now: The time, in s, by the clock that every later call uses.
-        supply_V: Its supply.
-        temperature_C: Its temperature at first.
-        heating_C_per_s: How fast that rises.
+        servo_id: Identity.
+        law: Law of its shaft.
+        now: Present time in s; later calls use the same clock.
+        supply_V: Supply voltage.
+        temperature_C: Initial temperature.
+        heating_C_per_s: Rate of change of the temperature.
 
     Attributes:
-        connected: False while its cable is pulled: it hears and says nothing.
+        connected: False for a disconnected servo, which receives and sends nothing.
         powered: Whether its torque is on.
     """
 
@@ -76,15 +76,15 @@ class VirtualServo:
         return self._shaft.powered
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
+        """Advance the simulation to ``now``."""
         self._shaft.angle(now)
 
     def ticks(self, now: float) -> int:
-        """Its position as it reports it, in ticks of 0.24 degrees."""
+        """Reported position in ticks of 0.24 degrees."""
         return CENTRE_TICKS + round(self._shaft.angle(now) / TICK_RAD)
 
     def handle(self, packet: Packet, now: float) -> Packet | None:
-        """Obey a packet, and answer if it is a request to this servo."""
+        """Process a packet; the reply, if it is a request to this servo."""
         if not self.connected or packet.servo_id not in (self.servo_id, BROADCAST):
             return None
         if expects_reply(packet):
@@ -112,27 +112,27 @@ class VirtualServo:
         return self._registers[BusCommand(command)]
 
     def _obey(self, packet: Packet, now: float) -> None:
-        command, given = packet.command, packet.parameters
-        if command in _MOVES and len(given) == 4:
-            self._moves[BusCommand(command)] = given
+        command, parameters = packet.command, packet.parameters
+        if command in _MOVES and len(parameters) == 4:
+            self._moves[BusCommand(command)] = parameters
             self._waiting = command == BusCommand.MOVE_TIME_WAIT_WRITE
             if not self._waiting:
-                self._move(given, now)
+                self._move(parameters, now)
         elif command == BusCommand.MOVE_START and self._waiting:
             self._waiting = False
             self._move(self._moves[BusCommand.MOVE_TIME_WAIT_WRITE], now)
         elif command == BusCommand.MOVE_STOP:
             self._shaft.hold(now)
-        elif command == BusCommand.LOAD_WRITE and len(given) == 1:
+        elif command == BusCommand.LOAD_WRITE and len(parameters) == 1:
             self._shaft.hold(now)
-            self._shaft.powered = given[0] != 0
-        elif command in _WRITES and len(given) == REPLY_BYTES[_WRITES[BusCommand(command)]]:
-            self._registers[_WRITES[BusCommand(command)]] = given
+            self._shaft.powered = parameters[0] != 0
+        elif command in _WRITES and len(parameters) == REPLY_BYTES[_WRITES[BusCommand(command)]]:
+            self._registers[_WRITES[BusCommand(command)]] = parameters
 
-    def _move(self, given: bytes, now: float) -> None:
+    def _move(self, parameters: bytes, now: float) -> None:
         limits = self._registers[BusCommand.ANGLE_LIMIT_READ]
         low, high = words(Packet(self.servo_id, BusCommand.ANGLE_LIMIT_READ, limits))
-        ticks = min(max(int.from_bytes(given[:2], "little"), low), high)
-        duration = int.from_bytes(given[2:], "little") / 1000
+        ticks = min(max(int.from_bytes(parameters[:2], "little"), low), high)
+        duration = int.from_bytes(parameters[2:], "little") / 1000
         self._shaft.angle(now)
         self._shaft.command(now, (ticks - CENTRE_TICKS) * TICK_RAD, duration)

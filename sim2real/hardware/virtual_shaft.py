@@ -1,4 +1,4 @@
-"""The motion of a virtual servo's shaft: the PD law and its latency, step by step in real time."""
+"""Motion of a virtual servo's shaft: the PD law with latency, simulated in real time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Law:
 
 @dataclass(frozen=True)
 class _Motion:
-    """An even motion of the set-point from one angle to another, that takes effect at ``start``."""
+    """A motion of the set-point at constant speed that takes effect at ``start``."""
 
     start: float
     origin: float
@@ -35,14 +35,14 @@ class _Motion:
 
 
 class Shaft:
-    """A servo's shaft. Times are those of one clock, in s, and never go back.
+    """A servo's shaft. Times are in s, of one clock, and do not decrease.
 
-    Without torque it has its damping left, as gears do, and comes to rest where it is.
+    With the torque off the damping remains, and the shaft comes to rest.
 
     Args:
-        law: Its gains, latency and inertia.
-        now: The time.
-        angle: Where it rests, in rad.
+        law: Gains, latency and inertia.
+        now: Present time.
+        angle: Initial angle in rad.
     """
 
     def __init__(self, law: Law, now: float, angle: float = 0.0) -> None:
@@ -53,13 +53,13 @@ class Shaft:
         self._coming: deque[_Motion] = deque()
 
     def command(self, now: float, angle: float, duration: float = 0.0) -> None:
-        """Take a set-point, to be reached evenly in ``duration``; it acts one latency later."""
+        """Set a set-point, reached at constant speed in ``duration``, after the latency."""
         start = now + self.law.latency_s
         origin = (self._coming[-1] if self._coming else self._motion).at(start)
         self._coming.append(_Motion(start, origin, angle, duration))
 
     def hold(self, now: float) -> None:
-        """Make the present angle the set-point, and forget what was to come."""
+        """Make the present angle the set-point, and discard pending set-points."""
         angle = self.angle(now)
         self._coming.clear()
         self._motion = _Motion(now, angle, angle, 0.0)

@@ -1,1 +1,1 @@
-"""Public logs made into recordings: one reader for each format of log."""
+"""Import of public logs as recordings, with one reader for each format."""

@@ -25,10 +25,10 @@ NUMBERS |= {"dt": "resampled_every_s"}
 def read_bam(path: str | os.PathLike[str]) -> Recording:
     """Read a raw (or resampled) BAM log, a JSON file, as a recording of joint ``j1``.
 
-    Commands are empty once the torque is off. A recording may have that at its end only: where
-    the torque comes on again it is cut, and ``metadata["left_out"]`` says what is missing. Speed,
-    load, temperature and supply become columns if they were measured (a recorder writes 0
-    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the fields left behind.
+    Commands are empty while the torque is off, which is imported only at the end of a recording:
+    if the torque is switched on again, the rest is omitted, as stated in ``metadata["left_out"]``.
+    Speed, load, temperature and supply become columns if they were measured (a recorder writes 0
+    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the other fields.
 
     Args:
         path: The log.
@@ -37,7 +37,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         A ``servo`` recording with its T rows at the logged timestamps.
 
     Raises:
-        InputError: If a field isn't as the recorders write it or the torque is off at the start.
+        InputError: If a field does not conform to the format or the torque is off at the start.
     """
     top = Fields(path, "", read_json(path))
     samples = _samples(top)
@@ -48,8 +48,11 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
     position = [_angle(sample, "position") for sample in samples]
     read = {name: _optional(samples, name) for name in COLUMNS}
     measured = {name: values[:stop] for name, values in read.items() if values is not None}
-    left = {str(name) for sample in samples for name in sample.content} - {*SAMPLE, *measured}
-    metadata = _metadata(top) | {"not_imported": sorted(left)}
+    not_imported = {str(name) for sample in samples for name in sample.content} - {
+        *SAMPLE,
+        *measured,
+    }
+    metadata = _metadata(top) | {"not_imported": sorted(not_imported)}
     if off < stop:
         metadata["torque_off_from_s"] = float(t[off])
     if stop < t.size:
@@ -70,7 +73,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
 
 
 def _load(top: Fields) -> Load:
-    """A point mass m at the end of a uniform rod of length l, as BAM's test bench has it.
+    """A point mass m at the end of a uniform rod of length l, the load of BAM's test bench.
 
     Inertia: m l^2 + m_arm l^2 / 3. Gravity acts on the rod at half its length, so the point mass
     at l with the same gravity torque is m + m_arm / 2.
@@ -92,9 +95,9 @@ def _samples(top: Fields) -> list[Fields]:
 
 def _times(samples: list[Fields]) -> Array:
     t = np.array([sample.number("timestamp") for sample in samples])
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if back.size:
-        raise samples[back[0] + 1].error("timestamp", f"a time after {t[back[0]]:g} s")
+    decreasing = np.flatnonzero(np.diff(t) <= 0)
+    if decreasing.size:
+        raise samples[decreasing[0] + 1].error("timestamp", f"a time after {t[decreasing[0]]:g} s")
     return t
 
 
@@ -103,11 +106,11 @@ def _torque(samples: list[Fields]) -> tuple[int, int]:
     for sample in samples:
         if not isinstance(sample.content.get("torque_enable"), bool):
             raise sample.error("torque_enable", "true or false")
-    on = [sample.content["torque_enable"] for sample in samples]
-    if not on[0]:
+    enabled = [sample.content["torque_enable"] for sample in samples]
+    if not enabled[0]:
         raise samples[0].error("torque_enable", "true: a recording starts on its first command")
-    off = on.index(False) if False in on else len(on)
-    return off, on.index(True, off) if True in on[off:] else len(on)
+    off = enabled.index(False) if False in enabled else len(enabled)
+    return off, enabled.index(True, off) if True in enabled[off:] else len(enabled)
 
 
 def _angle(sample: Fields, name: str) -> float:
@@ -119,17 +122,17 @@ def _angle(sample: Fields, name: str) -> float:
 
 def _optional(samples: list[Fields], name: str) -> Array | None:
     """Values of an optional field, shape (T,), NaN where missing; None if it was not measured."""
-    there = np.array([sample.content.get(name) is not None for sample in samples])
-    values = np.full(there.size, np.nan)
-    values[there] = [samples[k].number(name) for k in np.flatnonzero(there)]
+    present = np.array([sample.content.get(name) is not None for sample in samples])
+    values = np.full(present.size, np.nan)
+    values[present] = [samples[k].number(name) for k in np.flatnonzero(present)]
     if not np.nan_to_num(values).any():
         return None
     negative = values >= 2**15
     if name != "load" or not negative.any():
         return values
-    # The XL330's recorder logs a signed 16-bit register unsigned: -1 arrives as 65535. Resampling
-    # that interpolates between 0 and 65535, which nothing can undo.
-    return None if (values[there] % 1).any() else np.where(negative, values - 2**16, values)
+    # The XL330's recorder logs a signed 16-bit register as unsigned: -1 is logged as 65535.
+    # Resampling interpolates between 0 and 65535, which cannot be undone.
+    return None if (values[present] % 1).any() else np.where(negative, values - 2**16, values)
 
 
 def _metadata(top: Fields) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A tree of bodies and hinges, as URDF and MJCF describe robots, made into a ``robot.toml``."""
+"""Conversion of a tree of bodies and hinges, as in URDF and MJCF, to a ``robot.toml``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Body:
 
     Attributes:
         name: Its name.
-        parent: Name of the body that it hangs on; empty for the base.
-        mass: kg; 0 where none is stated.
+        parent: Name of its parent body; empty for the base.
+        mass: Mass in kg; 0 if not stated.
         com: Centre of mass in m, shape (3,).
         inertia: About the centre of mass in kg m2, shape (3, 3).
     """
@@ -33,7 +33,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Hinge:
-    """A joint that turns ``body`` about ``axis`` through ``origin``, both of shape (3,)."""
+    """A joint of ``body`` with an ``axis`` through ``origin``, both of shape (3,)."""
 
     name: str
     body: str
@@ -46,7 +46,7 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot as another format has it; ``left_out`` says what of it has no place here."""
+    """A robot in another format; ``left_out`` lists parts that cannot be represented here."""
 
     file: str
     name: str
@@ -56,12 +56,12 @@ class Tree:
 
 
 def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, list[str]]:
-    """A robot file, and what it leaves out or what its owner must fill in.
+    """A robot file, and a list of parts that it omits or that have to be filled in.
 
-    Bodies between two joints become one link, as stiff as at angle 0; joints that are not chosen
-    are stiff too. A link's length is from its joint to the next one's axis, its inertia about an
-    axis through its centre of mass along that of its joint (the head: of its first joint). Joints
-    that branch get no links, as a robot here is a chain.
+    Bodies between two joints become one rigid link at angle 0; joints that are not chosen are rigid
+    as well. The length of a link is from its joint to the axis of the next, its inertia about an
+    axis through its centre of mass parallel to its joint (the head: to the first joint). Without a
+    chain of joints no links are written, as robots here are chains.
 
     Args:
         tree: The robot.
@@ -101,19 +101,19 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
 
 
 def _chosen(tree: Tree, joints: Sequence[str] | None) -> list[Hinge]:
-    known = {hinge.name: hinge for hinge in tree.hinges}
-    if not known:
+    hinges = {hinge.name: hinge for hinge in tree.hinges}
+    if not hinges:
         raise InputError(tree.file, "joints", "no hinge", "at least one joint that turns")
     if joints and len(set(joints)) != len(joints):
         raise InputError("--joints", "", ", ".join(joints), "each joint once")
     for name in joints or ():
-        if name not in known:
-            raise InputError(tree.file, "joints", f"no hinge {name}", f"one of {', '.join(known)}")
-    return [known[name] for name in joints or known]
+        if name not in hinges:
+            raise InputError(tree.file, "joints", f"no hinge {name}", f"one of {', '.join(hinges)}")
+    return [hinges[name] for name in joints or hinges]
 
 
 def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]] | None:
-    """The bodies of each link, from head to tail; None where the joints branch."""
+    """The bodies of each link, from head to tail; None if the joints branch."""
     number = {hinge.body: k + 1 for k, hinge in enumerate(chosen)}
 
     def link_of(body: str) -> int:

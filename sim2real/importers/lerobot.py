@@ -42,15 +42,15 @@ def read_lerobot(
     Args:
         path: The dataset's folder, with ``meta/info.json`` in it.
         conversion: Units of the angles, by joint.
-        episode: Its index; may be None where there is only one.
-        joints: The joints to read, all of them if None. Where the dataset does not name its
-            joints: names for all of them, in order. A ``.pos`` at the end of a name is left away.
+        episode: Its index; may be None if there is only one.
+        joints: The joints to read; default: all. If the dataset does not name its joints: names
+            for all of them, in order. A suffix ``.pos`` of a name is removed.
 
     Returns:
         A ``servo`` recording of T rows at the frames' times, from 0.
 
     Raises:
-        InputError: If the dataset, the episode or a joint is not as expected.
+        InputError: If the dataset, the episode or a joint is invalid.
     """
     root = Path(path)
     info = Fields(root / "meta" / "info.json", "", read_json(root / "meta" / "info.json"))
@@ -61,25 +61,29 @@ def read_lerobot(
     chosen = tuple(joints) if joints else tuple(n for n in names[STATE] if n in names[ACTION])
     if len(set(chosen)) != len(chosen):
         raise InputError("--joints", "", ", ".join(chosen), "each joint once")
-    for feature, known in names.items():
-        for joint in chosen or known[:1]:
-            if joint not in known or not chosen:
-                raise InputError(info.file, feature, f"no {joint}", f"one of {', '.join(known)}")
+    for feature, available in names.items():
+        for joint in chosen or available[:1]:
+            if joint not in available or not chosen:
+                raise InputError(
+                    info.file, feature, f"no {joint}", f"one of {', '.join(available)}"
+                )
     t = frames["timestamp"] - frames["timestamp"][0]
-    back = np.flatnonzero(~(np.diff(t) > 0))
-    if back.size:
-        found = f"{t[back[0] + 1]:g} after {t[back[0]]:g}"
-        raise InputError(file, f"timestamp, frame {back[0] + 1}", found, "times that increase")
+    decreasing = np.flatnonzero(~(np.diff(t) > 0))
+    if decreasing.size:
+        problem = f"{t[decreasing[0] + 1]:g} after {t[decreasing[0]]:g}"
+        raise InputError(
+            file, f"timestamp, frame {decreasing[0] + 1}", problem, "times that increase"
+        )
     angles = {
         feature: np.stack(
             [
                 conversion.radians(joint, _column(frames[feature], k, file, feature), file)
                 for joint in chosen
-                for k in [known.index(joint)]
+                for k in [available.index(joint)]
             ],
             axis=1,
         )
-        for feature, known in names.items()
+        for feature, available in names.items()
     }
     if not np.isfinite(angles[ACTION]).all():
         raise InputError(file, ACTION, "a missing value", "a set-point at every frame")
@@ -111,7 +115,7 @@ def _episode(info: Fields, episode: int | None) -> int:
 
 
 def _data_file(root: Path, info: Fields, episode: int) -> Path:
-    """The file that the episode stands in."""
+    """The file that contains the episode."""
     version = info.text("codebase_version")
     if version in ("v2.0", "v2.1"):
         chunk = episode // int(info.number("chunks_size", 1000, low=1))
@@ -127,7 +131,7 @@ def _data_file(root: Path, info: Fields, episode: int) -> Path:
 
 
 def _place(root: Path, episode: int) -> dict[str, int]:
-    """Where format 3 says that an episode is: numbers of the chunk and the file in it."""
+    """Chunk and file numbers of an episode in format 3."""
     columns = {"chunk_index": "data/chunk_index", "file_index": "data/file_index"}
     for file in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         table = _read(file, ["episode_index", *columns.values()])
@@ -140,11 +144,11 @@ def _place(root: Path, episode: int) -> dict[str, int]:
 
 def _frames(file: Path, episode: int) -> dict[str, Array]:
     table = _read(file, ["timestamp", "episode_index", STATE, ACTION])
-    mine = table.pop("episode_index") == episode
-    if mine.sum() < 2:
-        found = f"{mine.sum()} frames of episode {episode}"
-        raise InputError(file, "episode_index", found, "at least two")
-    return {name: values[mine].astype(np.float64) for name, values in table.items()}
+    selected = table.pop("episode_index") == episode
+    if selected.sum() < 2:
+        problem = f"{selected.sum()} frames of episode {episode}"
+        raise InputError(file, "episode_index", problem, "at least two")
+    return {name: values[selected].astype(np.float64) for name, values in table.items()}
 
 
 def _read(file: Path, columns: list[str]) -> dict[str, Any]:
@@ -158,10 +162,10 @@ def _read(file: Path, columns: list[str]) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(file, "", "no such file", "a Parquet file")
     try:
-        there = parquet.read_schema(file).names
+        names = parquet.read_schema(file).names
         for name in columns:
-            if name not in there:
-                expected = f"one of {', '.join(there)}"
+            if name not in names:
+                expected = f"one of {', '.join(names)}"
                 raise InputError(file, "columns", f"no {name}", expected)
         table = parquet.read_table(file, columns=columns)
     except (pyarrow.ArrowException, OSError) as error:
@@ -176,8 +180,8 @@ def _read(file: Path, columns: list[str]) -> dict[str, Any]:
     return read
 
 
-def _names(info: Fields, feature: str, given: Sequence[str] | None) -> list[str]:
-    """Joints of a feature: as the dataset names them, in a list or a table of one list."""
+def _names(info: Fields, feature: str, joint_names: Sequence[str] | None) -> list[str]:
+    """Names of the joints of a feature in the dataset, from a list or a table with one list."""
     fields = info.table("features").table(feature)
     names = fields.content.get("names")
     if isinstance(names, dict) and len(names) == 1:
@@ -188,14 +192,14 @@ def _names(info: Fields, feature: str, given: Sequence[str] | None) -> list[str]
         raise fields.error("shape", "the number of joints, in a list")
     if isinstance(names, list) and len(names) == length:
         return [str(name).removesuffix(".pos") for name in names]
-    if given is None or len(given) != length:
+    if joint_names is None or len(joint_names) != length:
         raise InputError(
             "--joints",
             "",
-            "none" if given is None else str(len(given)),
+            "none" if joint_names is None else str(len(joint_names)),
             f"{length} names, as {info.file} has none for {feature}",
         )
-    return list(given)
+    return list(joint_names)
 
 
 def _column(values: Array, k: int, file: Path, feature: str) -> Array:

@@ -1,4 +1,4 @@
-"""Loads of a log's joints, as the command line states them: ``--inertia`` and ``--pendulum``."""
+"""Loads of the joints of a log from the options ``--inertia`` and ``--pendulum``."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ _ROUNDING = 1e-6
 def with_loads(
     recording: Recording, inertia: Sequence[str] | None, pendulum: Sequence[str] | None
 ) -> Recording:
-    """The recording with loads stated by joint, in place of those that its log states.
+    """The recording with loads stated by joint, which replace those of its log.
 
     Args:
         recording: The recording.
-        inertia: ``J=KGM2``: everything that the output shaft turns in kg m2, pendulum included.
+        inertia: ``J=KGM2``: total inertia on the output shaft in kg m2, including the pendulum.
         pendulum: ``J=MASS_KG,LENGTH_M``: a point mass in kg that hangs straight down at angle 0,
-            and its distance from the shaft in m. Where no inertia is stated beside it the load is
-            this mass alone, ``mass length^2``.
+            and its distance from the shaft in m. Without a stated inertia the load is this mass
+            only, ``mass length^2``.
 
     Raises:
         InputError: If one of them is not of that form, names a joint that was not recorded, or an
-            inertia is less than its pendulum's.
+            inertia is less than that of its pendulum.
     """
-    whole = _by_joint("--inertia", inertia, recording.joints, 1, INERTIA)
+    totals = _by_joint("--inertia", inertia, recording.joints, 1, INERTIA)
     hanging = _by_joint("--pendulum", pendulum, recording.joints, 2, PENDULUM)
-    loads = {joint: Load(value) for joint, (value,) in whole.items()}
+    loads = {joint: Load(value) for joint, (value,) in totals.items()}
     for joint, (mass, length) in hanging.items():
-        own = mass * length**2
-        total = whole[joint][0] if joint in whole else own
-        if total < own * (1 - _ROUNDING):
-            found = f"{total:g} kg m2, less than the pendulum's {own:g}"
+        pendulum_inertia = mass * length**2
+        total = totals[joint][0] if joint in totals else pendulum_inertia
+        if total < pendulum_inertia * (1 - _ROUNDING):
+            problem = f"{total:g} kg m2, less than the pendulum's {pendulum_inertia:g}"
             raise InputError(
-                "--inertia", joint, found, "everything on the shaft, pendulum included"
+                "--inertia", joint, problem, "everything on the shaft, pendulum included"
             )
         loads[joint] = Load(total, mass, length)
     return replace(recording, loads={**recording.loads, **loads})
@@ -48,11 +48,11 @@ def with_loads(
 def _by_joint(
     option: str, texts: Sequence[str] | None, joints: Sequence[str], count: int, form: str
 ) -> dict[str, list[float]]:
-    """The numbers of each joint that an option states."""
+    """The numbers of each joint in an option."""
     values: dict[str, list[float]] = {}
     for text in texts or ():
-        joint, _, rest = text.rpartition("=")
-        numbers = _numbers(rest)
+        joint, _, value = text.rpartition("=")
+        numbers = _numbers(value)
         if joint not in joints or len(numbers) != count or joint in values:
             expected = f"{form}, once for a joint of {', '.join(joints)}"
             raise InputError(option, "", repr(text), expected)
@@ -61,7 +61,7 @@ def _by_joint(
 
 
 def _numbers(text: str) -> list[float]:
-    """Numbers above 0, separated by commas; none where one of them is not."""
+    """Positive numbers separated by commas; empty if one is invalid."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

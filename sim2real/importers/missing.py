@@ -1,4 +1,4 @@
-"""Every option that a log needs and was not given, in one message."""
+"""Check for options that a log needs, with all missing ones in one message."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def table_options(
     zero_count: float | None,
     calibration: str | os.PathLike[str] | None,
 ) -> list[str]:
-    """Options that a table lacks, each with what it should say; empty where it lacks none."""
+    """Missing options of a table, each with its expected value."""
     lacking = []
     if not columns:
         lacking.append(f"--columns {MAP}")
@@ -34,33 +34,33 @@ def angle_options(
     zero_count: float | None,
     calibration: str | os.PathLike[str] | None,
 ) -> list[str]:
-    """Options on the unit of the angles that a log lacks, each with what it should say."""
+    """Missing options on the unit of the angles, each with its expected value."""
     lacking = []
-    named = {text.rpartition("=")[2] for text in units or ()}
+    stated = {text.rpartition("=")[2] for text in units or ()}
     if not units:
         counted = [] if counts_per_turn else ["--counts-per-turn N"]
         counted += [] if zero_count is not None or calibration else ["--zero-count N"]
-        more = f" (for counts also {' '.join(counted)})" if counted else ""
-        lacking.append(f"--units {'|'.join(ANGLE_UNITS)}{more}")
-    if named & {"counts", *RANGES} and not counts_per_turn:
+        remark = f" (for counts also {' '.join(counted)})" if counted else ""
+        lacking.append(f"--units {'|'.join(ANGLE_UNITS)}{remark}")
+    if stated & {"counts", *RANGES} and not counts_per_turn:
         lacking.append("--counts-per-turn N (of a turn of the shaft)")
-    if "counts" in named and zero_count is None and calibration is None:
+    if "counts" in stated and zero_count is None and calibration is None:
         lacking.append("--zero-count N (the count at angle 0) or --calibration JSON")
-    if named & set(RANGES) and calibration is None:
+    if stated & set(RANGES) and calibration is None:
         lacking.append("--calibration JSON")
     return lacking
 
 
 def bag_options(command_topic: Sequence[str] | None) -> list[str]:
-    """Options that a bag lacks."""
+    """Missing options of a bag."""
     return [] if command_topic else ["--command-topic TOPIC (of the set-points)"]
 
 
 def ask_for(source: Path, lacking: Sequence[str]) -> None:
-    """Ask for all options that are missing, at once.
+    """Raise one error for all missing options.
 
     Raises:
-        InputError: If there are any.
+        InputError: If any option is missing.
     """
     if lacking:
         names = ", ".join(text.split(" ")[0] for text in lacking)

@@ -1,4 +1,4 @@
-"""Robots from MJCF, compiled by MuJoCo itself."""
+"""Robots from MJCF, compiled by MuJoCo."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read_mjcf(path: str | os.PathLike[str]) -> Tree:
     ``actuatorfrcrange``). MJCF has no speed of a servo.
 
     Args:
-        path: The file, its meshes and includes beside it.
+        path: The file, with its meshes and includes.
 
     Raises:
         InputError: If MuJoCo is not installed or does not compile the file.
@@ -46,9 +46,9 @@ def read_mjcf(path: str | os.PathLike[str]) -> Tree:
         frame = data.ximat[k].reshape(3, 3)
         inertia = frame @ np.diag(model.body_inertia[k]) @ frame.T
         parent = int(model.body_parentid[k])
-        above = names[parent] if parent else ""
-        mass, place = float(model.body_mass[k]), data.xipos[k].copy()
-        bodies[names[k]] = Body(names[k], above, mass, place, inertia)
+        parent_name = names[parent] if parent else ""
+        mass, position = float(model.body_mass[k]), data.xipos[k].copy()
+        bodies[names[k]] = Body(names[k], parent_name, mass, position, inertia)
     hinged = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if _turns(mj, model, j)}
     on_floor = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0]
     if len(on_floor) != 1 or on_floor[0] in hinged:  # then the floor is the base
@@ -83,7 +83,7 @@ def _turns(mj: Any, model: Any, joint: int) -> bool:  # noqa: ANN401 - MuJoCo's 
 
 
 def _torque(mj: Any, model: Any, joint: int) -> float | None:  # noqa: ANN401
-    """Largest torque that an actuator puts on a joint in N m, None if nothing limits it."""
+    """Torque limit of the actuator of a joint in N m, None if there is none."""
     for k in range(getattr(model, "nactuator", model.nu)):
         on_joint = model.actuator_trntype[k] == mj.mjtTrn.mjTRN_JOINT
         if on_joint and model.actuator_trnid[k, 0] == joint and model.actuator_forcelimited[k]:

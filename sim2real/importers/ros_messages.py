@@ -1,4 +1,4 @@
-"""Messages of a ROS 1 or ROS 2 bag, read through the rosbags package, and the values in them."""
+"""Messages of ROS 1 and ROS 2 bags, read with the package rosbags, and their values."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Message:
     """One message.
 
     Attributes:
-        receive_ns: When the bag's recorder received it.
-        header_ns: The stamp in its header; 0 where there is none.
-        type: Its ROS 2 type name, for ROS 1 too.
+        receive_ns: Time at which the recorder received it.
+        header_ns: The stamp in its header; 0 if there is none.
+        type: Its ROS 2 type name, also for ROS 1.
         content: Its fields.
     """
 
@@ -39,20 +39,20 @@ class Message:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints it names; none in the types that name none."""
+        """Names of its joints; empty for types without names."""
         if self.type == JOINT_STATE:
             return tuple(self.content.name)
         return tuple(self.content.joint_names) if self.type in (TRAJECTORY, CONTROLLER) else ()
 
 
 def read_messages(
-    path: str | os.PathLike[str], wanted: Mapping[str, tuple[str, ...]]
+    path: str | os.PathLike[str], allowed_types: Mapping[str, tuple[str, ...]]
 ) -> dict[str, list[Message]]:
-    """Messages of the wanted topics, in the order received.
+    """Messages of the given topics, in the order received.
 
     Args:
         path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        wanted: The message types allowed, by topic.
+        allowed_types: The allowed message types, by topic.
 
     Raises:
         InputError: If the bag can't be read or a topic is missing, empty or of another type.
@@ -65,21 +65,21 @@ def read_messages(
         raise InputError(path, "", "a ROS bag and nothing to read it with", expected) from None
     if not Path(path).exists():
         raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
-    messages: dict[str, list[Message]] = {topic: [] for topic in wanted}
+    messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
     try:
-        # Older ROS 2 bags don't carry the definitions of their messages.
+        # Older ROS 2 bags do not contain the definitions of their messages.
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            _check_topics(path, wanted, [(c.topic, c.msgtype) for c in bag.connections])
-            connections = [c for c in bag.connections if c.topic in wanted]
+            _check_topics(path, allowed_types, [(c.topic, c.msgtype) for c in bag.connections])
+            connections = [c for c in bag.connections if c.topic in allowed_types]
             for connection, receive_ns, raw in bag.messages(connections):
                 content: Any = bag.deserialize(raw, connection.msgtype)
                 message = Message(receive_ns, _header_ns(content), connection.msgtype, content)
                 messages[connection.topic].append(message)
     except InputError:
         raise
-    except Exception as error:  # a damaged bag fails in as many ways as there are storages
-        found = f"no bag that can be read ({error})"
-        raise InputError(path, "", found, "a ROS 1 or ROS 2 bag") from error
+    except Exception as error:  # errors of damaged bags depend on the storage
+        problem = f"no bag that can be read ({error})"
+        raise InputError(path, "", problem, "a ROS 1 or ROS 2 bag") from error
     for topic, received in messages.items():
         if not received:
             raise InputError(path, topic, "0 messages", "at least one")
@@ -87,12 +87,12 @@ def read_messages(
 
 
 def measured(message: Message, field: str) -> dict[str, float]:
-    """``field`` of a JointState by joint name; any field may be left empty.
+    """``field`` of a JointState by joint name; empty if the field is empty.
 
-    Of a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
+    For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
 
     Raises:
-        ValueError: If names and values do not match: what was found, what was expected.
+        ValueError: If names and values do not match; arguments: found, expected.
     """
     content, name = message.content, field
     if message.type == CONTROLLER:
@@ -103,12 +103,12 @@ def measured(message: Message, field: str) -> dict[str, float]:
 
 
 def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
-    """Set-points in rad by joint name; ``joints`` are those that an array or number is for.
+    """Set-points in rad by joint name; ``joints`` are the names for an array or a number.
 
-    Of a trajectory it is the point that lies ahead (``time_from_start`` above 0, or the only
-    point), sent when the trajectory starts: how the controller gets there counts as the servo's
-    doing. With several points ahead it is the controller that makes the set-points: they are in the
-    ``reference`` (``desired`` before ROS 2 Humble) of its own state.
+    For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
+    when the trajectory starts: interpolation by the controller is attributed to the servo. With
+    several future points the controller computes the set-points: they are in the ``reference``
+    (``desired`` before ROS 2 Humble) of its state.
 
     Raises:
         ValueError: If names and values do not match, or there are several points ahead.
@@ -118,8 +118,8 @@ def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
     if message.type == JOINT_STATE:
         return _by_name(message.joints, message.content.position, "position")
     if message.type == CONTROLLER:
-        wanted = _point(message.content, "reference", "desired")
-        return _by_name(message.joints, wanted.positions, "positions")
+        reference = _point(message.content, "reference", "desired")
+        return _by_name(message.joints, reference.positions, "positions")
     points = message.content.points
     ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
     chosen = ahead or points
@@ -130,21 +130,23 @@ def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
 
 
 def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
-    """A point of a controller's state by its name now, or its name before if that is empty."""
+    """A point of a controller's state by its present or, if empty, its former name."""
     point = getattr(content, name, None)
     return point if point is not None and len(point.positions) else getattr(content, before, point)
 
 
 def _check_topics(
     path: str | os.PathLike[str],
-    wanted: Mapping[str, tuple[str, ...]],
+    allowed_types: Mapping[str, tuple[str, ...]],
     recorded: list[tuple[str, str]],
 ) -> None:
-    there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(set(recorded))) or "none"
-    for topic, allowed in wanted.items():
+    recorded_topics = (
+        ", ".join(f"{topic} ({kind})" for topic, kind in sorted(set(recorded))) or "none"
+    )
+    for topic, allowed in allowed_types.items():
         kinds = {kind for name, kind in recorded if name == topic}
         if not kinds:
-            raise InputError(path, topic, "no such topic in the bag", f"one of: {there}")
+            raise InputError(path, topic, "no such topic in the bag", f"one of: {recorded_topics}")
         if not kinds <= set(allowed):
             raise InputError(path, topic, ", ".join(sorted(kinds)), " or ".join(allowed))
 

@@ -1,4 +1,4 @@
-"""Series of each joint out of ROS messages: what was measured, what was commanded, and when."""
+"""Time series of each joint from ROS messages: measurements and commands."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def command_topics(
     command_topic: str | Sequence[str] | Mapping[str, str],
     joints: Sequence[str] | None,
 ) -> dict[str, tuple[str, ...]]:
-    """Topics of the set-points, each with the joints it is for; without any if it is for all.
+    """Topics of the set-points, each with its joints; empty for a topic of all joints.
 
     Raises:
-        InputError: If there are several topics and not one for each joint.
+        InputError: If there are several topics but not one for each joint.
     """
     if isinstance(command_topic, Mapping):
         joints = tuple(joints or command_topic)
@@ -47,20 +47,22 @@ def joint_names(
     bag: Mapping[str, Stream],
     state_topic: str,
 ) -> tuple[str, ...]:
-    """The joints asked for, else those with a topic, else those that the first command names.
+    """The requested joints, else those with a topic, else those named in the first command.
 
     Raises:
         InputError: If the first command names none and the first state names several, or if a
-            name stands twice.
+            name is repeated.
     """
     first, state = bag[next(iter(topics))], bag[state_topic]
-    names = tuple(joints or [joint for own in topics.values() for joint in own])
+    names = tuple(joints or [joint for topic_joints in topics.values() for joint in topic_joints])
     names = names or first.messages[0].joints
-    seen = state.messages[0].joints
-    if not names and len(seen) == 1:
-        return seen
+    state_joints = state.messages[0].joints
+    if not names and len(state_joints) == 1:
+        return state_joints
     if not names:
-        expected = f"names in the order of the set-points on {first.topic}, of {', '.join(seen)}"
+        expected = (
+            f"names in the order of the set-points on {first.topic}, of {', '.join(state_joints)}"
+        )
         raise InputError(first.file, "joints", "none named", expected)
     if len(set(names)) != len(names):
         raise InputError(first.file, "joints", ", ".join(names), "each name once")
@@ -70,20 +72,20 @@ def joint_names(
 Times = NDArray[np.int64]
 Series = tuple[Times, Array]  # times in ns, not decreasing, and values without NaN: (N,) and (N,)
 
-LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of one clock
-LARGEST_DISORDER_NS = 10**9  # of stamps, if nobody has set the clock back
+LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of the same clock
+LARGEST_DISORDER_NS = 10**9  # of stamps of a clock that was not set back
 
 
 @dataclass(frozen=True)
 class Stream:
-    """The N messages of one topic, and when they were sampled or sent.
+    """The N messages of one topic, with the times of sampling or sending.
 
     Attributes:
         file: The bag.
         topic: The topic.
         messages: The messages.
         t: Their times in ns, shape (N,).
-        clock: What those times are, in words.
+        clock: Kind of the times.
     """
 
     file: str | os.PathLike[str]
@@ -98,9 +100,9 @@ def streams(
 ) -> dict[str, Stream]:
     """The messages of each topic with their times.
 
-    Header stamps where every message of a topic has one, receive times on the other topics. If
-    those two lie further apart than a message takes on its way, they are of different clocks
-    (simulated time, or another computer's): then it is receive times on all topics.
+    Header stamps if every message of a topic has one, else receive times. If both differ by more
+    than the transmission time of a message, they are of different clocks (simulated time, or
+    another computer), and receive times are used for all topics.
 
     Raises:
         InputError: If a clock was set back.
@@ -108,15 +110,15 @@ def streams(
     receive = {topic: _ns([m.receive_ns for m in sent]) for topic, sent in messages.items()}
     header = {topic: _ns([m.header_ns for m in sent]) for topic, sent in messages.items()}
     stamped = {topic for topic in messages if header[topic].all()}
-    apart = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
-    if stamped != set(messages) and max(apart, default=0) > LARGEST_DELAY_NS:
+    delays = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
+    if stamped != set(messages) and max(delays, default=0) > LARGEST_DELAY_NS:
         stamped = set()
     result = {}
     for topic, sent in messages.items():
         t, clock = receive[topic], "receive time"
         if topic in stamped:
             t, clock = header[topic], "header stamp"
-        result[topic] = Stream(file, topic, sent, _running(file, topic, t), clock)
+        result[topic] = Stream(file, topic, sent, _checked_clock(file, topic, t), clock)
     return result
 
 
@@ -126,16 +128,16 @@ def joint_series(
     values: Callable[[Message], Mapping[str, float]],
     limit: float = sys.float_info.max,
 ) -> dict[str, Series]:
-    """Series of the joints that a stream has; NaN, which drivers send for no value, is left out.
+    """Series of the joints of a stream; NaN, which drivers send for missing values, is omitted.
 
     Args:
         stream: Messages and times.
-        joints: The joints to look for.
+        joints: The joints.
         values: Reads the values by joint name out of one message.
         limit: Largest size of a value.
 
     Raises:
-        InputError: If a message does not fit together or a value exceeds the limit.
+        InputError: If a message is inconsistent or a value exceeds the limit.
     """
     pairs: dict[str, list[tuple[int, float]]] = {joint: [] for joint in joints}
     for k, (t, message) in enumerate(zip(stream.t.tolist(), stream.messages, strict=True)):
@@ -157,25 +159,29 @@ def joint_series(
 def angle_series(
     stream: Stream, joints: Sequence[str], angles: Callable[[Message], Mapping[str, float]]
 ) -> dict[str, Series]:
-    """`joint_series` of angles in rad, which every one of the joints must have.
+    """`joint_series` of angles in rad, required for every joint.
 
     Raises:
         InputError: If a joint has none, or see `joint_series`.
     """
-    found = joint_series(stream, joints, angles, LARGEST_ANGLE_RAD)
+    series = joint_series(stream, joints, angles, LARGEST_ANGLE_RAD)
     for joint in joints:
-        if joint not in found:
-            named = sorted({name for message in stream.messages for name in message.joints})
-            expected = f"one of {', '.join(named)}" if named else "one"
+        if joint not in series:
+            available = sorted({name for message in stream.messages for name in message.joints})
+            expected = f"one of {', '.join(available)}" if available else "one"
             raise InputError(stream.file, stream.topic, f"no angle of joint {joint}", expected)
-    return found
+    return series
 
 
-def _running(file: str | os.PathLike[str], topic: str, t: Times) -> Times:
-    back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
-    if back.size:
-        found = f"a time {(t[back[0]] - t[back[0] + 1]) / 1e9:g} s before the previous one"
-        raise InputError(file, f"{topic}, message {back[0] + 1}", found, "a clock never set back")
+def _checked_clock(file: str | os.PathLike[str], topic: str, t: Times) -> Times:
+    decreasing = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
+    if decreasing.size:
+        problem = (
+            f"a time {(t[decreasing[0]] - t[decreasing[0] + 1]) / 1e9:g} s before the previous one"
+        )
+        raise InputError(
+            file, f"{topic}, message {decreasing[0] + 1}", problem, "a clock never set back"
+        )
     return t
 
 

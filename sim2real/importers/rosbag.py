@@ -31,8 +31,9 @@ from sim2real.recording import Array, Recording
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
 SOURCE = (
-    "ROS bag; licence not stated in it. Set-points stand at the times they were sent, in rows of "
-    "their own without measured values. The column load is the driver's effort. Loads are unknown."
+    "ROS bag; licence not stated in it. Set-points are at the times at which they were sent, in "
+    "separate rows without measured values. The column load is the driver's effort. Loads are "
+    "unknown."
 )
 
 
@@ -45,14 +46,14 @@ def read_bag(
 ) -> Recording:
     """Read the joint states and commands of a bag as a recording with unknown loads.
 
-    There is a row at each state and at each command, so that a set-point stands at the time it
-    was sent. A row where only a command was sent has no measured values; every row has the last
-    set-point sent to each joint. The first row is where the last joint gets its first set-point:
-    the states before it have no command and are left out, and counted in the metadata. The last
-    row is the last state. A joint that a state doesn't name is a missing sample.
+    There is a row for each state and each command, so that a set-point has the time at which it
+    was sent. A row with only a command has no measured values; every row has the last set-point of
+    each joint. The first row is that in which the last joint gets its first set-point: earlier
+    states have no command and are omitted, and counted in the metadata. The last row is the last
+    state. Joints that a state does not name are missing samples.
 
-    `ros_series.streams` says which times count, `ros_messages.set_points` what the set-point of a
-    trajectory is.
+    See `ros_series.streams` for the times, and `ros_messages.set_points` for the set-point of a
+    trajectory.
 
     Args:
         path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
@@ -62,31 +63,31 @@ def read_bag(
             ``JointTrajectoryControllerState`` (its reference) or ``Float64MultiArray`` messages
             (an array is in the order of ``joints``); or a topic for each joint, of ``Float64``
             for example, in the order of ``joints`` or by joint name.
-        joints: The J joints to read. Without them it is those that the first command names.
+        joints: The J joints to read; default: those named in the first command.
 
     Returns:
         A ``servo`` recording of T rows, ``t`` from 0.
 
     Raises:
-        InputError: If the bag, a topic, a message or a joint is not as expected.
+        InputError: If the bag, a topic, a message or a joint is invalid.
     """
     topics = command_topics(path, command_topic, joints)
     if state_topic in topics:
         raise InputError(path, state_topic, "one topic for states and commands", "two topics")
-    wanted = dict.fromkeys(topics, COMMAND_TYPES) | {state_topic: STATE_TYPES}
-    bag = streams(path, read_messages(path, wanted))
+    allowed_types = dict.fromkeys(topics, COMMAND_TYPES) | {state_topic: STATE_TYPES}
+    bag = streams(path, read_messages(path, allowed_types))
     names = joint_names(joints, topics, bag, state_topic)
     state = bag[state_topic]
     position = angle_series(state, names, partial(measured, field="position"))
     command: dict[str, Series] = {}
-    for topic, own in topics.items():
-        mine = own or names
-        command |= angle_series(bag[topic], mine, partial(set_points, joints=mine))
+    for topic, topic_joints in topics.items():
+        topic_names = topic_joints or names
+        command |= angle_series(bag[topic], topic_names, partial(set_points, joints=topic_names))
     rows = _rows(state, position, command)
     columns = {}
     for field, column in OPTIONAL.items():
         for name, read in joint_series(state, names, partial(measured, field=field)).items():
-            if read[1].any():  # drivers fill with 0 what they don't measure
+            if read[1].any():  # drivers write 0 for quantities that they do not measure
                 columns[f"{name}.{column}"] = _sampled(rows, read)
     return Recording(
         name=Path(path).stem,
@@ -117,8 +118,8 @@ def _rows(state: Stream, position: Mapping[str, Series], command: Mapping[str, S
             raise InputError(state.file, state.topic, found, "states while commands are sent")
     stop = max(t[-1] for t, _ in position.values())
     rows: Times = np.unique(np.concatenate([t for t, _ in (*position.values(), *command.values())]))
-    kept: Times = rows[(rows >= start) & (rows <= stop)]
-    return kept
+    selected: Times = rows[(rows >= start) & (rows <= stop)]
+    return selected
 
 
 def _held(rows: Times, read: Series) -> Array:
@@ -128,9 +129,9 @@ def _held(rows: Times, read: Series) -> Array:
 
 
 def _sampled(rows: Times, read: Series) -> Array:
-    """The values at the rows that have one and NaN elsewhere, shape (T,)."""
+    """The values at their rows and NaN elsewhere, shape (T,)."""
     t, values = read
-    there = np.isin(t, rows)
+    present = np.isin(t, rows)
     sampled = np.full(rows.size, np.nan)
-    sampled[np.searchsorted(rows, t[there])] = values[there]
+    sampled[np.searchsorted(rows, t[present])] = values[present]
     return sampled

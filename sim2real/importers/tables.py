@@ -1,4 +1,4 @@
-"""Logs that are tables, read by a map of their columns.
+"""Import of tables with a map of their columns.
 
 CSV as Dynamixel and Feetech tools write it, and ``.npz`` archives of arrays by the names of
 MuJoCo's ``mjData`` (``time``, ``qpos``, ``ctrl``).
@@ -26,30 +26,30 @@ MAP = "t=COLUMN J.command=COLUMN J.position=COLUMN ..."
 
 
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
-    """What ``--columns t=COLUMN J.command=COLUMN ...`` says: the log's column for each of ours.
+    """Parse ``--columns t=COLUMN J.command=COLUMN ...``: names of the log's columns.
 
     Raises:
         InputError: If there is none for the time, or a joint lacks its command or position.
     """
-    found: dict[str, str] = {}
+    columns: dict[str, str] = {}
     for pair in pairs or ():
         ours, equals, theirs = pair.partition("=")
-        if not equals or not theirs or ours in found:
+        if not equals or not theirs or ours in columns:
             raise InputError("--columns", "", repr(pair), f"{MAP}, each once")
         quantity = ours.rpartition(".")[2]
-        known = ours in ("t", "supply_V") or ("." in ours and quantity in (*ANGLES, *OTHERS))
-        if not known:
+        valid = ours in ("t", "supply_V") or ("." in ours and quantity in (*ANGLES, *OTHERS))
+        if not valid:
             expected = f"t, supply_V or J. and one of {', '.join((*ANGLES, *OTHERS))}"
             raise InputError("--columns", "", repr(ours), expected)
-        found[ours] = theirs
-    joints = _joints(found)
+        columns[ours] = theirs
+    joints = _joints(columns)
     lacking = [
-        name for name in ["t", *(f"{j}.{q}" for j in joints for q in ANGLES)] if name not in found
+        name for name in ["t", *(f"{j}.{q}" for j in joints for q in ANGLES)] if name not in columns
     ]
     if lacking or not joints:
         missing = lacking[0] if lacking else "a joint"
         raise InputError("--columns", "", f"nothing for {missing}", MAP)
-    return found
+    return columns
 
 
 def read_table(
@@ -62,18 +62,18 @@ def read_table(
     """Read a CSV or an ``.npz`` as a recording with unknown loads.
 
     An array of several columns is indexed: ``qpos[2]``. Rows before every joint has its first
-    set-point are left out; a set-point that is missing later stays the last one, as it does in a
-    servo. ``t`` starts at 0.
+    set-point are omitted; a set-point that is missing later is the previous one, as in a servo.
+    ``t`` starts at 0.
 
     Args:
         path: The log.
-        columns: Its column for each of ours, as `column_map` gives them. Other than angles and
-            times, columns are in the unit that their name says.
+        columns: Names of its columns, see `column_map`. Except for angles and times, columns have
+            the units in their names.
         conversion: Units of the angles.
         time_unit: ``s``, ``ms``, ``us`` or ``ns``.
 
     Raises:
-        InputError: If a column is missing or not as expected, or a unit is not stated.
+        InputError: If a column is missing or invalid, or a unit is not stated.
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
@@ -82,12 +82,12 @@ def read_table(
     read = _npz if file.suffix == ".npz" else _csv
     table = read(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
-    back = np.flatnonzero(~(np.diff(t) > 0))
-    if back.size:
-        found = f"{t[back[0] + 1]:g} s after {t[back[0]]:g} s"
-        raise InputError(file, f"row {back[0] + 2} of the data", found, "times that increase")
+    decreasing = np.flatnonzero(~(np.diff(t) > 0))
+    if decreasing.size:
+        found = f"{t[decreasing[0] + 1]:g} s after {t[decreasing[0]]:g} s"
+        raise InputError(file, f"row {decreasing[0] + 2} of the data", found, "times that increase")
     joints = _joints(columns)
-    sent, seen = (
+    sent, measured = (
         np.stack([conversion.radians(j, table[f"{j}.{q}"], file) for j in joints], axis=1)
         for q in ANGLES
     )
@@ -96,17 +96,19 @@ def read_table(
     if started.sum() < 2:
         raise InputError(file, "commands", f"{started.sum()} rows with set-points", "two or more")
     first = int(np.flatnonzero(started)[0])
-    rest = {name: table[name][first:] for name in columns if name.rpartition(".")[2] not in ANGLES}
-    rest.pop("t")
+    others = {
+        name: table[name][first:] for name in columns if name.rpartition(".")[2] not in ANGLES
+    }
+    others.pop("t")
     return Recording(
         name=file.stem,
         kind="servo",
         joints=joints,
         t=t[first:] - t[first],
         command=sent[first:],
-        position=seen[first:],
+        position=measured[first:],
         source="A log; licence not stated in it.",
-        columns=rest,
+        columns=others,
         metadata={
             "original_file": file.name,
             "rows_before_first_command": first,
@@ -127,15 +129,15 @@ def _csv(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(file, "", f"no table ({reason})", "comma-separated rows") from None
-    if not isinstance(table.index, pd.RangeIndex):  # pandas takes cells too many for row names
+    if not isinstance(table.index, pd.RangeIndex):  # pandas reads surplus cells as row names
         raise InputError(file, "row 1 of the data", "more cells than columns", "as many")
     if len(table) < 2:
         raise InputError(file, "", f"{len(table)} rows", "a header and at least two rows")
     read = {}
     for ours, theirs in columns.items():
         if theirs not in table:
-            known = ", ".join(str(name) for name in table.columns[:20])
-            raise InputError(file, "header", f"no column {theirs}", f"one of {known}")
+            available = ", ".join(str(name) for name in table.columns[:20])
+            raise InputError(file, "header", f"no column {theirs}", f"one of {available}")
         values = pd.to_numeric(table[theirs], errors="coerce").to_numpy(np.float64, copy=True)
         wrong = np.flatnonzero((np.isnan(values) & table[theirs].notna()) | np.isinf(values))
         if wrong.size:
@@ -164,7 +166,7 @@ def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
 
 
 def _array(file: Path, arrays: Mapping[str, Array], place: str) -> Array:
-    """The column of an array that ``NAME`` or ``NAME[K]`` means."""
+    """The column of an array ``NAME`` or ``NAME[K]``."""
     parts = re.fullmatch(r"(.*?)(?:\[(\d+)\])?", place)
     name, index = (parts[1], parts[2]) if parts else (place, None)
     if name not in arrays:

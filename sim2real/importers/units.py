@@ -1,4 +1,4 @@
-"""Units of logged angles: always stated by the caller, never guessed."""
+"""Units of logged angles, which the caller has to state."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SECONDS_PER = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 @dataclass(frozen=True)
 class Conversion:
-    """How the angles of a log become radians.
+    """Conversion of the angles of a log to radians.
 
     Attributes:
-        units: Unit of each joint by name, and of the joints without one under ``""``.
-        counts_per_turn: Steps of the encoder in a turn of the output shaft, for ``counts`` and the
+        units: Unit of each joint by name, and of all other joints under ``""``.
+        counts_per_turn: Encoder counts per turn of the output shaft, for ``counts`` and the
             calibrated ranges.
-        zero_count: The count that is angle 0; the middle of the calibrated range where None.
+        zero_count: The count at angle 0; default: the middle of the calibrated range.
         calibration: A LeRobot calibration file: for each joint ``range_min`` and ``range_max`` in
             counts.
     """
@@ -42,11 +42,11 @@ class Conversion:
         """Angles of a joint in rad, of the shape of ``values``.
 
         A calibrated range (LeRobot's ``RANGE_M100_100`` and ``RANGE_0_100``) spans from
-        ``range_min`` to ``range_max``, its middle is angle 0, as LeRobot's own degrees have it,
-        and its sense is that of the log.
+        ``range_min`` to ``range_max``, its middle is angle 0, as with LeRobot's degrees, and its
+        direction is that of the log.
 
         Raises:
-            InputError: If the unit or what it needs was not stated, or an angle is too large.
+            InputError: If the unit or a value that it needs is missing, or an angle is too large.
         """
         unit = self.units.get(joint, self.units.get(""))
         if unit is None:
@@ -57,8 +57,8 @@ class Conversion:
         angles = values * RADIANS_PER.get(unit, 1.0)
         if unit in RANGES:
             low, high = RANGES[unit]
-            first, last = self._span(joint)
-            counts = (values - (low + high) / 2) / (high - low) * (last - first)
+            lowest, highest = self._span(joint)
+            counts = (values - (low + high) / 2) / (high - low) * (highest - lowest)
             angles = counts * self._per_count(unit)
         elif unit == "counts":
             angles = (values - self._zero(joint)) * self._per_count(unit)
@@ -100,20 +100,20 @@ def conversion(
     zero_count: float | None = None,
     calibration: str | os.PathLike[str] | None = None,
 ) -> Conversion:
-    """The conversion that ``--units UNIT`` and ``--units UNIT JOINT=UNIT ...`` ask for.
+    """The conversion for ``--units UNIT`` or ``--units UNIT JOINT=UNIT ...``.
 
     Raises:
-        InputError: If no unit is stated, or one is not known.
+        InputError: If no unit is stated, or a unit is unknown.
     """
     if not units:
         expected = f"the unit of the angles: {', '.join(ANGLE_UNITS)}"
         raise InputError("--units", "", "nothing", expected)
-    named = {}
+    by_joint = {}
     for text in units:
         joint, _, unit = text.rpartition("=")
         if unit not in ANGLE_UNITS:
             raise InputError("--units", "", repr(text), f"one of {', '.join(ANGLE_UNITS)}")
-        if joint in named:
+        if joint in by_joint:
             raise InputError("--units", "", f"two for {joint or 'all joints'}", "one")
-        named[joint] = unit
-    return Conversion(named, counts_per_turn, zero_count, calibration)
+        by_joint[joint] = unit
+    return Conversion(by_joint, counts_per_turn, zero_count, calibration)

@@ -15,7 +15,7 @@ from sim2real.recording import Array
 from sim2real.structured import read_text, shown
 
 TURNS = ("revolute", "continuous")
-Frame = tuple[Array, Array]  # where the origin is, (3,), and how it is turned, (3, 3)
+Frame = tuple[Array, Array]  # position of the origin, (3,), and rotation, (3, 3)
 
 
 def read_urdf(path: str | os.PathLike[str]) -> Tree:
@@ -25,7 +25,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
         path: The file; xacro must have been run on it.
 
     Raises:
-        InputError: If it is no URDF, or its links are no tree.
+        InputError: If it is no URDF, or its links do not form a tree.
     """
     file = Path(path)
     root = _root(file)
@@ -85,8 +85,8 @@ def _frames(file: Path, links: dict[str, Element], above: dict[str, Element]) ->
         name, (place, turned) = waiting.pop()
         frames[name] = place, turned
         for child in reversed(below[name]):
-            at, rotation = _origin(file, above[child])
-            waiting.append((child, (place + turned @ at, turned @ rotation)))
+            offset, rotation = _origin(file, above[child])
+            waiting.append((child, (place + turned @ offset, turned @ rotation)))
     if len(frames) != len(links):
         raise InputError(file, "joint", "links in a ring", "a tree")
     return frames
@@ -97,22 +97,22 @@ def _body(file: Path, link: Element, parent: str, place: Array, turned: Array) -
     name = _name(file, link)
     if inertial is None:
         return Body(name, parent, 0.0, place, np.zeros((3, 3)))
-    at, rotation = _origin(file, inertial)
+    offset, rotation = _origin(file, inertial)
     mass = _number(file, inertial.find("mass"), "value", f"link {name}, mass")
     moments = inertial.find("inertia")
     xx, yy, zz, xy, xz, yz = (
         _number(file, moments, term, f"link {name}, inertia", 0.0)
         for term in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
-    own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     frame = turned @ rotation
-    return Body(name, parent, mass, place + turned @ at, frame @ own @ frame.T)
+    return Body(name, parent, mass, place + turned @ offset, frame @ tensor @ frame.T)
 
 
 def _hinge(file: Path, joint: Element, body: str, place: Array, turned: Array) -> Hinge:
     name = _name(file, joint)
-    given = joint.find("axis")
-    axis = np.array([1.0, 0.0, 0.0]) if given is None else _vector(file, given, "xyz", name)
+    element = joint.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if element is None else _vector(file, element, "xyz", name)
     size = float(np.linalg.norm(axis))
     if size < 1e-9:
         raise InputError(file, f"joint {name}, axis", "a vector of no length", "a direction")

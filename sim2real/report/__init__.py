@@ -1,6 +1,6 @@
-"""What a person looks at: the table on the terminal, the figures and the page.
+"""Tables for the terminal, figures and HTML pages.
 
-Importing this package loads neither Matplotlib nor Jinja; a figure or a page does.
+Matplotlib and Jinja are imported only when a figure or page is made.
 """
 
 from sim2real.report.diagnosis import diagnosis_section

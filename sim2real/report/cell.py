@@ -1,4 +1,4 @@
-"""The text of a page and of a table's cells: what is a number, and where a line may break."""
+"""Text of pages and table cells: detection of numbers, line breaks."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
 _DASHES = ("", "-", "–", "−")
 _LONG_NAME = 10
-"""Letters of a name beyond which it may break after ``_``, ``/`` and ``.``; units are shorter."""
+"""Length of a name from which it may break after ``_``, ``/`` and ``.``; units are shorter."""
 _LONG_WORD = 24
-"""Letters of a word, such as a digest, beyond which it may break anywhere."""
+"""Length of a word, such as a digest, from which it may break anywhere."""
 _PIECE = 12
 _GAP_LETTERS = 1
 _LEGIBLE_LETTERS = 12
-"""Letters a line that a column of words needs to be read with ease."""
+"""Minimum width of a column of words, in letters."""
 
 
 def is_number(cell: str, *, alone: bool = False) -> bool:
-    """Whether a cell holds a number: ``2.1 N m``, ``−3 %`` and ``0.7° per N m``, not ``2D-1 drag``.
+    """Whether a cell is a number: ``2.1 N m``, ``−3 %`` and ``0.7° per N m``, not ``2D-1 drag``.
 
     Args:
         cell: Its text; only the first line counts.
         alone: Whether words after the number make it text.
     """
-    first = cell.partition("\n")[0].strip()
-    found = _NUMBER.match(first)
-    return first in _DASHES or (found is not None and not (alone and found.end() < len(first)))
+    line = cell.partition("\n")[0].strip()
+    match = _NUMBER.match(line)
+    return line in _DASHES or (match is not None and not (alone and match.end() < len(line)))
 
 
 def letters(title: str, cells: Sequence[str], *, numeric: bool) -> int:
-    """How many letters a column of a table needs side by side with others, and the gap before it.
+    """Width of a table's column in letters, with the gap before it.
 
     Args:
         title: The column's title.
@@ -50,12 +50,12 @@ def letters(title: str, cells: Sequence[str], *, numeric: bool) -> int:
 
 
 def prose(text: str) -> str:
-    """``text`` with every percent sign kept on the line of its number."""
+    """``text`` with no-break spaces between numbers and percent signs."""
     return re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", text)
 
 
 def breakable(text: str) -> Markup:
-    """``text`` as HTML in which long names may break at their joints, and digests anywhere."""
+    """``text`` as HTML in which long names may break between parts, and digests anywhere."""
     with report_libraries():
         from markupsafe import Markup, escape
     words = [

@@ -1,4 +1,4 @@
-"""The posterior of one servo: every parameter, and every two of them against each other."""
+"""Corner plot of the posterior of one servo: marginal and pairwise distributions."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _SHARES = (0.95, 0.8, 0.5)
 _INSIDE = ("#e9d9d4", "#d99a89", ACCENT)
 
 
-def corner_figure(found: ServoPosterior, joint: str) -> Figure:
-    """Draw histograms on the diagonal and, below it, regions that hold 50, 80 and 95 %.
+def corner_figure(posterior: ServoPosterior, joint: str) -> Figure:
+    """Plot histograms on the diagonal and, below it, regions that contain 50, 80 and 95 %.
 
     Args:
-        found: The posterior.
-        joint: The joint's name, for who cannot see the figure.
+        posterior: The posterior.
+        joint: Name of the joint, for screen readers.
     """
-    F = len(found.names)
-    scale = np.array([1e3 if prior.unit == "s" else 1.0 for prior in found.priors.each])
-    values = found.values[:: max(1, found.values.shape[0] // _DRAWN)] * scale
+    F = len(posterior.names)
+    scale = np.array([1e3 if prior.unit == "s" else 1.0 for prior in posterior.priors.each])
+    values = posterior.values[:: max(1, posterior.values.shape[0] // _DRAWN)] * scale
     ends = np.quantile(values, [0.001, 0.999], axis=0)
-    labels = [_label(p.name, "ms" if p.unit == "s" else p.unit) for p in found.priors.each]
+    labels = [_label(p.name, "ms" if p.unit == "s" else p.unit) for p in posterior.priors.each]
     with house_style():
         figure = new_figure(140 + 120 * F, printable(f"posterior of {joint}"))
         grid = figure.subplots(F, F, squeeze=False)
@@ -67,13 +67,13 @@ def _histogram(axes: Axes, values: Array, ends: Array) -> None:
 
 
 def _regions(axes: Axes, values: Array, ends: Array) -> None:
-    """Fill the smallest regions that hold each share of the draws."""
-    within = (ends[:, 0], ends[:, 1])
-    counts, x, y = np.histogram2d(values[:, 0], values[:, 1], bins=_GRID, range=within)
+    """Fill the smallest regions that contain each share of the draws."""
+    limits = (ends[:, 0], ends[:, 1])
+    counts, x, y = np.histogram2d(values[:, 0], values[:, 1], bins=_GRID, range=limits)
     smooth = _smoothed(counts)
     order = np.sort(smooth.ravel())[::-1]
-    held = np.cumsum(order) / order.sum()
-    levels = np.unique([order[np.searchsorted(held, share)] for share in _SHARES])
+    cumulative = np.cumsum(order) / order.sum()
+    levels = np.unique([order[np.searchsorted(cumulative, share)] for share in _SHARES])
     middles = [(edges[1:] + edges[:-1]) / 2 for edges in (x, y)]
     colours = _INSIDE[-levels.size :]
     axes.contourf(*middles, smooth.T, levels=[*levels, order[0] + 1], colors=colours)
@@ -82,7 +82,7 @@ def _regions(axes: Axes, values: Array, ends: Array) -> None:
 
 
 def _smoothed(counts: Array) -> Array:
-    """Counts averaged with their neighbours, weights 1 2 1, twice."""
+    """Counts smoothed twice with weights 1, 2, 1."""
     for _ in range(2):
         for axis in (0, 1):
             before = np.roll(counts, 1, axis)

@@ -1,4 +1,4 @@
-"""The diagnosis part of a report: what the simulated servo lacks, where, and what to do next."""
+"""Diagnosis section of a report: missing effects, where the model differs, next experiment."""
 
 from __future__ import annotations
 
@@ -45,41 +45,41 @@ _STATES = {
     "speed": "speed",
     "error": "distance from the command",
     "time": "time since the start",
-    "sensor": "position, by way of the angle sensor",
+    "sensor": "position, through the angle sensor",
     "other_joint": "motion of another joint",
-    "shaking": "shaking at one frequency",
+    "shaking": "vibration at one frequency",
     "jump": "a change at one instant",
 }
 _DRAWN_AGAINST = {"sensor": "position", "other_joint": "time", "shaking": "time", "jump": "time"}
 _STRIPS = 5
 _RESIDUAL = (
-    "What the simulation of {joint} misses, over time: measured minus simulated angle{which}. "
-    "Noise alone mostly stays between the dashed lines (±\u00a02 standard deviations){shade}."
+    "Residual of {joint} over time: measured minus simulated angle{which}. "
+    "Dashed lines: ±\u00a02 standard deviations of the noise{shade}."
 )
 _TORQUE = (
-    "The torque that the plain servo of {joint} lacks, moment by moment, at the speed and position "
-    "of that moment. A pattern is physics; a shapeless cloud inside the grey band is noise. The "
-    "rarest half percent may lie outside."
+    "Torque missing from the plain servo of {joint}, against speed and position. A pattern "
+    "indicates missing physics; an unstructured cloud within the grey band is noise. The axes may "
+    "cut off the outermost half percent."
 )
 _DEPENDENCE = (
-    "How much of what {joint} lacks each of these explains by itself. Shares overlap, as a joint "
-    "in motion changes several of them together."
+    "Share of the missing torque of {joint} that each state explains by itself. Shares overlap, as "
+    "the states are correlated."
 )
 _MEAN = (
-    "Mean of the torque that the plain servo of {joint} lacks, with two standard errors, over the "
-    "state that it depends on most of those that can be drawn. The grey band is what noise does to "
-    "a single moment."
+    "Mean of the torque missing from the plain servo of {joint}, with two standard errors, against "
+    "the state that it depends on most among those that can be plotted. Grey band: noise of a "
+    "single sample."
 )
 _LIMITS = (
-    "How weak an effect could at best be and still be noticed; to be sure, take several times "
-    "this. A limit on torque, speed or acceleration is the stronger the lower it is: one below the "
-    "number would have been noticed. A dash: these recordings can't show it at any strength tried."
+    "Smallest size of an effect that these recordings could have shown at best; reliable detection "
+    "needs several times as much. For limits on torque, speed or acceleration, values below the "
+    "number would have been detected. Dash: not detectable at any size tested."
 )
 _WORTH_A_BAR = 0.05
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
-    """What is missing, in words, numbers and figures."""
+    """Text, tables and figures of a diagnosis."""
     blocks: list[Block] = [_verdict(diagnosis)]
     if diagnosis.unfinished:
         blocks.append(Note("warn", diagnosis.search_ended))
@@ -95,7 +95,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         blocks += _next(diagnosis.next_experiment)
     blocks += _limits(diagnosis)
     if diagnosis.gate:
-        text = "What the check of the recordings remarks on; it may bear on the diagnosis."
+        text = "Remarks of the check of the recordings; they may affect the diagnosis."
         blocks += [Text(text, heading="Data"), *(Note("info", x) for x in diagnosis.gate)]
     return Section("Diagnosis", _LEAD, blocks)
 
@@ -108,16 +108,15 @@ def _verdict(diagnosis: Diagnosis) -> Note:
 
 
 def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
-    """What the enriched model leaves of an error, and the noise; nothing where it adds nothing."""
+    """Sentence on the error of the enriched model; empty if it has no added effects."""
     after = diagnosis.remaining(mismatch.signal)
     if after is None:
         return ""
     joint = mismatch.signal.rpartition(".")[0] or mismatch.component
-    before, left, noise = map(milliradians, (mismatch.rmse, after, mismatch.noise))
+    before, remaining, noise = map(milliradians, (mismatch.rmse, after, mismatch.noise))
     times = f"{after / mismatch.noise:.1f} times the noise" if mismatch.noise > 0 else "no noise"
-    return (
-        f"The enriched model takes the error of {joint} from {before} to {left}, {times} ({noise})."
-    )
+    change = f"The effects reduce the error of {joint} from {before} to {remaining}"
+    return f"{change}, {times} ({noise})."
 
 
 def _effect(effect: NamedEffect) -> Note:
@@ -125,8 +124,8 @@ def _effect(effect: NamedEffect) -> Note:
         return Note("info", f"{effect.statement} {how_sure(effect.probability)}")
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
-        first, *others = map(plain, effect.group)
-        sentences.append(f"These recordings cannot tell {first} from {listed(others, 'or')}.")
+        name, *alternatives = map(plain, effect.group)
+        sentences.append(f"These recordings cannot tell {name} from {listed(alternatives, 'or')}.")
     sentences.append(how_sure(effect.probability, of="that it is one of them"))
     return Note("info", " ".join(sentences))
 
@@ -137,7 +136,7 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         f"The error of the plain servo on held-out data is {milliradians(mismatch.rmse)} "
         f"(root mean square), the sensor's noise {milliradians(mismatch.noise)}: "
         f"{100 * mismatch.share:.0f} % of the squared error is not noise. "
-        f"Where it shows: {mismatch.where or 'not known'}."
+        f"Where the error occurs: {mismatch.where or 'not known'}."
     )
     blocks: list[Block] = [Text(sentence, heading=f"Where {joint} differs")]
     evidence = _evidence(diagnosis, joint)
@@ -160,20 +159,20 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
 def _residuals(
     diagnosis: Diagnosis, mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]
 ) -> Block:
-    named = any(not np.array_equal(one.baseline, one.enriched) for one in evidence)
-    shown = sorted(evidence, key=lambda one: -_error(one))[:_STRIPS]
-    which = ", of the plain servo and with what is named here" if named else ""
+    has_findings = any(not np.array_equal(series.baseline, series.enriched) for series in evidence)
+    shown = sorted(evidence, key=lambda series: -_error(series))[:_STRIPS]
+    details = ", of the plain servo and with the named effects" if has_findings else ""
     if len(shown) < len(evidence):
-        which += f", in the {len(shown)} of {len(evidence)} recordings where it misses most"
-    shade = "; where it stands out, the time is shaded" if any(mismatch.windows_s.values()) else ""
-    drawing = residual_figure(shown, mismatch.noise, mismatch.windows_s, enriched=named)
-    return figure(drawing, _RESIDUAL.format(joint=joint, which=which, shade=shade))
+        details += f", in the {len(shown)} of {len(evidence)} recordings with the largest errors"
+    shade = "; shaded: times with large residuals" if any(mismatch.windows_s.values()) else ""
+    drawing = residual_figure(shown, mismatch.noise, mismatch.windows_s, enriched=has_findings)
+    return figure(drawing, _RESIDUAL.format(joint=joint, which=details, shade=shade))
 
 
-def _error(one: JointSeries) -> float:
-    left = one.position - one.baseline
-    known = left[np.isfinite(left)]
-    return float(np.mean(known**2)) if known.size else 0.0
+def _error(series: JointSeries) -> float:
+    residual = series.position - series.baseline
+    finite = residual[np.isfinite(residual)]
+    return float(np.mean(finite**2)) if finite.size else 0.0
 
 
 def _evidence(diagnosis: Diagnosis, joint: str) -> list[JointSeries]:
@@ -196,15 +195,15 @@ def _sound(diagnosis: Diagnosis) -> list[Block]:
 
 
 def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:
-    """``"j1 is off by 1.6 mrad, with 1.5 mrad of noise"``; nothing where no error is known."""
+    """``"j1 has an error of 1.6 mrad, with 1.5 mrad of noise"``; empty without an error."""
     signal = f"{joint}.position_rad"
     ladder, fit = diagnosis.ladders.get(signal), diagnosis.baseline_fit.get(signal, {})
     if ladder is not None:
         error, noise = milliradians(ladder.baseline), milliradians(ladder.noise)
-        return f"{joint} is off by {error}, with {noise} of noise"
+        return f"{joint} has an error of {error}, with {noise} of noise"
     heldout, train = fit.get("heldout"), fit.get("train")
-    known = train if heldout is None else heldout
-    return "" if known is None else f"{joint} is off by {milliradians(known)}"
+    rmse = train if heldout is None else heldout
+    return "" if rmse is None else f"{joint} has an error of {milliradians(rmse)}"
 
 
 def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
@@ -214,7 +213,7 @@ def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         return []
     text = f"No effect in the catalogue explains the residual of {joint}."
     text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
-    blocks: list[Block] = [Text(text, heading=f"What of {joint} is unexplained")]
+    blocks: list[Block] = [Text(text, heading=f"Unexplained residual of {joint}")]
     evidence = _evidence(diagnosis, joint)
     if evidence:
         states = {
@@ -228,8 +227,8 @@ def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
 
 def _next(experiment: Experiment) -> list[Block]:
     apart = (
-        f"It takes {experiment.duration_s:.0f} s and sets the two closest candidates "
-        f"{experiment.separation:.0f} noise levels apart."
+        f"It takes {experiment.duration_s:.0f} s and separates the two closest candidates by "
+        f"{experiment.separation:.0f} standard deviations of the noise."
     )
     where = f" The command to play is in {experiment.file}." if experiment.file else ""
     text = f"{experiment.statement} {apart}{where}"
@@ -256,8 +255,8 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     ]
     if not rows:
         return []
-    text = "Effects smaller than these would go unnoticed in these recordings."
+    text = "Effects smaller than these cannot be detected in these recordings."
     return [
-        Text(text, heading="How small an effect could show"),
+        Text(text, heading="Detection limits"),
         Table(("effect", *places), rows, _LIMITS),
     ]

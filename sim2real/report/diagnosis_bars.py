@@ -1,4 +1,4 @@
-"""Horizontal bars under their labels, legible on a phone."""
+"""Horizontal bar charts with labels above the bars, legible on a phone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _COLUMNS = 48
 _LINE, _BAR = 17.0, 20.0
 _INDENT = 10
 _TICK_RIGHT = 1
-"""Matplotlib's marker that goes to the right: the ends of a bracket."""
+"""Matplotlib's marker for a tick to the right: the ends of a bracket."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Bar:
     """One bar.
 
     Attributes:
-        label: What it is.
-        value: How long it is.
-        text: The number beside it.
-        strong: Whether it stands out.
-        members: What shares the bar: listed below the label, in a bracket.
+        label: Label.
+        value: Length.
+        text: Number next to the bar.
+        strong: Whether it is highlighted.
+        members: Items that share the bar, listed below the label in a bracket.
     """
 
     label: str
@@ -42,24 +42,24 @@ class Bar:
 
 
 def bar_figure(panels: Mapping[str, Sequence[Bar]], label: str, *, full: float = 0.0) -> Figure:
-    """Draw horizontal bars under their labels, one panel above the other.
+    """Plot horizontal bars with labels above them, in panels below each other.
 
-    A bar without a finite value ends at the right edge.
+    A bar with an infinite value ends at the right edge.
 
     Args:
         panels: The bars by title of the panel.
-        label: What a screen reader says.
-        full: Length of a full bar; as long as the longest one if that is longer.
+        label: Text for screen readers.
+        full: Minimum length of the axis.
     """
-    bars = [bar for some in panels.values() for bar in some]
+    bars = [bar for panel in panels.values() for bar in panel]
     reach = max([full, *(bar.value for bar in bars if math.isfinite(bar.value))]) or 1.0
-    heights = [sum(map(_height, some)) for some in panels.values()]
+    heights = [sum(map(_height, panel)) for panel in panels.values()]
     with house_style():
         total = sum(heights) + sum(36 if title else 16 for title in panels)
         figure = new_figure(total, printable(label))
         grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
-        for axes, (title, some) in zip(grid, panels.items(), strict=True):
-            _draw(axes, some, reach)
+        for axes, (title, panel) in zip(grid, panels.items(), strict=True):
+            _draw(axes, panel, reach)
             axes.set_xlim(0, 1.2 * reach)
             axes.set_title(printable(title), color=INK)
     return figure
@@ -104,7 +104,7 @@ def _bar(axes: Axes, bar: Bar, y: float, reach: float) -> None:
 
 
 def _bracket(axes: Axes, y: float, lines: Sequence[str]) -> None:
-    """Lines of text from ``y`` on, held together by a bracket on their left."""
+    """Lines of text from ``y`` on, with a bracket to their left."""
     look: Any = {"xytext": (_INDENT, 0), "textcoords": "offset points", "va": "top"}
     for number, text in enumerate(lines):
         axes.annotate(text, (0, y + _LINE * number), color=INK, **look)

@@ -1,4 +1,4 @@
-"""What is missing: how likely each candidate is, how much error it takes away, how large it is."""
+"""Missing effects in a report: probabilities, reduction of the error, sizes."""
 
 from __future__ import annotations
 
@@ -19,48 +19,48 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 _MOVED = 0.01
-"""Change of a parameter, as a share of it, from which it is worth a table."""
+"""Smallest relative change of a parameter that is shown in a table."""
 _SERVO = {"kp_Nm_per_rad": 1.0, "kd_Nms_per_rad": 1.0, "latency_s": 1e3}
-"""Parameters of the plain servo, with the size of the unit that ``quantities`` shows them in."""
+"""Parameters of the plain servo, with the scale of their unit in ``quantities``."""
 _NOT_LISTED = 0.01
-_PROBABILITIES = "How sure we are of each candidate.{named}{shared}"
-_COLOURS = " In colour what is named above, in grey what was considered as well."
-_SHARED = " What stands in a bracket shares one bar, as these recordings cannot tell it apart."
+_PROBABILITIES = "Probability of each candidate.{named}{shared}"
+_COLOURS = " Coloured: effects named above; grey: other candidates."
+_SHARED = " Effects in a bracket share one bar, as these recordings cannot distinguish them."
 _LADDER = (
-    "Error (root mean square) on recordings, or parts of them, that the fit has not seen.{named} "
-    "No simulation gets below the sensor's noise."
+    "Error (root mean square) on held-out recordings or parts of recordings.{named} "
+    "No simulation can be below the sensor noise."
 )
 _WORTH = (
-    " What is named is worth having where its bar is clearly shorter than that of the plain servo."
+    " The named effects matter where their bar is clearly shorter than that of the plain servo."
 )
-_PARAMETERS = "How large each effect is; below it the range that holds the truth nine times in ten."
+_PARAMETERS = "Size of each effect, with its 90 % interval below."
 _NEGLIGIBLE = (
-    "Detectable, negligible: these are there, too, and hardly change the error on what the fit has "
-    "not seen."
+    "Detectable but negligible: these effects are present as well and hardly change the held-out "
+    "error."
 )
 _SHIFTS = (
-    "What the plain fit had been hiding: without the missing effect, its stiffness (kp), damping "
-    "(kd) and latency were bent to make up for it. How far each moved once the effect was there, "
-    "and below it the values before and after."
+    "Bias of the plain fit: without the missing effect, its stiffness (kp), damping (kd) and "
+    "latency compensate for it in part. Change of each with the effect, with the values before and "
+    "after below."
 )
 
 
 def candidate_figure(diagnosis: Diagnosis) -> Drawing:
-    """How sure we are of each candidate; the verdict alone where there is none."""
+    """Probability of each candidate; only the verdict if there is none."""
     bars = _candidates(diagnosis) or [Bar(diagnosis.verdict.replace("_", " "), 0.0, "")]
-    return bar_figure({"": bars}, "how sure we are of each candidate", full=1.0)
+    return bar_figure({"": bars}, "probability of each candidate", full=1.0)
 
 
 def what_blocks(diagnosis: Diagnosis) -> list[Block]:
-    """Probabilities, held-out errors, sizes, and what the plain fit had been hiding."""
+    """Probabilities, held-out errors, sizes, and the bias of the plain fit."""
     blocks: list[Block] = []
     candidates = _candidates(diagnosis)
     if candidates:
         blocks.append(Text(_removed(diagnosis), heading="What is missing"))
         drawing = candidate_figure(diagnosis)
-        named = _COLOURS if diagnosis.effects else ""
+        colours = _COLOURS if diagnosis.effects else ""
         shared = _SHARED if any(bar.members for bar in candidates) else ""
-        blocks.append(figure(drawing, _PROBABILITIES.format(named=named, shared=shared)))
+        blocks.append(figure(drawing, _PROBABILITIES.format(named=colours, shared=shared)))
     blocks += _ladders(diagnosis)
     rows = [row for effect in diagnosis.effects for row in _parameter_rows(diagnosis, effect)]
     if rows:
@@ -72,22 +72,22 @@ def what_blocks(diagnosis: Diagnosis) -> list[Block]:
 
 
 def figure(drawing: Drawing, caption: str) -> Figure:
-    """A drawing on the page, for a screen and for a phone."""
+    """A figure of the page, with a narrow version for phones."""
     return Figure(svg(drawing), caption, svg(drawing, width=NARROW))
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Bar]:
     named = [_named(effect) for effect in diagnosis.effects]
-    others = [(r.probability, f"{r.component}: {plain(r.effect)}") for r in diagnosis.rivals]
+    unnamed = [(r.probability, f"{r.component}: {plain(r.effect)}") for r in diagnosis.rivals]
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
-    others += [
-        (probability, f"{joint}: something that is not in the catalogue")
+    unnamed += [
+        (probability, f"{joint}: an effect that is not in the catalogue")
         for joint, probability in diagnosis.unknown.items()
         if joint in differing and probability > _NOT_LISTED
     ]
-    others.sort(key=lambda row: -row[0])
+    unnamed.sort(key=lambda row: -row[0])
     named.sort(key=lambda bar: -bar.value)
-    return named + [Bar(label, p, sure(p)) for p, label in others]
+    return named + [Bar(label, p, sure(p)) for p, label in unnamed]
 
 
 def _named(effect: NamedEffect) -> Bar:
@@ -111,31 +111,31 @@ def _removed(diagnosis: Diagnosis) -> str:
     sentences = []
     for (component, before, after), (names, share) in together.items():
         of_it = "" if share is None else f", {100 * share:.0f} % of what can be removed"
-        verb = "bring" if len(names) > 1 else "brings"
+        verb = "reduce" if len(names) > 1 else "reduces"
         sentences.append(
-            f"On what was left out of the fit (though not out of the choice), {listed(names)} "
+            f"On data not used by the fit (but by the selection), {listed(names)} "
             f"({component}) {verb} the error from {milliradians(before)} to "
             f"{milliradians(after)}{of_it}."
         )
-    every = "Every effect in the catalogue was tried in turn, alone and with others."
-    return " ".join([every, *sentences, *_written(diagnosis)])
+    introduction = "Every effect of the catalogue was fitted, alone and in combination with others."
+    return " ".join([introduction, *sentences, *_written(diagnosis)])
 
 
 def _written(diagnosis: Diagnosis) -> list[str]:
-    """What the written model holds besides the names, which it may, as it is to predict."""
+    """Sentence on effects of the written model, chosen for prediction, that are not named."""
     named = {name for effect in diagnosis.effects for name in (effect.group or (effect.effect,))}
-    more = {
+    unnamed = {
         fitted.effect
         for joint in diagnosis.model.joints.values()
         for fitted in joint.effects
         if fitted.effect not in named
     }
-    if not more:
+    if not unnamed:
         return []
-    kinds = listed([plain(name) for name in sorted(more)])
+    kinds = listed([plain(name) for name in sorted(unnamed)])
     return [
-        f"The model that is written was chosen to predict best and holds {kinds} as well; that is "
-        "no claim that they are there."
+        f"The written model was selected for prediction and also contains {kinds}; this does not "
+        "imply that they are present."
     ]
 
 
@@ -147,18 +147,18 @@ def _ladders(diagnosis: Diagnosis) -> list[Block]:
     panels, anything = {}, False
     for signal, ladder in ladders.items():
         joint = signal.rpartition(".")[0]
-        named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
-        anything |= named
-        panels[joint] = _rungs(ladder, named=named)
+        has_effects = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
+        anything |= has_effects
+        panels[joint] = _rungs(ladder, has_effects=has_effects)
     caption = _LADDER.format(named=_WORTH if anything else "")
     return [figure(bar_figure(panels, "held-out error"), caption)]
 
 
-def _rungs(ladder: Ladder, *, named: bool) -> list[Bar]:
+def _rungs(ladder: Ladder, *, has_effects: bool) -> list[Bar]:
     rungs: list[tuple[str, float | None, bool]] = [
         ("plain servo", ladder.baseline, False),
-        ("with what is named", ladder.enriched if named else None, True),
-        ("noise of the sensor", ladder.noise, False),
+        ("with the named effects", ladder.enriched if has_effects else None, True),
+        ("sensor noise", ladder.noise, False),
     ]
     return [Bar(label, x, milliradians(x), strong) for label, x, strong in rungs if x is not None]
 
@@ -192,7 +192,7 @@ def _shifts(diagnosis: Diagnosis) -> list[Block]:
 
 
 def _joint(diagnosis: Diagnosis, effect: NamedEffect) -> str | None:
-    """The joint whose servo the shift is of: the first one, where several share an effect."""
+    """The joint that the shift is of; the first one if several share an effect."""
     joints = diagnosis.model.joints
     if effect.component in joints:
         return effect.component
@@ -209,7 +209,7 @@ def _moved(joint: JointModel, shift: Mapping[str, float]) -> bool:
 
 
 def _moves(joint: JointModel, shift: Mapping[str, float]) -> list[str]:
-    """A cell for each parameter of the servo: change in percent; before and after."""
+    """A cell for each parameter of the servo: change in percent, values before and after."""
     cells = []
     for (name, scale), shown in zip(_SERVO.items(), quantities(joint)[:3], strict=True):
         change = scale * shift.get(name, 0.0)

@@ -1,4 +1,4 @@
-"""A diagnosis in plain words: effects, probabilities, sizes with their units."""
+"""Texts of a diagnosis: effects and probabilities in words."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _SURE = (
 
 
 def plain(effect: str) -> str:
-    """An effect in plain words, to stand in a sentence; its identifier's own if it is new."""
-    from sim2real.effects import plain as known  # it starts Warp
+    """Phrase for an effect within a sentence; its identifier with spaces if it is unknown."""
+    from sim2real.effects import plain as phrase  # it starts Warp
 
-    return printable(known(effect))
+    return printable(phrase(effect))
 
 
 def sure(share: float) -> str:
-    """A probability in percent; never 0 or 100, as nothing is that sure."""
+    """A probability in percent, never rounded to 0 or 100."""
     words = {"<": "less than ", ">": "more than "}
     text = percent(share).replace(" ", "\u00a0")
     return words.get(text[0], "") + text.lstrip("<>")
@@ -37,9 +37,9 @@ def how_sure(share: float, *, of: str = "") -> str:
 
     Args:
         share: The probability.
-        of: What is that sure, ``"that it is one of them"``; nothing where it was just said.
+        of: Statement that is meant, as ``"that it is one of them"``; empty if clear from before.
     """
-    words = next((words for least, words in _SURE if share >= least), "very unlikely")
+    words = next((words for threshold, words in _SURE if share >= threshold), "very unlikely")
     return f"{words.capitalize()}: {' '.join(filter(None, (sure(share), 'sure', of)))}."
 
 
@@ -51,5 +51,5 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 def per_inertia(diagnosis: Diagnosis, component: str) -> bool:
     """Whether the torques of a component are per unit of inertia."""
     joints = diagnosis.model.joints
-    some = [joints[component]] if component in joints else list(joints.values())
-    return any(joint.per_inertia for joint in some)
+    selected = [joints[component]] if component in joints else list(joints.values())
+    return any(joint.per_inertia for joint in selected)

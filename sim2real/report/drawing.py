@@ -1,4 +1,4 @@
-"""The two ways a figure leaves: a PNG file, or SVG inside a page."""
+"""Output of figures: PNG files, and SVG elements for pages."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
 PNG_DPI = 150
 MARGIN_INCHES = 0.15
-# Neither date nor program, so that equal figures are equal files.
+# Without date and program, so that equal figures give equal files.
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    """Write ``figure`` to ``path`` at 150 dots an inch, whole or not at all.
+    """Write ``figure`` to ``path`` at 150 dots per inch, atomically.
 
     Raises:
-        InputError: If the folder can't be made or written.
+        InputError: If the folder cannot be created or written.
     """
     stream = io.BytesIO()
-    with _as_it_was(figure), house_style():
+    with _unchanged(figure), house_style():
         figure.savefig(
             stream,
             format="png",
@@ -44,27 +44,27 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
 
 
 def svg(figure: Figure, *, width: float = WIDE) -> str:
-    """``figure`` as an ``<svg>`` element to put inside a page.
+    """``figure`` as an ``<svg>`` element for a page.
 
-    It has no fixed size, so it fills the column it stands in; its text is text; its colours are
-    CSS variables with a fallback; its ids are its own, so that many figures share a page.
+    It has no fixed size, so it fills its column; text is kept as text; colours are CSS variables
+    with a fallback; ids are unique to the figure, so that a page can have several.
 
     Args:
-        figure: The figure; it is left as it was.
-        width: Width in points to lay the figure out for; ``NARROW`` keeps text legible on a phone.
+        figure: The figure; it is not changed.
+        width: Width of the layout in points; ``NARROW`` keeps text legible on a phone.
     """
     stream = io.StringIO()
-    with _as_it_was(figure), house_style():
+    with _unchanged(figure), house_style():
         figure.set_size_inches(width / POINTS_PER_INCH, figure.get_size_inches()[1])
         figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
     return _inline(stream.getvalue(), figure.get_label())
 
 
 @contextmanager
-def _as_it_was(figure: Figure) -> Iterator[None]:
-    """Give a figure its size and its panels their places back.
+def _unchanged(figure: Figure) -> Iterator[None]:
+    """Restore the size of a figure and the positions of its panels at the end.
 
-    Drawing moves the panels a little, and the next drawing would start from there.
+    Drawing moves the panels slightly, which would change the next drawing.
     """
     size = figure.get_size_inches()
     places = [
@@ -104,8 +104,8 @@ def _inline(document: str, label: object) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _attributes(given: dict[str, str], ids: dict[str, str]) -> Iterator[tuple[str, str]]:
-    for name, value in given.items():
+def _attributes(attributes: dict[str, str], ids: dict[str, str]) -> Iterator[tuple[str, str]]:
+    for name, value in attributes.items():
         if name == "id":
             if value in ids:
                 yield name, ids[value]
@@ -122,16 +122,16 @@ def _attributes(given: dict[str, str], ids: dict[str, str]) -> Iterator[tuple[st
 
 
 def _style(declarations: str) -> str:
-    kept = [d for d in declarations.split("; ") if not d.startswith("font-family")]
+    declared = [d for d in declarations.split("; ") if not d.startswith("font-family")]
     return re.sub(
         r"#[0-9a-f]{6}",
         lambda c: f"var(--{VARIABLES[c[0]]}, {c[0]})" if c[0] in VARIABLES else c[0],
-        "; ".join(kept),
+        "; ".join(declared),
     )
 
 
 def _hoist_style(group: ElementTree.Element) -> None:
-    """Say the style of many equal dots once, on their group: it is most of their size."""
+    """Move the style of many equal markers to their group, which reduces the size of the file."""
     styles = {child.get("style") for child in group}
     if {child.tag for child in group} == {"use"} and len(styles) == 1 and None not in styles:
         group.set("style", group[0].attrib["style"])

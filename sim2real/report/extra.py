@@ -1,4 +1,4 @@
-"""The report's libraries are optional; when one is missing, say how to get it."""
+"""Optional libraries of the report, with an error that states how to install them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def report_libraries() -> Iterator[None]:
-    """Import Matplotlib or Jinja inside this block.
+    """Context manager for imports of Matplotlib or Jinja.
 
     Raises:
-        ModuleNotFoundError: With one line that names the library and the command that brings it.
+        ModuleNotFoundError: With the name of the library and the command that installs it.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Measured and predicted position of a joint, what is left, and one move up close."""
+"""Figure of measured and predicted position of a joint, the residual and one movement."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim2real.recording import Array, Recording
 from sim2real.report.quantity import printable
-from sim2real.report.series import drawable, largest_move, lone, segments
+from sim2real.report.series import drawable, isolated_samples, largest_move, segments
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 
 if TYPE_CHECKING:
@@ -25,18 +25,18 @@ def fit_figure(
     heldout: NDArray[np.bool_] | None = None,
     noise_rad: float | None = None,
 ) -> Figure:
-    """Draw how well a prediction follows one joint of a recording.
+    """Plot the prediction of one joint of a recording.
 
     Args:
         recording: The recording.
         joint: Name of the joint.
         predicted: Predicted position in rad, shape (T,).
-        heldout: Which samples the fit did not see, shape (T,).
-        noise_rad: Standard deviation of the measurement noise, to judge the residual by.
+        heldout: Mask of held-out samples, shape (T,).
+        noise_rad: Standard deviation of the measurement noise, shown with the residual.
 
     Returns:
-        Three panels: command, measured and predicted position over the whole recording; measured
-        minus predicted; and 1.5 s around the largest move. Gaps in the recording stay gaps.
+        Three panels: command, measured and predicted position over the whole recording; the
+        residual; and 1.5 s around the largest movement. Lines are interrupted at gaps.
 
     Raises:
         ValueError: If the joint was not recorded or a series has another shape.
@@ -50,23 +50,25 @@ def fit_figure(
     t, command = recording.t, recording.command[:, column]
     measured = recording.position[:, column]
     start, stop = largest_move(t, command, measured)
-    near = (t >= start) & (t <= stop)
+    zoomed = (t >= start) & (t <= stop)
     with house_style():
         figure = new_figure(540, printable(f"{joint} in {recording.name}: measured and predicted"))
         grid = figure.add_gridspec(3, 1, height_ratios=(2.1, 1.1, 2.1), hspace=0.0)
-        whole = figure.add_subplot(grid[0])
-        residual = figure.add_subplot(grid[1], sharex=whole)
+        overview = figure.add_subplot(grid[0])
+        residual = figure.add_subplot(grid[1], sharex=overview)
         close = figure.add_subplot(grid[2])
-        _draw_position(whole, t, command, measured, predicted)
-        whole.legend(loc="lower right", bbox_to_anchor=(1, 1.02), ncols=3)
-        whole.set_title("rad")
-        whole.margins(y=0.14)
-        whole.tick_params(labelbottom=False)
+        _draw_position(overview, t, command, measured, predicted)
+        overview.legend(loc="lower right", bbox_to_anchor=(1, 1.02), ncols=3)
+        overview.set_title("rad")
+        overview.margins(y=0.14)
+        overview.tick_params(labelbottom=False)
         _draw_residual(residual, t, measured - predicted, noise_rad)
-        _draw_position(close, t[near], command[near], measured[near], predicted[near], dots=True)
+        _draw_position(
+            close, t[zoomed], command[zoomed], measured[zoomed], predicted[zoomed], dots=True
+        )
         close.set_title(f"{start:.1f} s to {stop:.1f} s, rad")
         close.set_xlabel("time, s")
-        whole.plot(
+        overview.plot(
             [start, stop],
             [0, 0],
             color=INK,
@@ -74,10 +76,10 @@ def fit_figure(
             solid_capstyle="butt",
             clip_on=False,
             zorder=4,
-            transform=whole.get_xaxis_transform(),
+            transform=overview.get_xaxis_transform(),
         )
         if heldout is not None:
-            _shade(whole, residual, t, heldout)
+            _shade(overview, residual, t, heldout)
     return figure
 
 
@@ -95,8 +97,10 @@ def _draw_position(
     look = {"marker": "o", "markersize": 3.6, "linestyle": "none"} if dots else {"linewidth": 2.1}
     axes.plot(times, values, color=INK, markeredgewidth=0, label="measured", **look)
     if not dots:
-        alone = lone(values)
-        axes.plot(times[alone], values[alone], "o", color=INK, markersize=1.6, markeredgewidth=0)
+        isolated = isolated_samples(values)
+        axes.plot(
+            times[isolated], values[isolated], "o", color=INK, markersize=1.6, markeredgewidth=0
+        )
     axes.plot(*drawable(t, predicted), color=ACCENT, linewidth=1.1, label="predicted")
 
 
@@ -107,8 +111,8 @@ def _draw_residual(axes: Axes, t: Array, residual: Array, noise_rad: float | Non
         title += "; band: ± 2 × noise"
     times, values = drawable(t, 1e3 * residual)
     axes.plot(times, values, color=INK, linewidth=0.8)
-    alone = lone(values)
-    axes.plot(times[alone], values[alone], "o", color=INK, markersize=1.4, markeredgewidth=0)
+    isolated = isolated_samples(values)
+    axes.plot(times[isolated], values[isolated], "o", color=INK, markersize=1.4, markeredgewidth=0)
     axes.set_title(title)
 
 

@@ -1,4 +1,4 @@
-"""The identification part of a report: what each servo does, how well known, how well it fits."""
+"""Identification section of a report: parameters, their intervals and errors of the fit."""
 
 from __future__ import annotations
 
@@ -20,31 +20,30 @@ from sim2real.report.style import NARROW
 Fit = tuple[Recording, str, Array, NDArray[np.bool_] | None]
 
 _LEAD = (
-    "Each servo is a spring and a damper that pull towards the command, a moment late: torque = "
-    "kp\u00a0(command\u00a0− position) − kd\u00a0velocity, where the command is the "
-    "one sent a latency ago."
+    "Each servo is a PD controller with latency: torque = "
+    "kp\u00a0(command\u00a0− position) − kd\u00a0velocity, where the command is "
+    "delayed by the latency."
 )
 _TABLE = (
-    "Estimates, and below each its 90 % interval. RMSE is the root mean square error on samples "
-    "held out."
+    "Estimates with 90 % intervals below. RMSE is the root mean square error on held-out samples."
 )
-_MOTOR = "The motor behind each servo: estimates, and below each its 90 % interval."
+_MOTOR = "The motor of each servo: estimates with 90 % intervals below."
 _GAINS = 4
-"""kp, kd, latency and inertia lead the quantities of a joint; its motor's follow."""
-_PARAMETERS = "Estimate and 90 % interval. An arrow: the interval goes on, or has no end."
+"""The first quantities of a joint are kp, kd, latency and inertia; those of its motor follow."""
+_PARAMETERS = "Estimates and 90 % intervals. Arrow: the interval exceeds the axis or is unbounded."
 _FIT = (
-    "{joint} in {recording}. Above, the whole recording{shaded}; in the middle, what the model "
-    "leaves; below, the largest move, which the bar marks above."
+    "{joint} in {recording}. Top: the whole recording{shaded}. Middle: residual. Bottom: the "
+    "largest movement, marked by the bar at the top."
 )
 
 
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
-    """What the fit found, in words, numbers and figures.
+    """Text, tables and figures of an identification.
 
     Args:
         model: The fitted simulator.
         fits: For each figure the recording, the joint, its predicted position in rad, shape (T,),
-            and which samples were held out, shape (T,).
+            and a mask of held-out samples, shape (T,).
     """
     blocks: list[Block] = [_parameter_table(model)]
     if any(joint.motor for joint in model.joints.values()):
@@ -59,9 +58,9 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
 
 
 def _parameter_table(model: Model) -> Table:
-    known = {name: quantities(joint)[:_GAINS] for name, joint in model.joints.items()}
-    columns = list(zip(*known.values(), strict=True))
-    # A unit that all joints share stands in the header: a phone is narrow.
+    table = {name: quantities(joint)[:_GAINS] for name, joint in model.joints.items()}
+    columns = list(zip(*table.values(), strict=True))
+    # A unit that all joints share is put into the header, to save width.
     shared = [len({quantity.unit for quantity in column}) == 1 for column in columns]
     header = ["joint"]
     for column, one_unit in zip(columns, shared, strict=True):
@@ -69,16 +68,16 @@ def _parameter_table(model: Model) -> Table:
     rows = [
         (
             name,
-            *(_cell(q, with_unit=not one) for q, one in zip(row, shared, strict=True)),
+            *(_cell(q, with_unit=not same) for q, same in zip(row, shared, strict=True)),
             _error_cell(model.fit.get(f"{name}.position_rad", {})),
         )
-        for name, row in known.items()
+        for name, row in table.items()
     ]
     return Table((*header, "RMSE\nmrad"), rows, _TABLE)
 
 
 def _motor_table(model: Model) -> Table:
-    """A row a parameter, a column a joint: motors have many parameters, robots few joints."""
+    """One row per parameter and one column per joint."""
     motors = [
         {quantity.name: quantity for quantity in quantities(joint)[_GAINS:]}
         for joint in model.joints.values()
@@ -117,13 +116,13 @@ def _joint_blocks(model: Model, name: str, joint: JointModel) -> list[Block]:
     figures = model.fit.get(f"{name}.position_rad", {})
     sentences = [describe_response(name, joint)]
     sentences += [
-        f"The recordings leave {quantity.name} {quantity.unbounded}."
+        f"The recordings do not bound {quantity.name} ({quantity.unbounded})."
         for quantity in quantities(joint)
         if quantity.unbounded
     ]
     if joint.effects:
         effects = ", ".join(effect_text(effect, joint.interval) for effect in joint.effects)
-        sentences.append(f"This leaves out what the model has beside it: {effects}.")
+        sentences.append(f"This does not include the effects of the model: {effects}.")
     sentences.append(_error_sentence(figures))
     notes = [Note("warn", note) for note in joint.notes]
     return [Text(" ".join(filter(None, sentences)), heading=name), *notes]
@@ -131,14 +130,14 @@ def _joint_blocks(model: Model, name: str, joint: JointModel) -> list[Block]:
 
 def _error_sentence(figures: Mapping[str, float | None]) -> str:
     train, heldout, noise = (figures.get(name) for name in ("train", "heldout", "noise"))
-    error, seen = (train, "was fitted to") if heldout is None else (heldout, "has not seen")
+    error, which = (train, "the fitted") if heldout is None else (heldout, "held-out")
     if error is None:
         return ""
-    sentence = f"On samples it {seen}, the model is off by {milliradians(error)} (root mean square)"
+    sentence = f"The error on {which} samples is {milliradians(error)} (root mean square)"
     if noise:
         sentence += f", {error / noise:.1f} times the noise of {milliradians(noise)}"
     if heldout is not None and train and heldout > 1.5 * train:
-        sentence += f" and {heldout / train:.1f} times what it misses those it was fitted to by"
+        sentence += f" and {heldout / train:.1f} times the error on the samples of the fit"
     return sentence + "."
 
 
@@ -146,6 +145,6 @@ def _fit_block(model: Model, fit: Fit) -> Figure:
     recording, joint, predicted, heldout = fit
     noise = model.fit.get(f"{joint}.position_rad", {}).get("noise")
     figure = fit_figure(recording, joint, predicted, heldout=heldout, noise_rad=noise)
-    shaded = ", shaded where the fit did not look" if heldout is not None and heldout.any() else ""
+    shaded = ", held-out samples shaded" if heldout is not None and heldout.any() else ""
     caption = _FIT.format(joint=joint, recording=recording.name, shaded=shaded)
     return Figure(svg(figure), caption, svg(figure, width=NARROW))

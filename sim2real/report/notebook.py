@@ -1,6 +1,6 @@
-"""Results in a notebook: each as a section of a report, tables and notes without figures.
+"""Display of results in notebooks as sections of a report, with tables and notes.
 
-``result_section`` is generic over the kind of result; packages above register their own with it.
+``result_section`` dispatches on the type of the result; other packages register theirs with it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NONE = "–"
 
 
 def result_html(result: object) -> str:
-    """A result as an HTML fragment with the look of a notebook.
+    """A result as an HTML fragment for a notebook.
 
     Raises:
         ModuleNotFoundError: If Jinja is not installed.
@@ -37,10 +37,10 @@ def result_html(result: object) -> str:
 
 @singledispatch
 def result_section(result: object) -> Section:
-    """The tables and notes that show a result.
+    """Tables and notes of a result.
 
     Raises:
-        TypeError: If nothing is registered for results of this kind.
+        TypeError: If no function is registered for the type of the result.
     """
     raise TypeError(f"no notebook section for a {type(result).__name__}")
 

@@ -1,4 +1,4 @@
-"""A report as one HTML file that needs nothing else: no network, no fonts, no scripts."""
+"""A report as one self-contained HTML file, without network access, fonts or scripts."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent
 _HASH_LETTERS = 12
 _PHONE_LETTERS = 50
-"""Letters of a table's text, with the gaps between columns, that a phone shows on one line."""
+"""Width of a table, in letters including gaps between columns, that fits on a phone."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph, under a small heading if one is given."""
+    """A paragraph with an optional heading."""
 
     paragraph: str
     heading: str = ""
@@ -32,7 +32,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Note:
-    """One thing to know: that something is good, to beware of, or merely so."""
+    """A remark: positive (``good``), a warning (``warn``) or neutral (``info``)."""
 
     kind: Literal["good", "warn", "info"]
     text: str
@@ -42,7 +42,7 @@ class Note:
 class Table:
     """Rows of text under a header.
 
-    What follows a line break in a cell is set small below it: an interval, a unit.
+    Text after a line break in a cell, such as an interval or a unit, is set smaller below it.
     """
 
     header: Sequence[str]
@@ -56,9 +56,9 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """For each column whether it holds numbers, which stand right-aligned.
+        """For each column whether it contains numbers, which are right-aligned.
 
-        The first column names its row: it is one of numbers only if they stand alone.
+        The first column names its row: it is numeric only if its cells contain nothing else.
         """
         return tuple(
             any(column) and all(is_number(cell, alone=k == 0) for cell in column)
@@ -67,9 +67,9 @@ class Table:
 
     @property
     def stacked(self) -> bool:
-        """Whether the columns are too wide to stand side by side on a phone.
+        """Whether the table is too wide for a phone.
 
-        A phone then shows each row as a list, every cell after its column's title.
+        A phone then shows each row as a list, with the title of the column before each cell.
         """
         columns = zip(self.header, self._columns, self.numeric, strict=True)
         needed = sum(letters(title, cells, numeric=numeric) for title, cells, numeric in columns)
@@ -82,13 +82,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: ``<svg>`` elements made by ``sim2real.report.svg``, put in the page as they are.
+    """A figure: ``<svg>`` elements of ``sim2real.report.svg``, inserted into the page unchanged.
 
     Attributes:
         svg: The figure.
-        caption: What it shows.
-        narrow: The same figure laid out for a phone; without one, a phone scrolls the figure
-            sideways at a size that can be read.
+        caption: Caption.
+        narrow: The same figure in a layout for phones; without it, a phone scrolls the figure
+            horizontally.
     """
 
     svg: str
@@ -98,12 +98,12 @@ class Figure:
 
 @dataclass(frozen=True)
 class Film:
-    """A short film, as a GIF that the page has inside.
+    """A short film, as a GIF embedded in the page.
 
     Attributes:
-        gif: The file's bytes.
-        alt: What is seen, for who cannot see it.
-        caption: What it shows.
+        gif: Content of the file.
+        alt: Alternative text.
+        caption: Caption.
     """
 
     gif: bytes
@@ -112,7 +112,7 @@ class Film:
 
     @property
     def source(self) -> str:
-        """What an ``<img>`` takes."""
+        """Data URL for an ``<img>`` element."""
         return "data:image/gif;base64," + base64.b64encode(self.gif).decode()
 
 
@@ -121,7 +121,7 @@ Block = Text | Note | Table | Figure | Film
 
 @dataclass(frozen=True)
 class Section:
-    """One part of a report: a title, what it says in a sentence or two, and what shows it."""
+    """One part of a report: a title, a summary in a sentence or two, and its content."""
 
     title: str
     lead: str
@@ -137,18 +137,18 @@ def write_page(
     *,
     stages: Sequence[tuple[str, bool]] = (),
 ) -> Path:
-    """Write a report, whole or not at all.
+    """Write a report atomically.
 
     Args:
         path: The HTML file to write.
-        title: What the report is about: a robot, a recording.
+        title: Subject of the report, such as a robot or a recording.
         subtitle: One line below it.
-        sections: What it says.
-        provenance: What ``sim2real.output.provenance`` gives, for the footer.
-        stages: The stages of the work in order, each with whether it is done.
+        sections: Sections.
+        provenance: Result of ``sim2real.output.provenance``, for the footer.
+        stages: Stages of the work in order, each with whether it is done.
 
     Raises:
-        InputError: If the file can't be written.
+        InputError: If the file cannot be written.
         ModuleNotFoundError: If Jinja is not installed.
     """
     return write_whole(path, render_page(title, subtitle, sections, provenance, stages=stages))
@@ -174,7 +174,7 @@ def render_page(
 
 
 def render_fragment(sections: Sequence[Section]) -> str:
-    """Sections as HTML to put inside another page, such as a notebook, with a style of their own.
+    """Sections as HTML for another page, such as a notebook, including their style.
 
     Raises:
         ModuleNotFoundError: If Jinja is not installed.
@@ -202,7 +202,7 @@ def _template() -> Template:
 
 
 def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
-    """Label and lines of every part of the footer that there is something to say about."""
+    """Label and lines of every non-empty part of the footer."""
     seed = provenance.get("seed")
     parts = [
         ("command", [str(provenance.get("command", ""))]),

@@ -1,4 +1,4 @@
-"""The fitted parameters of every joint side by side, each with its 90 % interval."""
+"""Figure of the fitted parameters of all joints with their 90 % intervals."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 _PANELS = 3  # kp, kd, latency
 _LONGEST_NAME = 14
-_FARTHEST = 2.5  # an interval longer than this many times the largest value leaves the panel
+_FARTHEST = 2.5  # intervals beyond this many times the largest value are cut off
 
 
 def parameter_figure(model: Model) -> Figure:
-    """Draw kp, kd and latency: one panel each, a row a joint, dot and 90 % interval.
+    """Plot kp, kd and latency: one panel each, one row per joint, with 90 % intervals.
 
-    An arrow stands where an interval has no end or ends beyond the panel. If one joint is known
-    only per unit of inertia, all are drawn that way, so that a panel has one unit.
+    Arrows mark intervals that are unbounded or exceed the panel. If one joint is identified only
+    per unit of inertia, all are plotted that way, so that a panel has one unit.
     """
     joints = dict(model.joints)
     if any(joint.per_inertia for joint in joints.values()):
@@ -41,14 +41,14 @@ def parameter_figure(model: Model) -> Figure:
 
 
 def _draw_panel(axes: Axes, column: list[Quantity]) -> None:
-    left, right = _range(column)
+    lowest, highest = _range(column)
     for row, quantity in enumerate(column):
         low, high = quantity.interval or (quantity.value, quantity.value)
-        axes.plot([max(low, left), min(high, right)], [row, row], color=INK, linewidth=1.2)
-        if low < left:
-            axes.plot(left, row, "<", color=INK, markersize=5, clip_on=False)
-        if high > right:
-            axes.plot(right, row, ">", color=INK, markersize=5, clip_on=False)
+        axes.plot([max(low, lowest), min(high, highest)], [row, row], color=INK, linewidth=1.2)
+        if low < lowest:
+            axes.plot(lowest, row, "<", color=INK, markersize=5, clip_on=False)
+        if high > highest:
+            axes.plot(highest, row, ">", color=INK, markersize=5, clip_on=False)
         axes.plot(quantity.value, row, "o", color=ACCENT, markersize=5, markeredgewidth=0)
         axes.annotate(
             quantity.texts[0],
@@ -61,7 +61,7 @@ def _draw_panel(axes: Axes, column: list[Quantity]) -> None:
         )
     if column:
         axes.set_title(f"{column[0].name}, {column[0].unit}")
-    axes.set_xlim(left, right)
+    axes.set_xlim(lowest, highest)
     axes.locator_params(axis="x", nbins=3)
     axes.xaxis.set_major_formatter("{x:g}")
 
@@ -72,7 +72,7 @@ def _label(name: str) -> str:
 
 
 def _range(column: list[Quantity]) -> tuple[float, float]:
-    """Ends of a panel: all finite intervals and some air, but not those that are hugely wide."""
+    """Limits of a panel: all intervals with a margin, except very wide ones."""
     values = [quantity.value for quantity in column]
     reach = _FARTHEST * max(values, default=1.0)
     ends = [end for quantity in column for end in quantity.interval or () if abs(end) <= reach]

@@ -57,7 +57,7 @@ class Quantity:
 
 
 def quantities(joint: JointModel) -> tuple[Quantity, ...]:
-    """kp, kd, latency and inertia of ``joint`` and its motor, in the order they are read."""
+    """kp, kd, latency and inertia of ``joint`` and the parameters of its motor."""
     per = joint.per_inertia
 
     def fitted(key: str, unit: str, scale: float = 1.0) -> Quantity:
@@ -92,7 +92,7 @@ def _of_motor(joint: JointModel) -> Iterator[Quantity]:
 
 
 def correlations(
-    joint: JointModel, above: float = 0.3, most: int = 4
+    joint: JointModel, above: float = 0.3, limit: int = 4
 ) -> list[tuple[str, str, float]]:
     """The strongest correlations of estimates beyond ``above``, the strongest first."""
     pairs = []
@@ -100,7 +100,7 @@ def correlations(
         first, _, second = pair.partition(",")
         if abs(r) > above:
             pairs.append((readable_name(first), readable_name(second.strip()), float(r)))
-    return sorted(pairs, key=lambda pair: -abs(pair[2]))[:most]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))[:limit]
 
 
 def effect_text(
@@ -116,7 +116,7 @@ def effect_text(
 
 
 def change_text(before: float, after: float) -> str:
-    """By how much a number grew or fell: ``"-52 %"``, ``"+120 %"``; a dash if it was nothing."""
+    """Relative change of a number: ``"-52 %"``, ``"+120 %"``; a dash if it was not positive."""
     if not before > 0:
         return "-"
     percent = round(100 * (after / before - 1))
@@ -124,7 +124,7 @@ def change_text(before: float, after: float) -> str:
 
 
 def milliradians(angle_rad: float | None) -> str:
-    """An angle as ``"4.1 mrad"``; a dash where there is none."""
+    """An angle as ``"4.1 mrad"``; a dash for None or a number that is not finite."""
     if angle_rad is None or not math.isfinite(angle_rad):
         return "-"
     angle = 1e3 * angle_rad
@@ -132,14 +132,14 @@ def milliradians(angle_rad: float | None) -> str:
 
 
 def printable(text: str) -> str:
-    """``text`` without control characters: names come from files, and go to a terminal."""
+    """``text`` without control characters, as names from files are printed to a terminal."""
     return "".join(
         letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
     )
 
 
 def _decimal_places(value: float, ends: tuple[float, float]) -> int:
-    """Two digits of the interval's narrower side, and never fewer than two of the value."""
+    """Places for two digits of the narrower side of the interval, and of the value."""
     sizes = [abs(value) / 10, *(abs(end - value) for end in ends)]
     sizes = [size for size in sizes if math.isfinite(size) and size > 0]
     return max(0, min(9, 1 - math.floor(math.log10(min(sizes))))) if sizes else 3

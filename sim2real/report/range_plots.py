@@ -1,4 +1,4 @@
-"""What ranges come from, drawn: latencies, predictions, the spread of mass."""
+"""Figures of the sources of ranges: latencies, predictions, densities."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def density_figure(density: Density) -> Figure:
-    """Draw each link as a block: as wide as it is long, as high as its normalised density.
+    """Plot each link as a bar with its length as width and its normalised density as height.
 
-    The area of a block is the link's share of the mass. Whiskers are 90 % intervals.
+    The area of a bar is the link's share of the mass. Whiskers are 90 % intervals.
     """
     ends = np.concatenate([[0.0], np.cumsum(density.length_m)])
     middle = (ends[:-1] + ends[1:]) / 2
@@ -33,8 +33,8 @@ def density_figure(density: Density) -> Figure:
         axes.axhline(1.0, color=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
         axes.plot(middle, density.value, "o", color=ACCENT, markersize=5, markeredgewidth=0)
         if density.sd is not None:
-            half = Z90 * density.sd
-            axes.errorbar(middle, density.value, half, fmt="none", ecolor=ACCENT, capsize=4)
+            margin = Z90 * density.sd
+            axes.errorbar(middle, density.value, margin, fmt="none", ecolor=ACCENT, capsize=4)
         for x, y, name in zip(middle, density.value, density.links, strict=True):
             label = f"{printable(name)}\n{y:.3f}"
             axes.text(x, y / 2, label, ha="center", va="center", color=INK)
@@ -45,37 +45,37 @@ def density_figure(density: Density) -> Figure:
     return figure
 
 
-def latency_figure(found: Latencies, drawn: Spread) -> Figure:
-    """Draw the latency of each episode with two standard errors, and the range behind them."""
+def latency_figure(latencies: Latencies, drawn: Spread) -> Figure:
+    """Plot the latency of each episode with two standard errors, and the range."""
     with house_style():
-        figure = new_figure(230, "latency of the commands, episode by episode")
+        figure = new_figure(230, "latency of the commands by episode")
         axes = figure.subplots()
         low, high = (1e3 * (drawn.centre + s * drawn.half_width) for s in (-1, 1))
         axes.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0)
-        number = np.arange(1, found.seconds.size + 1)
+        number = np.arange(1, latencies.seconds.size + 1)
         axes.errorbar(
-            number, 1e3 * found.seconds, 2e3 * found.sd, fmt="o", color=INK, ecolor=INK,
+            number, 1e3 * latencies.seconds, 2e3 * latencies.sd, fmt="o", color=INK, ecolor=INK,
             markersize=4, markeredgewidth=0, elinewidth=1.0,
         )  # fmt: skip
         axes.set_title("latency, ms; band: the range")
-        axes.set_xlabel("window" if found.windows else "recording")
+        axes.set_xlabel("window" if latencies.windows else "recording")
         axes.locator_params(axis="x", integer=True)
         axes.margins(x=0.03)
     return figure
 
 
 def predictive_figure(check: PredictiveCheck, joint: str) -> Figure:
-    """Draw measured angles less the median prediction, and the band that should hold 95 %."""
+    """Plot measured minus predicted (median) angles, and the 95 % band of the prediction."""
     with house_style():
-        figure = new_figure(230, printable(f"{joint} in {check.recording}: off its prediction"))
+        figure = new_figure(230, printable(f"{joint} in {check.recording}: residual"))
         axes = figure.subplots()
         seen = np.flatnonzero(np.isfinite(check.measured))
         part = slice(int(seen[0]), int(seen[-1]) + 1)
         t, middle = check.t[part], check.median[part]
         low, high = 1e3 * (check.band[:, part] - middle)
         axes.fill_between(t, low, high, color=ACCENT, alpha=0.16, linewidth=0)
-        off = 1e3 * (check.measured[part] - middle)
-        axes.plot(*drawable(t, off), color=INK, linewidth=0.7)
+        residual = 1e3 * (check.measured[part] - middle)
+        axes.plot(*drawable(t, residual), color=INK, linewidth=0.7)
         axes.set_title("measured − predicted, mrad; band: 95 %")
         axes.set_xlabel("time, s")
     return figure

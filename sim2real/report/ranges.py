@@ -1,4 +1,4 @@
-"""The ranges part of a report: every range, and what it comes from."""
+"""Ranges section of a report: every range with its source."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from sim2real.report.style import NARROW
 from sim2real.units import readable_name
 
 _LEAD = (
-    "How far the real robot may be from its simulator, parameter by parameter. A policy that is "
-    "trained over these ranges meets the real robot as one of many. Each number comes from data; "
-    "the last column says from which."
+    "Ranges of each parameter in which the real robot may differ from its simulator. For a policy "
+    "trained over these ranges the real robot is one sample of many. The last column states the "
+    "data that each range is derived from."
 )
 _TABLE = (
-    "What each parameter is drawn from: low to high of a uniform distribution, or mean ± standard "
-    "deviation of a normal one; once an episode, or anew at every step. Fixed: the model "
+    "Distribution of each parameter: low to high of a uniform distribution, or mean ± standard "
+    "deviation of a normal one; drawn once per episode or at every step. Fixed: the model "
     "has a value but no interval."
 )
 _LATENCY = (
-    "Latency of the commands in each {what}, with two standard errors, all joints together. The "
-    "band is the range: the uniform distribution that most likely lies behind them."
+    "Latency of the commands in each {what}, over all joints, with two standard errors. The band "
+    "is the range: the maximum-likelihood uniform distribution."
 )
 _DENSITY = (
-    "Mass per length of each link over that of the whole robot{whiskers}. The area of a block is "
-    "its share of the mass."
+    "Mass per length of each link over that of the whole robot{whiskers}. The area of a bar is "
+    "the link's share of the mass."
 )
 _CHAIN = (
     "{walkers} walkers made {steps} steps each, {spans:.0f} of the longest autocorrelation time; "
@@ -39,15 +39,15 @@ _EXACT = "The servo was solved in closed form, without time steps."
 _STEPS = "The servo was simulated in sub-steps, effects included."
 _CORNER = (
     "Posterior of {joint}. On the diagonal each parameter with its median and its 5 % and 95 % "
-    "quantiles; below it regions that hold 50, 80 and 95 %."
+    "quantiles; below it regions that contain 50, 80 and 95 %."
 )
 _PREDICTIVE = (
-    "{joint} in {recording}, of which nothing here was fitted: how far it was measured from the "
-    "median of the predictions, and the band that should hold 95 %, noise included."
+    "{joint} in {recording}, which was not used by the fit: measured minus median predicted angle, "
+    "and the band that should contain 95 % of the samples, including noise."
 )
 
 
-def ranges_section(found: Gathered) -> Section:
+def ranges_section(gathered: Gathered) -> Section:
     """Every range with its source, and the figures of latency and density."""
     rows = [
         (
@@ -56,46 +56,46 @@ def ranges_section(found: Gathered) -> Section:
             "fixed" if entry.constant else f"{entry.distribution}\nper {entry.period}",
             printable(entry.source),
         )
-        for entry in found.ranges.entries
+        for entry in gathered.ranges.entries
     ]
-    blocks: list[Block] = [Note("warn", printable(note)) for note in found.ranges.notes]
+    blocks: list[Block] = [Note("warn", printable(note)) for note in gathered.ranges.notes]
     blocks.append(Table(("parameter", "range", "drawn", "from"), rows, _TABLE))
-    if found.ranges.posterior:
+    if gathered.ranges.posterior:
         text = (
-            f"Ranges forget how parameters go together. {found.ranges.posterior} keeps that: each "
-            "row of its sample is one servo set that the recordings allow."
+            "Ranges do not represent correlations between parameters. The samples in "
+            f"{gathered.ranges.posterior} do: each row is one consistent set of servo parameters."
         )
         blocks.append(Text(text))
-    if found.latencies is not None and found.spread is not None:
-        drawn = latency_figure(found.latencies, found.spread)
-        what = "window" if found.latencies.windows else "recording"
-        caption = _LATENCY.format(what=what)
+    if gathered.latencies is not None and gathered.spread is not None:
+        drawn = latency_figure(gathered.latencies, gathered.spread)
+        unit_name = "window" if gathered.latencies.windows else "recording"
+        caption = _LATENCY.format(what=unit_name)
         blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
-    if found.density is not None:
-        drawn = density_figure(found.density)
-        whiskers = "" if found.density.sd is None else "; whiskers are 90 % intervals"
+    if gathered.density is not None:
+        drawn = density_figure(gathered.density)
+        whiskers = "" if gathered.density.sd is None else "; whiskers are 90 % intervals"
         caption = _DENSITY.format(whiskers=whiskers)
         blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
     return Section("Ranges", _LEAD, blocks)
 
 
-def posterior_sections(found: Gathered) -> list[Section]:
-    """For each joint that was sampled: its chain, its corner plot, its predictive check."""
-    return [_posterior_section(found, joint) for joint in found.posteriors]
+def posterior_sections(gathered: Gathered) -> list[Section]:
+    """Chain, corner plot and predictive check of each joint with a posterior."""
+    return [_posterior_section(gathered, joint) for joint in gathered.posteriors]
 
 
-def _posterior_section(found: Gathered, joint: str) -> Section:
-    one = found.posteriors[joint]
-    mixing = one.convergence
+def _posterior_section(gathered: Gathered, joint: str) -> Section:
+    posterior = gathered.posteriors[joint]
+    mixing = posterior.convergence
     lead = _CHAIN.format(
-        walkers=one.chain.accepted.size,
+        walkers=posterior.chain.accepted.size,
         steps=mixing.steps,
         spans=mixing.spans,
         least=LEAST_TIMES,
         accepted=100 * mixing.accepted,
-        how=_EXACT if one.exact else _STEPS,
+        how=_EXACT if posterior.exact else _STEPS,
     )
-    low, middle, high = one.quantiles(0.05, 0.5, 0.95)
+    low, middle, high = posterior.quantiles(0.05, 0.5, 0.95)
     rows = [
         (
             f"{printable(readable_name(prior.name))}\n{prior.unit}",
@@ -103,24 +103,24 @@ def _posterior_section(found: Gathered, joint: str) -> Section:
             str(prior),
             f"{mixing.times[k]:.1f}",
         )
-        for k, prior in enumerate(one.priors.each)
+        for k, prior in enumerate(posterior.priors.each)
     ]
     header = ("parameter", "median\n5 % to 95 %", "prior", "autocorrelation\nsteps")
     blocks: list[Block] = [Table(header, rows)]
-    drawn = corner_figure(one, joint)
+    drawn = corner_figure(posterior, joint)
     blocks.append(Figure(svg(drawn), _CORNER.format(joint=printable(joint))))
-    if joint in found.checks:
-        blocks += _predictive(found, joint)
+    if joint in gathered.checks:
+        blocks += _predictive(gathered, joint)
     return Section(f"Posterior of {printable(joint)}", lead, blocks)
 
 
-def _predictive(found: Gathered, joint: str) -> list[Block]:
-    check = found.checks[joint]
+def _predictive(gathered: Gathered, joint: str) -> list[Block]:
+    check = gathered.checks[joint]
     shares = ", ".join(f"{100 * check.covered[x]:.0f} %" for x in LEVELS)
     bands = ", ".join(f"{100 * x:.0f}" for x in LEVELS)
     text = (
         f"Predictive check: of {printable(check.recording)}, {shares} lies within the bands that "
-        f"should hold {bands} %; the median is off by {milliradians(check.rmse)} (RMSE)."
+        f"should contain {bands} %; the error of the median is {milliradians(check.rmse)} (RMSE)."
     )
     drawn = predictive_figure(check, joint)
     caption = _PREDICTIVE.format(joint=printable(joint), recording=printable(check.recording))

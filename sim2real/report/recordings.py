@@ -1,4 +1,4 @@
-"""The recordings part of a report: what was recorded, how well, and what it can tell."""
+"""Recordings section of a report: clock, noise, motion, and what can be identified."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from sim2real.report.style import NARROW
 from sim2real.report.timing_plot import timing_figure
 
 _LEAD = (
-    "Before anything is fitted: is the clock sound, how large is the noise, does every joint move, "
-    "and how well could these recordings pin a servo down at best?"
+    "Check before the fit: regularity of the clock, noise, motion of every joint, and the accuracy "
+    "with which a servo could be identified at best."
 )
 _CLOCKS = "Each recording and its clock."
 _JOINTS = (
-    "Each joint of {recording}: how far it was sent and went, noise and step of its sensor, and "
-    "what a fit can be expected to identify (half-widths of 90 % intervals)."
+    "Each joint of {recording}: ranges of command and position, noise and resolution of its "
+    "sensor, and what a fit can be expected to identify (half-widths of 90 % intervals)."
 )
 _TIMING = "Clock of {recording}: the time from each sample to the next, and its histogram."
 
 
 def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:
-    """What ``check`` found, in a table, notes and a picture of the first recording's clock.
+    """Results of ``check``: tables, notes and a figure of the first recording's clock.
 
     Args:
         recordings: The recordings.
@@ -67,19 +67,19 @@ def _joint_table(check: Check) -> Table:
         )
         for joint in check.joints
     ]
-    header = ("joint", "sent\nrad", "went\nrad", "noise\nmrad", "step\nmrad", "a fit")
+    header = ("joint", "command\nrad", "position\nrad", "noise\nmrad", "step\nmrad", "a fit")
     return Table(header, rows, _JOINTS.format(recording=check.recording))
 
 
 def _notes(checks: Sequence[Check]) -> list[Block]:
-    """Findings, each said once, with the recordings that share it."""
+    """Distinct findings, each with the recordings that share it."""
     where: dict[str, list[str]] = {}
     for check in checks:
         for finding in all_findings(check):
             where.setdefault(finding, []).append(check.recording)
     if not where:
-        return [Note("good", "Nothing odd was found.")]
-    heading = Text("What the check remarks on.", heading="Remarks")
+        return [Note("good", "No irregularities were found.")]
+    heading = Text("Remarks of the check.", heading="Remarks")
     everywhere = len(checks)
     return [
         heading,

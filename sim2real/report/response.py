@@ -1,4 +1,4 @@
-"""What the fitted numbers of a servo mean for how it moves."""
+"""Step response of a servo from its fitted parameters."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from sim2real.model import JointModel
 
 @dataclass(frozen=True)
 class StepResponse:
-    """How a servo answers a small step of its command.
+    """Response of a servo to a small step of its command.
 
     Attributes:
         natural_frequency_rad_s: Undamped natural frequency.
         damping_ratio: 1 is critical damping.
-        half_time_s: From sending the step to half of the way, latency included.
-        overshoot: Share of the step by which the first swing goes too far.
+        half_time_s: Time from sending the step to half of it, latency included.
+        overshoot: Overshoot of the first swing as a share of the step.
     """
 
     natural_frequency_rad_s: float
@@ -26,10 +26,10 @@ class StepResponse:
 
 
 def step_response(joint: JointModel) -> StepResponse | None:
-    """Response of the PD servo, without its further effects; None if nothing pulls it back.
+    """Response of the PD servo, without further effects; None if the stiffness is not positive.
 
-    With inertia I and the torque m g l of a level pendulum, w^2 = (kp + m g l) / I and
-    zeta = kd / (2 I w), for small angles about hanging straight down; overshoot is
+    With inertia I and the torque m g l of a horizontal pendulum, w^2 = (kp + m g l) / I and
+    zeta = kd / (2 I w), for small angles about the vertical; overshoot is
     exp(-pi zeta / sqrt(1 - zeta^2)) (K. Ogata, Modern Control Engineering, section 5-3).
     """
     gravity = joint.load.gravity_Nm if joint.load and not joint.per_inertia else 0.0
@@ -46,15 +46,15 @@ def step_response(joint: JointModel) -> StepResponse | None:
 
 
 def describe_response(name: str, joint: JointModel) -> str:
-    """One or two sentences on how quickly ``name`` follows and how it settles."""
+    """One or two sentences on the response time and settling of ``name``."""
     response = step_response(joint)
     if response is None:
         return f"With kp at 0, {name} does not follow its command."
     half, latency = 1e3 * response.half_time_s, 1e3 * joint.latency_s
     frequency, damping = response.natural_frequency_rad_s, response.damping_ratio
     return (
-        f"{name} reaches half of a small step {half:.0f} ms after it is sent; {latency:.0f} ms "
-        f"of it is latency. Its natural frequency is {frequency:.3g} rad/s "
+        f"{name} reaches half of a small step {half:.0f} ms after it is sent, of which "
+        f"{latency:.0f} ms is latency. Its natural frequency is {frequency:.3g} rad/s "
         f"({frequency / (2 * math.pi):.2g} Hz) and its damping ratio {damping:.2f}: "
         f"{_settling(response)}."
     )
@@ -62,7 +62,7 @@ def describe_response(name: str, joint: JointModel) -> str:
 
 def _settling(response: StepResponse) -> str:
     if response.damping_ratio == 0:
-        return "it swings about the step and does not settle"
+        return "it oscillates and does not settle"
     if response.damping_ratio >= 1:
         return "it does not overshoot"
     if response.overshoot < 0.005:
@@ -86,5 +86,5 @@ def _unit_step(time: float, damping: float) -> float:
         turn = math.cos(swing * time) + damping / swing * math.sin(swing * time)
         return 1 - math.exp(-damping * time) * turn
     fast = -damping - math.sqrt(damping**2 - 1)
-    slow = 1 / fast  # the product of the poles is 1; a difference would lose the digits
+    slow = 1 / fast  # the product of the poles is 1; a difference would lose precision
     return 1 - (fast * math.exp(slow * time) - slow * math.exp(fast * time)) / (fast - slow)

@@ -1,4 +1,4 @@
-"""Time series made ready to draw: gaps kept, long ones thinned, the largest move found."""
+"""Preparation of time series for plots: gaps, thinning, the largest movement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BINS = 1500
 
 
 def gaps(t: Array) -> NDArray[np.intp]:
-    """Indices of the samples that come more than three median intervals after the one before."""
+    """Indices of samples more than three median intervals after the previous one."""
     interval = np.diff(t)
     if not interval.size:
         return np.empty(0, dtype=np.intp)
@@ -21,26 +21,26 @@ def gaps(t: Array) -> NDArray[np.intp]:
 
 
 def drawable(t: Array, values: Array) -> tuple[Array, Array]:
-    """``values (T,)`` over ``t (T,)`` with a NaN in every gap; thinned if there are too many.
+    """``values (T,)`` over ``t (T,)`` with a NaN in every gap; long series are thinned.
 
-    Of every 1/1500 of a long series the smallest and the largest value stay, and a missing one, so
-    that the drawn outline is that of all samples and gaps stay gaps.
+    Of every 1/1500 of a long series, the smallest, the largest and a missing value are kept, so
+    that the plotted outline and the gaps do not change.
     """
-    at = gaps(t)
-    if at.size:  # a sample speaks for one interval: a step goes no further into the gap
-        t = np.insert(t, at, t[at - 1] + np.median(np.diff(t)))
-    values = np.insert(values, at, np.nan)
+    starts = gaps(t)
+    if starts.size:  # a sample is valid for one interval: a step line ends there
+        t = np.insert(t, starts, t[starts - 1] + np.median(np.diff(t)))
+    values = np.insert(values, starts, np.nan)
     if t.size <= LONGEST:
         return t, values
-    kept = np.unique(np.concatenate([_extremes(i, values) for i in _bins(t.size)]))
-    return t[kept], values[kept]
+    indices = np.unique(np.concatenate([_extremes(i, values) for i in _bins(t.size)]))
+    return t[indices], values[indices]
 
 
-def lone(values: Array) -> NDArray[np.bool_]:
-    """Which of ``values`` stand alone between missing ones: a line would not show them."""
+def isolated_samples(values: Array) -> NDArray[np.bool_]:
+    """Mask of ``values`` between two missing ones, which a line would not show."""
     missing = np.concatenate([[True], np.isnan(values), [True]])
-    alone: NDArray[np.bool_] = ~missing[1:-1] & missing[:-2] & missing[2:]
-    return alone
+    isolated: NDArray[np.bool_] = ~missing[1:-1] & missing[:-2] & missing[2:]
+    return isolated
 
 
 def segments(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -53,20 +53,20 @@ def segments(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def largest_move(
     t: Array, command: Array, position: Array, *, window_s: float = 1.5, lead_s: float = 0.2
 ) -> tuple[float, float]:
-    """Start and end of the ``window_s`` seconds that begin just before the largest move.
+    """Start and end of a window that begins ``lead_s`` before the largest movement.
 
-    The move is looked for in the command (in the position, where no commands were recorded), and
-    only where most of the window was measured.
+    The movement is that of the command (of the position, if no commands were recorded) in windows
+    of which most samples were measured.
     """
     moving = command if np.isfinite(command).any() else position
-    last = max(t[0], t[-1] - window_s)
+    latest = max(t[0], t[-1] - window_s)
     ahead = np.searchsorted(t, t + lead_s).clip(max=t.size - 1)
     move = np.nan_to_num(np.abs(moving[ahead] - moving), nan=0.0)
     measured = np.concatenate([[0], np.cumsum(np.isfinite(position))])
     stop = np.searchsorted(t, t + window_s)
     expected = (np.minimum(t + window_s, t[-1]) - t) / np.median(np.diff(t))
     present = (measured[stop] - measured[:-1] > 0.8 * expected) & (t[ahead] - t < 2 * lead_s)
-    move[(~present & present.any()) | (t > last)] = -1.0
+    move[(~present & present.any()) | (t > latest)] = -1.0
     start = float(t[np.argmax(move)])
     return start, float(min(start + window_s, t[-1]))
 

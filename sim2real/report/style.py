@@ -1,4 +1,4 @@
-"""How every figure of the report looks."""
+"""Style of all figures of the report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 INK, MUTED, FAINT, RULE = "#1c1e21", "#6a7078", "#a3a8af", "#dcdee1"
 ACCENT, PAPER = "#c73e1d", "#ffffff"
-# A page sets these variables for light, dark and print; elsewhere the colours stand as they are.
+# CSS variables that a page sets for light, dark and print; elsewhere the colours are used.
 VARIABLES = {
     INK: "ink",
     MUTED: "muted",
@@ -75,7 +75,7 @@ STYLE: dict[Any, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib with the look of the report, inside this block only."""
+    """Context manager that sets Matplotlib's style to that of the report."""
     with report_libraries():
         from matplotlib import rc_context
     with rc_context(STYLE):
@@ -83,9 +83,9 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(height: float, label: str) -> Figure:
-    """An empty figure ``WIDE`` by ``height`` points; ``label`` is what a screen reader says.
+    """An empty figure of ``WIDE`` by ``height`` points, with ``label`` for screen readers.
 
-    At one point a pixel, as a page shows it, text has the size that ``STYLE`` gives it.
+    A page shows it at one pixel per point, so that text has the size in ``STYLE``.
     """
     with report_libraries():
         from matplotlib.figure import Figure

@@ -36,15 +36,15 @@ def fit_report(model: Model) -> str:
     Returns:
         Lines of at most 100 columns, the last without a line break.
     """
-    known = {name: quantities(joint) for name, joint in model.joints.items()}
-    rows = {name: [_cells(q) for q in each if not q.unbounded] for name, each in known.items()}
-    every = [_HEADER, *(row for block in rows.values() for row in block)]
-    widths = [max(len(row[column]) for row in every) for column in range(len(_HEADER))]
+    table = {name: quantities(joint) for name, joint in model.joints.items()}
+    rows = {name: [_cells(q) for q in each if not q.unbounded] for name, each in table.items()}
+    all_rows = [_HEADER, *(row for block in rows.values() for row in block)]
+    widths = [max(len(row[column]) for row in all_rows) for column in range(len(_HEADER))]
     lines = [_line(_HEADER, widths)]
     for name, joint in model.joints.items():
         lines += ["", textwrap.shorten(printable(name), WIDTH, placeholder="...") or "(no name)"]
         lines += [_line(row, widths) for row in rows[name]]
-        lines += _not_determined(known[name])
+        lines += _not_determined(table[name])
         lines += _quality(model.fit.get(f"{name}.position_rad", {}))
         lines += _remarks(joint)
     if model.effects:
@@ -55,7 +55,7 @@ def fit_report(model: Model) -> str:
 
 
 def recording_report(recording: Recording) -> str:
-    """The summary of a recording, and a line on each joint."""
+    """The summary of a recording, and a line for each joint."""
     width = max((len(joint) for joint in recording.joints), default=0)
     lines = [f"{recording.name}: {recording.summary}"]
     for j, joint in enumerate(recording.joints):
@@ -69,8 +69,8 @@ def recording_report(recording: Recording) -> str:
 
 def span(angles: Array) -> str:
     """Smallest to largest of the angles that are not missing, in rad."""
-    known = angles[np.isfinite(angles)]
-    return f"{known.min():.3f} to {known.max():.3f} rad" if known.size else "none"
+    finite = angles[np.isfinite(angles)]
+    return f"{finite.min():.3f} to {finite.max():.3f} rad" if finite.size else "none"
 
 
 def _cells(quantity: Quantity) -> tuple[str, ...]:
@@ -85,9 +85,9 @@ def _cells(quantity: Quantity) -> tuple[str, ...]:
 
 
 def _pointed(number: str, before: int = 6, after: int = 6) -> str:
-    """``number`` padded so that the decimal points of a column stand under each other."""
-    whole, point, fraction = number.partition(".")
-    return f"{whole:>{before}}{point}{fraction}".ljust(before + 1 + after)
+    """``number`` padded to align the decimal points of a column."""
+    integer, point, fraction = number.partition(".")
+    return f"{integer:>{before}}{point}{fraction}".ljust(before + 1 + after)
 
 
 def _line(cells: Iterable[str], widths: list[int]) -> str:
@@ -95,8 +95,8 @@ def _line(cells: Iterable[str], widths: list[int]) -> str:
     return ("  " + "  ".join(padded)).rstrip()
 
 
-def _not_determined(each: Iterable[Quantity]) -> list[str]:
-    names = ", ".join(quantity.name for quantity in each if quantity.unbounded)
+def _not_determined(listed: Iterable[Quantity]) -> list[str]:
+    names = ", ".join(quantity.name for quantity in listed if quantity.unbounded)
     indent = " " * _LABEL
     first = "  not determined: "
     return textwrap.wrap(first + names, WIDTH, subsequent_indent=indent) if names else []

@@ -1,4 +1,4 @@
-"""When the samples of a recording came: jitter and gaps at a glance."""
+"""Figure of the sampling times of a recording: jitter and gaps."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _LABEL_WIDTH = 0.2  # of the time axis, on a phone
 
 
 def timing_figure(recording: Recording) -> Figure:
-    """Draw the time between samples over the recording, and how often each length occurs.
+    """Plot the time between samples over the recording, with its histogram.
 
-    A gap (over three times the median) would dwarf the jitter, so it is a mark at the upper edge,
-    the longest with their length.
+    Gaps (over three times the median) are drawn as marks at the upper edge, the longest labelled
+    with their length.
     """
     interval = 1e3 * np.diff(recording.t)
-    at = gaps(recording.t)
+    after_gap = gaps(recording.t)
     regular = np.ones(interval.size, dtype=bool)
-    regular[at - 1] = False
+    regular[after_gap - 1] = False
     with house_style():
         figure = new_figure(250, printable(f"{recording.name}: time between samples"))
         over_time, counts = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
@@ -43,7 +43,7 @@ def timing_figure(recording: Recording) -> Figure:
         over_time.set_xlim(recording.t[0], recording.t[-1])
         over_time.set_xlabel("time, s")
         over_time.set_title(_title(interval, interval[~regular]))
-        _mark_gaps(over_time, recording.t[at], interval[at - 1], top)
+        _mark_gaps(over_time, recording.t[after_gap], interval[after_gap - 1], top)
         bins = np.linspace(bottom, top, 61)
         counts.hist(
             interval[regular], bins=bins, orientation="horizontal", histtype="stepfilled", color=INK
@@ -64,7 +64,7 @@ def _title(interval: Array, missing: Array) -> str:
 
 
 def _range(interval: Array) -> tuple[float, float]:
-    """Ends of the time axis: symmetric about the median, wide enough that calm looks calm."""
+    """Limits of the interval axis: symmetric about the median, at least 25 % to either side."""
     median = float(np.median(interval))
     reach = max(1.6 * float(np.abs(interval - median).max()), 0.25 * median)
     return max(0.0, median - reach), median + reach
@@ -73,11 +73,11 @@ def _range(interval: Array) -> tuple[float, float]:
 def _mark_gaps(axes: Axes, t: Array, length: Array, top: float) -> None:
     axes.plot(t, np.full(t.size, top), "v", color=ACCENT, markersize=6, mew=0, clip_on=False)
     start, stop = axes.get_xlim()
-    named: list[float] = []
+    labelled: list[float] = []
     for index in np.argsort(-length, kind="stable"):
-        if any(abs(t[index] - other) < _LABEL_WIDTH * (stop - start) for other in named):
+        if any(abs(t[index] - label) < _LABEL_WIDTH * (stop - start) for label in labelled):
             continue
-        named.append(float(t[index]))
+        labelled.append(float(t[index]))
         at_the_end = t[index] > stop - _LABEL_WIDTH * (stop - start)
         axes.annotate(
             f"{length[index]:.0f} ms",

@@ -274,7 +274,7 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
 def test_demo_says_where_its_agents_are_for_another_robot(tmp_path, capsys, monkeypatch):
     """As where a calibration comes out otherwise than that which the agents were trained for."""
     demo = pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
-    said = demo._drifted(2.5)
+    said = demo._drift_warning(2.5)
     assert "another calibration" in said and "2.5 times" in said and "--train" in said
     assert "\n" not in said
 

@@ -36,8 +36,8 @@ def test_writes_a_recording_and_says_so_in_one_line(log, tmp_path, capsys):
     (line,) = capsys.readouterr().out.splitlines()
     assert line == (
         f"{out}: 7 rows in 0.06 s; joints j1; 100 samples a second; load known on j1; "
-        "j1 starts +0.50 rad off its first command; "
-        "2 rows left out from 0.07 s: the torque comes on again"
+        "j1 starts +0.50 rad from its first command; "
+        "2 rows omitted from 0.07 s: the torque comes on again"
     )
 
 

@@ -135,7 +135,7 @@ def test_a_refit_to_recordings_scores_on_the_last(
     exported, full = map(float, re.search(r"on b, held out: (\S+) .* (\S+) of", line).groups())  # type: ignore[union-attr]
     assert full == pytest.approx(1e3 * simulated.NOISE, rel=0.15)
     assert full < exported < 5 * full
-    said = re.search(r"j1: MuJoCo, running this actuator: (\S+) .* b, held out", mujoco_itself)
+    said = re.search(r"j1: this actuator in MuJoCo: (\S+) .* b, held out", mujoco_itself)
     assert said is not None
     assert float(said.group(1)) == pytest.approx(exported, rel=0.1)
     assert "deadband (halfwidth_rad = 0.02)" in out.read_text()

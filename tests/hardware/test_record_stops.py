@@ -34,8 +34,8 @@ def stopped(folder, capsys, status, *parts):
 def test_the_cable_is_pulled(tmp_path, capsys, udp):
     with served(1, udp=udp) as bench, when_rows(tmp_path / "run.csv", ROWS, bench.pull):
         status = record(tmp_path, bench.port)
-        why = "no reply from j1" if udp else "the port is gone"
-        recording = stopped(tmp_path, capsys, status, why, "any servo may still hold")
+        why = "no reply from j1" if udp else "the port was lost"
+        recording = stopped(tmp_path, capsys, status, why, "torque of any servo may still be on")
         assert ROWS <= recording.t.size < 1500
         assert np.isfinite(recording.position[:ROWS]).mean() > 0.5
 
@@ -50,7 +50,9 @@ def test_one_servo_is_lost_and_the_other_let_go(tmp_path, capsys):
 
         with when_rows(tmp_path / "run.csv", ROWS, unplug):
             status = record(tmp_path, bench.port, joints=2)
-        recording = stopped(tmp_path, capsys, status, "no reply from j2", "j2 may still hold")
+        recording = stopped(
+            tmp_path, capsys, status, "no reply from j2", "torque of j2 may still be on"
+        )
         assert np.isfinite(recording.position[:, 0]).mean() > 0.5
         assert np.isnan(recording.position[-20:, 1]).all()
         assert not first.powered
@@ -89,10 +91,12 @@ def test_what_never_began_leaves_no_file(tmp_path, capsys):
         status = record(tmp_path, bench.port)
         refused(capsys, status, 1, "70 C, above 65 C", "nothing written", "torque off")
         status = record(tmp_path, bench.port, joints=2)
-        refused(capsys, status, 1, "70 C", "nothing written", "j2 may still hold")
+        refused(capsys, status, 1, "70 C", "nothing written", "torque of j2 may still be on")
         bench.servos[0].connected = False
         status = record(tmp_path, bench.port)
-        refused(capsys, status, 1, "no reply from j1's servo 1", "any servo may still hold")
+        refused(
+            capsys, status, 1, "no reply from j1's servo 1", "torque of any servo may still be on"
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["robot.toml"]
 
 

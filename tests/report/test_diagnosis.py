@@ -213,7 +213,7 @@ def table(blocks, first):
 def test_what_the_plain_fit_had_been_hiding():
     _, blocks = explained()
     shifts = table(blocks, "servo")
-    assert "What the plain fit had been hiding" in shifts.caption
+    assert "Bias of the plain fit" in shifts.caption
     (row,) = shifts.rows
     assert row[:2] == ("j2", "−12 %\n2 to 1.76 N m/rad")
     assert row[2].startswith("0 %\n") and row[3] == "+14 %\n58 to 66 ms"
@@ -227,7 +227,7 @@ def test_parameters_that_stay_need_no_table():
 
 def test_joints_without_mismatch_get_one_sentence():
     text, blocks = explained()
-    errors = "j1 is off by 1.6 mrad, with 1.5 mrad of noise"
+    errors = "j1 has an error of 1.6 mrad, with 1.5 mrad of noise"
     assert f"j1 and j3 follow the plain servo down to the noise: {errors}." in text
     assert [b.heading for b in blocks if isinstance(b, Text) and b.heading.startswith("Where")] == [
         "Where j2 differs"
@@ -239,9 +239,9 @@ def test_consistent_joints_are_told_with_error_and_noise():
     ladders = {f"{name}.position_rad": ladder for name in CONSISTENT.model.joints}
     text, _ = said(replace(CONSISTENT, ladders=ladders))
     assert "j1, j2 and j3 follow the plain servo down to the noise" in text
-    assert text.count("is off by 1.6 mrad, with 1.5 mrad of noise") == 3
+    assert text.count("has an error of 1.6 mrad, with 1.5 mrad of noise") == 3
     fits = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
-    assert "noise: j3 is off by 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=fits))[0]
+    assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=fits))[0]
 
 
 def test_detection_limits_are_one_row_an_effect():
@@ -257,9 +257,9 @@ def test_members_of_a_group_are_named_with_the_next_experiment():
     assert "Practically certain: more than 99 % sure that it is one of them." in text
     both = "cannot tell backlash from a dead band of the controller"
     assert f"These recordings {both}." in text
-    assert "j2: one of these" in text and "in a bracket shares one bar" in text
+    assert "j2: one of these" in text and "in a bracket share one bar" in text
     assert "in a bracket" not in explained()[0]
-    assert "Record j2 under slow triangles" in text and "14 noise levels apart" in text
+    assert "Record j2 under slow triangles" in text and "14 standard deviations" in text
     told = replace(AMBIGUOUS.effects[0], statement=f"j2: play (or x: these recordings {both}).")
     assert said(replace(AMBIGUOUS, effects=(told,)))[0].count("cannot tell backlash") == 1
 
@@ -267,9 +267,9 @@ def test_members_of_a_group_are_named_with_the_next_experiment():
 def test_what_is_unexplained_says_so_and_how_surely():
     text, blocks = said(UNEXPLAINED)
     assert "The probability of that is 93 %." in text
-    assert "In colour" not in text and "What is named is worth" not in text
+    assert "Coloured" not in text and "The named effects matter" not in text
     assert blocks[0].kind == "warn" and "no effect in the catalogue explains" in text
-    assert "with the findings" not in text and "with what is named" not in text
+    assert "with the findings" not in text and "with the named effects" not in text
 
 
 def test_torque_without_a_known_load_is_per_inertia():
@@ -315,10 +315,10 @@ def test_an_effect_that_joints_share_shifts_the_first():
 def test_only_joints_with_a_finding_show_what_it_is_worth():
     other = replace(MISMATCH, signal="j1.position_rad", component="j1")
     _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
-    (drawn,) = [b for b in blocks if isinstance(b, Figure) and "has not seen" in b.caption]
-    assert drawn.svg.count("with what is named") == 1
+    (drawn,) = [b for b in blocks if isinstance(b, Figure) and "held-out recordings" in b.caption]
+    assert drawn.svg.count("with the named effects") == 1
     assert drawn.svg.count("plain servo") == 2
-    assert drawn.svg.count("noise of the sensor") == 2
+    assert drawn.svg.count("sensor noise") == 2
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])
@@ -392,5 +392,5 @@ def test_what_the_written_model_holds_besides_the_names_is_no_claim():
     )
     model = replace(EXPLAINED.model, joints={**EXPLAINED.model.joints, "j2": servo})
     text, _ = said(replace(EXPLAINED, model=model))
-    assert "chosen to predict best and holds backlash" in text
-    assert "no claim that they are there" in text
+    assert "selected for prediction and also contains backlash" in text
+    assert "imply that they are present" in text

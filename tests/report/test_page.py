@@ -170,8 +170,8 @@ def test_section_has_table_figures_sentences_and_notes(bench, section):
     ]
     assert [b.kind for b in section.blocks if isinstance(b, Note)] == ["warn"]
     words = [b.paragraph for b in section.blocks if isinstance(b, Text)]
-    assert "66 ms of it is latency" in words[0] and "2.3 times the noise" in words[0]
-    assert "leave kp unbounded above" in words[1]
+    assert "66 ms is latency" in words[0] and "2.3 times the noise" in words[0]
+    assert "bound kp (unbounded above)" in words[1]
 
 
 def test_units_stand_in_the_cells_where_joints_differ():
@@ -189,7 +189,7 @@ def test_error_is_said_for_what_is_known():
     joint = JointModel(2.0, 0.06, 0.07, 0.002, effects=(FittedEffect("backlash", {}),))
     fit = {"j1.position_rad": {"train": 0.004, "heldout": None}}
     blocks = identification_section(Model({"j1": joint}, fit=fit), []).blocks
-    assert "was fitted to, the model is off by 4.0 mrad" in blocks[2].paragraph
+    assert "on the fitted samples is 4.0 mrad" in blocks[2].paragraph
     assert "backlash" in blocks[2].paragraph
     assert blocks[0].rows[0][-1] == "4.0\ntrain"
 

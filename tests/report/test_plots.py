@@ -12,7 +12,7 @@ from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report import fit_figure, parameter_figure, save_png, svg, timing_figure
-from sim2real.report.series import drawable, gaps, largest_move, lone, segments
+from sim2real.report.series import drawable, gaps, isolated_samples, largest_move, segments
 from sim2real.report.style import NARROW
 
 
@@ -204,7 +204,11 @@ def test_series_helpers():
     t = np.array([0, 0.02, 0.04, 0.5, 0.52])
     assert gaps(t).tolist() == [3]
     nan = np.nan
-    assert lone(np.array([1.0, nan, 1.0, 1.0, nan, 1.0])).tolist() == [True, *[False] * 4, True]
+    assert isolated_samples(np.array([1.0, nan, 1.0, 1.0, nan, 1.0])).tolist() == [
+        True,
+        *[False] * 4,
+        True,
+    ]
     assert segments(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
 
 

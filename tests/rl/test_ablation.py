@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rl.experiments.testbeds
-from rl.commands.ablate import tried_in
+from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import ablate, bootstrap
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
@@ -72,7 +72,7 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
 def ablated(robot, model):
     def call(folder, reality=None):
         arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
-        places = tried_in(robot, arms, PLAN, RANGES, reality or model)
+        places = make_testbeds(robot, arms, PLAN, RANGES, reality or model)
         return ablate(folder, robot, arms, PLAN, places, repeats=3)
 
     return call
@@ -181,10 +181,10 @@ def test_pairs_take_out_what_seeds_have_in_common():
     rng = np.random.default_rng(0)
     seeds = rng.normal(0, 5, 8)
     one = paired(20 + seeds + rng.normal(0, 0.1, 8), 17 + seeds + rng.normal(0, 0.1, 8))
-    assert one.told
+    assert one.significant
     assert abs(one.mean - 3) < 0.2
     assert one.high - one.low < 0.5
-    assert not paired(np.array([1.0]), np.array([0.0])).told
+    assert not paired(np.array([1.0]), np.array([0.0])).significant
 
 
 def test_its_intervals_hold_the_truth_nine_times_in_ten():
@@ -207,9 +207,9 @@ def test_one_turn_that_fails_beyond_measure_does_not_drown_the_others():
             agent("no-servo", 3, -60.0, 4.0),
         ]
     }
-    plain, kept = differences(found)["no-servo"], differences(found, least=0.0)["no-servo"]
-    assert not plain.told
-    assert kept.told
+    plain, kept = differences(found)["no-servo"], differences(found, floor=0.0)["no-servo"]
+    assert not plain.significant
+    assert kept.significant
     assert kept.mean == pytest.approx(np.mean([6.0, 6.05, 6.1, 7.65]))
 
 

@@ -57,6 +57,6 @@ def test_a_run_that_is_done_is_not_done_again_and_another_is_refused(run):
 
 def test_a_table_that_is_none_is_refused():
     told = {**TABLE.content(), "offset_rad": [0.0]}
-    with pytest.raises(ValueError, match="unlike"):
+    with pytest.raises(ValueError, match="different lengths"):
         ActionTable.from_content(told)
     assert read_table(POOL / "robot.toml") is None

@@ -222,7 +222,7 @@ def test_the_next_step_begins_the_next_episode(world_of):
     assert not late.any()
     assert infos["_reached"].tolist() == [True, False, True]
     assert envs.world.elapsed.tolist() == [8, 0, 8]
-    assert np.allclose(first[1, 3:6], envs.decisions.observer.see(envs.world._last)[1, 3:6])
+    assert np.allclose(first[1, 3:6], envs.decisions.observer.observe(envs.world._last)[1, 3:6])
     with pytest.raises(ValueError, match="Disabled"):
         FishVectorEnv(world_of(1), autoreset_mode="Disabled")
 

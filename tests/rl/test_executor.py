@@ -131,11 +131,11 @@ def test_one_process_at_a_time_works_in_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker, "PATIENCE_S", 0.0)
-    with worker.only_one(tmp_path):
-        expected = f"process {os.getpid()} on .* at work in it, expected it idle"
-        with pytest.raises(InputError, match=expected), worker.only_one(tmp_path):
+    with worker.locked(tmp_path):
+        expected = f"in use by process {os.getpid()} on .*, expected no process"
+        with pytest.raises(InputError, match=expected), worker.locked(tmp_path):
             pass
-    with worker.only_one(tmp_path):
+    with worker.locked(tmp_path):
         pass
 
 
@@ -207,7 +207,7 @@ def test_jobs_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found 'walk', expected package.module:function"):
         Job("a", "walk", {}, tmp_path)
     for value in (tmp_path, (1, 2), float("nan"), {1: 2}):
-        with pytest.raises(InputError, match="a: options: found .* JSON keeps"):
+        with pytest.raises(InputError, match="a: options: found .* JSON represents"):
             Job("a", "random_walk:walk", {"seed": value}, tmp_path)
     one, two = walks(tmp_path, steps=10, count=2)
     with pytest.raises(InputError, match="jobs: name: found seed0 2 times"):

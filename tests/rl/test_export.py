@@ -178,7 +178,7 @@ def test_a_price_of_energy_is_one_that_the_agent_learned_for(observations, tmp_p
     for file, price, expected in (
         ("agent", 2.1, "2.1, expected 0.5 to 2"),
         ("agent", float("nan"), "nan, expected 0.5 to 2"),
-        ("one", 0.5, "0.5, expected 1, as it learned"),
+        ("one", 0.5, "0.5, expected 1, as in training"),
     ):
         with pytest.raises(InputError, match=re.escape(expected)):
             run(options_of(tmp_path / f"{file}.zip", tmp_path / "p.npz", price=price))
@@ -232,7 +232,7 @@ def test_a_format_that_fails_leaves_no_file_of_another(tmp_path, monkeypatch):
         ({"observation": np.array(["x"] * 10)}, "observation"),
         ({"view": np.array('{"period": 0}')}, "a view"),
         ({"view": None}, "view"),
-        ({"provenance": np.array("{")}, "none"),
+        ({"provenance": np.array("{")}, "an invalid array"),
         ({"joints": np.array({"a": 1}, dtype=object)}, "no arrays"),
     ],
 )

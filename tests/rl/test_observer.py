@@ -43,8 +43,8 @@ def test_numpy_and_pytorch_see_the_same(view):
     for _ in range(30):
         raw = (raw + 0.3 * rng.normal(size=raw.shape)).astype(np.float32)
         rows = rng.random(E) < 0.5
-        told = other.see(torch.tensor(raw), torch.tensor(rows))
-        columns = one.see(raw, rows)
+        told = other.observe(torch.tensor(raw), torch.tensor(rows))
+        columns = one.observe(raw, rows)
         assert columns.shape == (E, view.size(3)) == (E, len(view.columns(["a", "b", "c"])))
         assert columns.dtype == np.float32
         assert columns == pytest.approx(told.numpy(), abs=1e-5)
@@ -60,7 +60,7 @@ def test_the_papers_view_changes_nothing():
     observer = Observer(PAPER, LOW, HIGH, 5)
     raw = np.random.default_rng(1).normal(size=(5, 11)).astype(np.float32)
     observer.begin(raw)
-    assert np.array_equal(observer.see(raw), raw)
+    assert np.array_equal(observer.observe(raw), raw)
     observer.decide(np.ones((5, 3), np.float32))
     assert observer.set_points(0) == pytest.approx(np.tile(HIGH, (5, 1)))
 
@@ -70,7 +70,9 @@ def test_the_bearing_keeps_its_side_until_far_round():
     column = view.columns(["a", "b", "c"]).index("kept_bearing")
     observer = Observer(view, LOW, HIGH, 1)
     observer.begin(seen_at(2.5))
-    told = [np.pi * observer.see(seen_at(b))[0, column] for b in (3.0, 3.3, 3.9, 4.0, -3.0, 3.3)]
+    told = [
+        np.pi * observer.observe(seen_at(b))[0, column] for b in (3.0, 3.3, 3.9, 4.0, -3.0, 3.3)
+    ]
     # on the left over half a turn; beyond 225 degrees it has changed its side, and keeps that
     assert told == pytest.approx([3.0, 3.3, 3.9, 4.0 - 2 * np.pi, -3.0, 3.3 - 2 * np.pi], abs=1e-5)
 
@@ -81,10 +83,10 @@ def test_a_stroke_keeps_its_side_and_decisions_are_remembered():
     side, first = names.index("stroke_side"), names.index("a.decision_1_ago")
     observer = Observer(view, LOW, HIGH, 1)
     observer.begin(seen_at(-1.0))
-    assert observer.see(seen_at(-1.0))[0, side] == -1, "at first the target's"
+    assert observer.observe(seen_at(-1.0))[0, side] == -1, "at first the target's"
     for mean, expected in ((0.1, -1), (0.4, 1), (0.0, 1), (-0.4, -1)):
         observer.decide(np.full((1, 3), mean, np.float32))
-        columns = observer.see(seen_at(-1.0))[0]
+        columns = observer.observe(seen_at(-1.0))[0]
         assert columns[side] == expected
         assert columns[first] == np.float32(mean)
     assert columns[first + 3] == 0.0

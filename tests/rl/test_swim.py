@@ -255,7 +255,7 @@ class TestCommand:
         monkeypatch.setattr("rl.deploy.swim.ANSWER_S", 0.2)
         (tmp_path / "out").mkdir()
         for url in (radio[1], "udp://127.0.0.1:9"):
-            with pytest.raises(InputError, match="no word from"):
+            with pytest.raises(InputError, match="no answer from"):
                 run(
                     options_of(policy_file, virtual=False, port=url, out=tmp_path / "out" / "s.csv")
                 )
@@ -316,7 +316,7 @@ class TestContact:
             track = swim(link, Pilot(random_policy(), FAR, 60.0))
         thread.join()
         assert track is not None
-        assert track.stopped == "no word from the robot for 0.5 s"
+        assert track.stopped == "no answer from the robot for 0.5 s"
         assert 20 < len(track.t) <= 60
         last = [read_set_points(datagram, 3) for datagram in drained(end)[-5:]]
         assert [one.joint.tolist() for one in last if one] == [[0.0] * 3] * 5
@@ -325,7 +325,7 @@ class TestContact:
         def fail(self: Pilot) -> None:
             raise OSError("disk full")
 
-        monkeypatch.setattr(Pilot, "_steered", fail)
+        monkeypatch.setattr(Pilot, "_command", fail)
         sent = []
         with virtual_robot(twin) as url, Link(url, 3) as link:
             send = link.send
@@ -341,7 +341,7 @@ class TestContact:
             pilot.answer([Telemetry(CONTROL_S * k, pose, np.zeros(3))], CONTROL_S * k)
             if pilot.over:
                 break
-        assert pilot.stopped == "robot or joints unseen for 0.5 s"
+        assert pilot.stopped == "no pose or joint angles for 0.5 s"
         assert 0.02 * 65 < pilot.track().device_t[-1] < 0.02 * 69
         assert (pilot.track().command[-1] == 0).all()
 
