@@ -46,8 +46,8 @@ class ServoType:
 
     Attributes:
         name: Its name.
-        per_inertia: Whether the loads of the fits were unknown: torques and inertias are then per
-            kg m2 of the load, and apply only to servos whose load is unknown as well.
+        per_inertia: Whether the loads were unknown, so that torques and inertias are per kg m2 of
+            the load; these apply only to servos for which the same is true, or not true.
         parameters: Mean and standard deviation by column of the law, as searched.
         source: Description of the fitted recordings.
     """

@@ -31,7 +31,7 @@ class LatencySettings:
         rounds: Number of steps of the shared gains.
         largest_change: Largest relative change of a gain in one step.
         smallest_spread_s: Smallest half-width of the distribution of latencies that is resolved.
-        law_sd_s: Smallest standard deviation of a latency, from errors of the servo's law.
+        law_sd_s: Smallest standard deviation of a latency, due to errors of the servo's law.
         enough_recordings: With fewer recordings, windows of them count as episodes, as latency may
             drift within a recording.
         window_s: Length of such a window.

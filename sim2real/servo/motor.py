@@ -115,7 +115,7 @@ def read_motor(p: Row) -> Motor:
 
 @wp.struct
 class Push:
-    """Output of the motor during a sub-step: ``torque - damping * speed``.
+    """Torque of the motor during a sub-step: ``torque - damping * speed``.
 
     ``stiffness`` is the derivative of ``torque`` by the error, 0 where the drive clips.
     """
