@@ -25,13 +25,16 @@ from sim2real.exporters.actuator import (
 from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
+from sim2real.servo.gear_train import SPRING_DAMPING
 from sim2real.servo.parameters import SOFT
 
 TIMESTEP_S = 0.00025
-SHAFT_SHARE = 1 / 500  # of the inertia, placed on the motor's side of a spring
+CONTACT = {"solreflimit": f"{2 * TIMESTEP_S} 1", "solimplimit": "0.999 0.9999 0.0001"}
+"""The flanks of a gear train with play, as rigid as the time step allows."""
 
 HAS = (
     "asymmetric_friction",
+    "backlash",
     "cogging",
     "command_filter",
     "compliance",
@@ -50,7 +53,6 @@ HAS = (
 
 LACKS = {
     "torque_saturation": "the motor's own limit is the actuator's forcerange",
-    "backlash": "a free body between stops crosses the play differently at small torques",
     "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
     "sensor_eccentricity": "add a sine of the angle to the observation",
@@ -115,6 +117,9 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         _sensor(actuator, parts["sensor"])
         hard = {name: x for name, x in actuator.motor.items() if f"motor.{name}" not in SOFT}
         lines += left_out(replace(actuator, motor=hard), HAS, LACKS, "MuJoCo")
+        if actuator.effects.keys() >= {"backlash", "compliance"}:
+            why = "the stops of a joint with play are rigid"
+            lines.append(LeftOut(actuator.joint, "compliance with backlash", why))
     root.extend(part for part in parts.values() if len(part))
     lines += [*dropped, *shared_left_out(model)]
     ElementTree.indent(root)
@@ -124,65 +129,82 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
 
 
 def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
-    """The shaft, its load and the spring between them; tendons sum angles along the chain."""
+    """The output and its load; behind a spring or play, the motor's side is a second body.
+
+    The angle of the second joint is the motor's lead over the output, so the motor's angle is the
+    sum of both, a tendon, which the drive, its damping and dry friction act on.
+    """
     inertia, armature = servo.inertia, servo.value("unmodelled_inertia", "inertia_kgm2")
     if armature < 0:
         inertia, armature = inertia + armature, 0.0
-    rotor = servo.value("compliance", "rotor_inertia_kgm2")
-    # Without a separate rotor, which would oscillate on its spring, the spring is softer.
-    spring = servo.value("compliance", "compliance_rad_per_Nm") * (1 - rotor / inertia) ** 2
-    shaft = SHAFT_SHARE * (inertia + armature) if spring > 0 else 0.0
     body = SubElement(world, "body", name=f"{servo.joint}_link")
     attributes = {"name": servo.joint, "type": "hinge", "axis": "0 1 0"}
     if armature > 0:
         attributes["armature"] = _text(armature)
-    attributes |= _losses(servo)
+    train = _train(servo)
+    attributes |= _output_losses(servo) if train else _losses(servo) | _drag(servo)
     if offset := _offset(servo):
         attributes["ref"] = _text(offset)
     if servo.sheet is not None:
         attributes["range"] = _text(*servo.sheet.limits_rad)
     SubElement(body, "joint", attributes)
     weight = servo.gravity + servo.value("gravity_load", "torque_Nm")
-    _inertial(body, inertia - shaft, weight)
-    if spring > 0:
-        twist = SubElement(body, "body", name=f"{servo.joint}_shaft")
-        SubElement(
-            twist,
-            "joint",
-            {
-                "name": f"{servo.joint}_twist",
-                "type": "hinge",
-                "axis": "0 1 0",
-                "stiffness": _text(1 / spring),
-            },
-        )
-        _inertial(twist, shaft, 0.0)
+    rotor = _rotor(servo) if train else 0.0
+    _inertial(body, inertia - rotor, weight)
     gain = 1 + servo.value("sensor_gain", "gain")
-    if spring > 0:
-        _add_tendon(
-            tendons, f"{servo.joint}_motor", {servo.joint: 1.0, f"{servo.joint}_twist": 1.0}
-        )
-    if spring > 0 or gain != 1:
+    lead = f"{servo.joint}_lead"
+    if train:
+        motor = SubElement(body, "body", name=f"{servo.joint}_motor")
+        SubElement(motor, "joint", {"name": lead, "type": "hinge", "axis": "0 1 0"} | train)
+        _inertial(motor, rotor, 0.0)
+        sides = _add_tendon(tendons, f"{servo.joint}_motor", {servo.joint: 1.0, lead: 1.0})
+        sides.attrib.update(_losses(servo))
+    if train or gain != 1:
         chain = {servo.joint: gain}
-        chain |= {f"{servo.joint}_twist": gain} if spring > 0 else {}
+        on_output = servo.value("compliance", "sensor_on_output")
+        if train and not servo.effects.get("backlash") and on_output < 1:
+            chain[lead] = gain * (1 - on_output)
         _add_tendon(tendons, f"{servo.joint}_seen", chain)
 
 
+def _train(servo: Actuator) -> dict[str, str]:
+    """Attributes of the joint between motor and output: play, a spring or both; empty if rigid."""
+    gap = servo.value("backlash", "gap_rad")
+    spring = servo.value("compliance", "compliance_rad_per_Nm")
+    if spring > 0 and gap == 0:
+        inertia = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
+        share = _rotor(servo) / inertia
+        damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
+        return {"stiffness": _text(1 / spring), "damping": _text(damping)}
+    if gap > 0:
+        return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | CONTACT
+    return {}
+
+
+def _rotor(servo: Actuator) -> float:
+    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
+    rotor = servo.value("backlash", "rotor_inertia_kgm2")
+    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
+    total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
+    if rotor == 0 and servo.effects.get("backlash"):
+        rotor = total  # an output without inertia
+    return min(max(rotor, 0.02 * total), 0.98 * total)
+
+
 def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF inside the limit, if a ``pid`` or a spring requires it."""
-    if servo.back_emf > 0 and servo.value("compliance", "compliance_rad_per_Nm") > 0:
-        why = "the spring transmits the torque of the motor, including its damping"
-    elif servo.kd >= 0 or not servo.effects.keys() & {"integral_action", "rate_limit"}:
+    """The actuator with its back-EMF inside the limit, if a ``pid`` requires it."""
+    if servo.kd >= 0 or not servo.effects.keys() & {"integral_action", "rate_limit"}:
         return servo, []
-    else:
-        why = "the velocity gain of a pid cannot be negative"
-    why += ": the limit applies to the sum of drive and back-EMF"
+    why = (
+        "the velocity gain of a pid cannot be negative: the limit applies to the sum of drive and "
+        "back-EMF"
+    )
     moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
     return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
 
 
 def _losses(servo: Actuator) -> dict[str, str]:
-    """Attributes of dry friction and damping of a joint."""
+    """Attributes of dry friction and damping of the motor's side: of a joint or a tendon."""
     friction = servo.value("coulomb_friction", "torque_Nm")
     friction += servo.value("asymmetric_friction", "torque_Nm")
     attributes = {}
@@ -191,11 +213,24 @@ def _losses(servo: Actuator) -> dict[str, str]:
         attributes |= _softness(
             *(servo.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
         )
-    square = servo.value("quadratic_drag", "coefficient_Nms2")
-    if square > 0:
-        attributes["damping"] = _text(servo.back_emf, square, 0)
-    elif servo.back_emf > 0:
+    if servo.back_emf > 0:
         attributes["damping"] = _text(servo.back_emf)
+    return attributes
+
+
+def _drag(servo: Actuator, back_emf: float | None = None) -> dict[str, str]:
+    """Attribute of quadratic drag of a joint, with its back-EMF."""
+    square = servo.value("quadratic_drag", "coefficient_Nms2")
+    linear = servo.back_emf if back_emf is None else back_emf
+    return {"damping": _text(linear, square, 0)} if square > 0 else {}
+
+
+def _output_losses(servo: Actuator) -> dict[str, str]:
+    """Attributes of dry friction and drag of the output's side of a gear train."""
+    friction = servo.value("backlash", "output_friction_Nm")
+    attributes = _drag(servo, 0.0)
+    if friction > 0:
+        attributes |= {"frictionloss": _text(friction)} | _softness(0.0, 0.0)
     return attributes
 
 
@@ -219,7 +254,7 @@ def _softness(stick: float, creep: float) -> dict[str, str]:
 def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
     """The drive: gain, bias, limit; a ``pid`` if it has integral action or a rate limit."""
     attributes = {"name": servo.joint}
-    if servo.effects.get("compliance"):
+    if _train(servo):
         attributes["tendon"] = f"{servo.joint}_motor"
     else:
         attributes["joint"] = servo.joint
@@ -312,7 +347,7 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
 
 def _sensor(servo: Actuator, section: Element) -> None:
     name = f"{servo.joint}_position"
-    if servo.effects.keys() & {"compliance", "sensor_gain"}:
+    if servo.effects.keys() & {"backlash", "compliance", "sensor_gain"}:
         SubElement(section, "tendonpos", name=name, tendon=f"{servo.joint}_seen")
     else:
         SubElement(section, "jointpos", name=name, joint=servo.joint)
@@ -340,10 +375,11 @@ def _inertial(body: Element, inertia: float, weight: float) -> None:
     )
 
 
-def _add_tendon(section: Element, name: str, joints: dict[str, float]) -> None:
+def _add_tendon(section: Element, name: str, joints: dict[str, float]) -> Element:
     tendon = SubElement(section, "fixed", name=name)
     for joint, share in joints.items():
         SubElement(tendon, "joint", joint=joint, coef=_text(share))
+    return tendon
 
 
 def _text(*values: float) -> str:

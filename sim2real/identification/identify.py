@@ -217,7 +217,7 @@ def _identify_joint(
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
     if extra:
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
-        best = fit_effects(fitted, best, extra)
+        best = fit_effects(fitted, best, extra, rng)
         units = column(best.parameters, "typical")
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)

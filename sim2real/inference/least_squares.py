@@ -138,7 +138,8 @@ def minimise(
         trial[active] = best[active] + step
         active = active[worth]
         if hopeless is not None and active.size and count % look_every == 0:
-            promised = _step(current, best, (low, high), free, np.zeros(N), active)[1]
+            # Parameters with the same effect leave the curvature singular without damping.
+            promised = _step(current, best, (low, high), free, np.full(N, 1e-12), active)[1]
             active = active[~hopeless(active, best, current.loss, promised)]
         progress(count / evaluations)
         if not active.size:

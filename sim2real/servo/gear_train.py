@@ -70,6 +70,20 @@ class Train:
     friction: wp.float64
 
 
+@wp.struct
+class Drive:
+    """The motor's torque during a sub-step: ``torque - stiffness (q - start) - damping v``.
+
+    ``start`` is the motor's angle at the start of the sub-step; the stiffness is kp, or 0 where
+    the drive is clipped. Integrated implicitly, as a small rotor is fast.
+    """
+
+    torque: wp.float64
+    stiffness: wp.float64
+    damping: wp.float64
+    start: wp.float64
+
+
 @wp.func
 def free_mass(
     q: wp.float64,
@@ -116,8 +130,7 @@ def pressed(
 @wp.func
 def across_gap(
     state: vec4,
-    torque: wp.float64,
-    damping: wp.float64,
+    drive: Drive,
     load: wp.float64,
     dry: wp.float64,
     h: wp.float64,
@@ -134,6 +147,8 @@ def across_gap(
     while phase < _PHASES and left > zero:
         phase += 1
         side = zero
+        torque = drive.torque - drive.stiffness * (q - drive.start)
+        damping = drive.damping + wp.float64(0.5) * left * drive.stiffness
         if wp.abs(x) >= g.half_gap * wp.float64(1.0 - 1e-12) and x * faster >= zero:
             side = wp.sign(x)
             common = (g.motor * v + g.output * (v - faster)) / (g.motor + g.output)
@@ -168,8 +183,7 @@ def across_gap(
 @wp.func
 def through_spring(
     state: vec4,
-    torque: wp.float64,
-    damping: wp.float64,
+    drive: Drive,
     load: wp.float64,
     dry: wp.float64,
     h: wp.float64,
@@ -190,10 +204,10 @@ def through_spring(
     # Mean speeds a and b: (2 Jm/h + D + G) a - G b = ..., (2 Jo/h + G) b - G a = ...
     m = wp.float64(2.0) * g.motor / h
     o = wp.float64(2.0) * g.output / h
-    m1 = m + damping + gain
+    m1 = m + drive.damping + half * drive.stiffness + gain
     o1 = o + gain
     per = wp.float64(1.0) / (m1 * o1 - gain * gain)
-    right = m * v + torque - force
+    right = m * v + drive.torque - force
     below = o * output + load + force
     a = (o1 * right + gain * below) * per
     b = (gain * right + m1 * below) * per
@@ -225,17 +239,16 @@ def through_spring(
 @wp.func
 def train_step(
     state: vec4,
-    torque: wp.float64,
-    damping: wp.float64,
+    drive: Drive,
     load: wp.float64,
     dry: wp.float64,
     h: wp.float64,
     g: Train,
 ) -> vec4:
-    """Advance a train by h; the motor's torque is ``torque`` less ``damping`` times its speed."""
+    """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
     if g.compliance > wp.float64(0.0):
-        return through_spring(state, torque, damping, load, dry, h, g)
-    return across_gap(state, torque, damping, load, dry, h, g)
+        return through_spring(state, drive, load, dry, h, g)
+    return across_gap(state, drive, load, dry, h, g)
 
 
 @wp.func
@@ -258,7 +271,7 @@ def train_of(inertia: wp.float64, p: Row) -> Train:
     g.motor = wp.clamp(rotor, wp.float64(0.02) * inertia, wp.float64(0.98) * inertia)
     g.output = inertia - g.motor
     g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
-    g.friction = p[wp.static(_GAP + 2)] + p[wp.static(_SPRING + 2)]
+    g.friction = p[wp.static(_GAP + 2)]
     g.compliance = p[wp.static(_SPRING)]
     if g.compliance > wp.float64(0.0):
         reduced = g.motor * g.output / inertia
@@ -288,7 +301,7 @@ def sensed(q: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
     if (active & wp.static(wp.int64(_GAP_BIT))) != wp.int64(0):
         return q - z[wp.static(_GAP_CELL)]
     if (active & wp.static(wp.int64(_SPRING_BIT))) != wp.int64(0):
-        return q - p[wp.static(_SPRING + 3)] * z[wp.static(_SPRING_CELL)]
+        return q - p[wp.static(_SPRING + 2)] * z[wp.static(_SPRING_CELL)]
     return q
 
 
@@ -329,6 +342,7 @@ def train_substep(
     push = Push()
     push.torque = kp * error
     push.damping = kd
+    push.stiffness = kp
     dry = zero
     if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
         if kp > zero:
@@ -340,22 +354,23 @@ def train_substep(
             weaker = wp.float64(1.0) / resistance(push, speed, m)
             push.torque *= weaker
             push.damping *= weaker
+            push.stiffness *= weaker
         dry = gear_friction(speed, push.torque - push.damping * speed, weight, m)
     if kp > zero:
         torque = push.torque - push.damping * speed
-        changed = motor_torque(torque, q, speed, torque, time, h, p, z, rest)
-        if changed != torque:
-            push.torque = changed
-            push.damping = zero
+        # What effects change is explicit: the drive stays implicit, and stable.
+        push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, rest) - torque
     direction = speed
     if v == zero:
         direction = wp.float64(1e-9) * wp.sign(push.torque + load)
     torque = push.torque - push.damping * speed
     dry = friction_bound(dry, q, direction, torque, time, h, p, z, rest)
-    moved = train_step(
-        vec4(state[0], v, lead, rate), push.torque, push.damping, load, dry, h,
-        train_of(inertia, p),
-    )  # fmt: skip
+    drive = Drive()
+    drive.torque = push.torque + push.stiffness * half * v  # at the start, not the middle
+    drive.stiffness = push.stiffness
+    drive.damping = push.damping
+    drive.start = state[0]
+    moved = train_step(vec4(state[0], v, lead, rate), drive, load, dry, h, train_of(inertia, p))
     z[cell] = moved[2]
     z[cell + 1] = moved[3]
     middle = wp.float64(0.5) * (v + moved[1])

@@ -33,6 +33,9 @@ def test_what_is_lacking_is_printed_and_written(
     if target == "json":
         assert not listed
         assert json.loads(text)["joints"]["j1"]["effects"][0]["effect"] == "backlash"
+    elif target == "mujoco":  # has all of it
+        assert not any("backlash" in line for line in listed)
+        assert 'range="-0.015 0.015"' in text
     else:
         costs = [line for line in listed[1:] if not line.startswith("  ")]
         listed = [line for line in listed if line not in costs]

@@ -102,9 +102,19 @@ def test_several_effects_together(effects: tuple[str, ...]) -> None:
     assert apart(model) < WITHIN_RAD
 
 
-def test_a_spring_behind_a_drive_that_clips_is_said_to_be_approximate() -> None:
-    model = servo(**{name: TYPICAL[name] for name in ("compliance", "torque_saturation")})
-    assert "spring" in str(*mujoco(model).left_out)
+def test_a_train_behind_a_drive_that_clips() -> None:
+    for effect in ("compliance", "backlash"):
+        names = (effect, "torque_saturation", "coulomb_friction", "quadratic_drag")
+        model = servo(**{name: TYPICAL[name] for name in names})
+        assert not mujoco(model).left_out
+        assert apart(model) < WITHIN_RAD
+
+
+def test_a_sensor_on_either_side_of_a_spring() -> None:
+    for side in (0.0, 1.0):
+        assert (
+            apart(servo(compliance=TYPICAL["compliance"] | {"sensor_on_output": side})) < WITHIN_RAD
+        )
 
 
 def test_inertia_that_the_load_overstates() -> None:

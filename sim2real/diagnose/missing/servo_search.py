@@ -50,7 +50,7 @@ class SearchLimits:
     near: float = 80.0
     singles: int = 24
     hopeless_gain: float = 1.0
-    promise: float = 3.0
+    promise: float = 6.0
 
 
 SEARCH_LIMITS = SearchLimits()

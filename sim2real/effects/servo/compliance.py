@@ -1,9 +1,8 @@
 """Compliance: a spring between the motor, whose angle is controlled, and its load.
 
-Two masses, a spring and a damper, dry friction on either side: ``servo.gear_train``, after Spong,
-Journal of Dynamic Systems 109 (1987) 310-318. ``output_friction_Nm`` acts on the load's side, the
-friction of other effects on the motor's. ``sensor_on_output`` is 0 where the motor's angle is
-measured and 1 where the load's is.
+Two masses, a spring and a damper: ``servo.gear_train``, after Spong, Journal of Dynamic Systems 109
+(1987) 310-318. The friction of other effects acts on the motor's side, and that of backlash on the
+load's. ``sensor_on_output`` is 0 where the motor's angle is measured and 1 where the load's is.
 
 The terms below are those of an articulated robot, whose joints are one mass each, below the
 resonance. With r the rotor's share of the total inertia, T the motor's torque and g the weight of
@@ -69,13 +68,7 @@ def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
 def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
     rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
-    return x + (rest - p[c + 3]) * p[c] * carried(torque, q, p, c, z, s)
-
-
-@wp.func
-def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
-    """Largest torque of dry friction in N m, the load's side included."""
-    return x + p[c + 2]
+    return x + (rest - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
 
 
 def said(values: Mapping[str, float]) -> str:
@@ -94,12 +87,11 @@ EFFECT = Effect(
     site="motor",
     term=soften,
     parameters=(
-        Parameter("compliance_rad_per_Nm", low=0.0, high=0.5, typical=0.02),
+        Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
         Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
-        Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0,)),
         Parameter("sensor_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
     ),
     memory=3,
-    also=(("sensor", twist), ("friction", hold)),
+    also=(("sensor", twist),),
     steady=True,
 )

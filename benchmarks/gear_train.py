@@ -1,0 +1,175 @@
+"""How exact the gear train of the servo law is, against a reference with steps of one microsecond.
+
+python -m benchmarks.gear_train [--trains 200] [--seed 1] [--processes 2]
+
+Trains are drawn: gains, inertias, gap, spring, dry friction on neither, either or both sides. The
+reference advances each mass by itself, semi-implicitly, at 1e-6 and 5e-7 s; where the two differ by
+more than the limit, the motion does not determine the answer, and the train is excluded and
+counted. Needs ``pip install numba``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+Array = NDArray[np.float64]
+
+LIMIT_RAD = 1e-4
+PERIOD_S, DURATION_S = 0.02, 30.0
+STEPS_S = (1e-6, 5e-7)
+
+
+@njit(cache=True)
+def reference(
+    command: Array, step: float, kp: float, kd: float, weight: float, motor: float, output: float,
+    half: float, spring: float, damper: float, dry: float, rub: float,
+) -> Array:  # fmt: skip
+    """Angles of motor and output, shape (T, 2), of a train without latency, from rest."""
+    per = int(round(PERIOD_S / step))
+    out = np.empty((command.size, 2))
+    q = command[0]
+    x = weight * np.sin(q) / spring if spring > 0 else 0.0
+    for _ in range(50):
+        carried = weight * np.sin(q - x)
+        x = np.sign(carried) * half + (carried / spring if spring > 0 else 0.0)
+        q = command[0] - carried / kp
+    o, v, w = q - x, 0.0, 0.0
+    for k in range(command.size):
+        out[k, 0], out[k, 1] = q, o
+        for _ in range(per):
+            lead = q - o
+            through = 0.0
+            if spring > 0 and (half == 0 or abs(lead) > half):
+                through = spring * (lead - np.sign(lead) * half) + damper * (v - w)
+            v += step * (kp * (command[k] - q) - kd * v - through) / motor
+            most = step * dry / motor
+            v -= min(max(v, -most), most)
+            w += step * (through - weight * np.sin(o)) / output
+            most = step * rub / output
+            w -= min(max(w, -most), most)
+            if spring == 0:
+                lead = q - o + step * (v - w)
+                if abs(lead) >= half and lead * (v - w) > 0:  # an inelastic contact
+                    v = w = (motor * v + output * w) / (motor + output)
+            q += step * v
+            o += step * w
+    return out
+
+
+def draw(rng: np.random.Generator) -> dict[str, float]:
+    """A train: gains, inertias, coupling and friction."""
+
+    def log(low: float, high: float) -> float:
+        return float(low * (high / low) ** rng.random())
+
+    inertia, share = log(1e-3, 6e-3), float(rng.uniform(0.15, 0.6))
+    kp = log(1.0, 6.0)
+    train = {
+        "kp": kp, "kd": float(2 * rng.uniform(0.3, 1.1) * np.sqrt(kp * inertia)),
+        "inertia": inertia, "rotor": share * inertia,
+        "weight": float(rng.choice([0.0, rng.uniform(0.0, 0.3)])),
+        "gap": 0.0, "compliance": 0.0,
+        "dry": float(rng.choice([0.0, log(0.01, 0.1)])),
+        "rub": float(rng.choice([0.0, log(0.01, 0.1)])),
+    }  # fmt: skip
+    if rng.random() < 0.5:
+        return train | {"gap": log(0.002, 0.04)}
+    return train | {"compliance": log(0.003, 0.08), "rub": 0.0}
+
+
+def commands(rng: np.random.Generator) -> Array:
+    """Steps and a sine whose frequency rises, rad, shape (T,)."""
+    t = PERIOD_S * np.arange(int(DURATION_S / PERIOD_S))
+    levels = rng.uniform(-0.6, 0.6, t.size)[(t // 0.5).astype(int)]
+    sine = 0.4 * np.sin(2 * np.pi * (0.2 + 0.06 * t) * t)
+    return np.where(t < 0.4, 0.0, np.where(t < 15.0, sine, levels))
+
+
+def measured(job: tuple[int, int]) -> dict[str, Any]:
+    """Error of the law for one train, RMS in rad, and of the reference itself."""
+    from sim2real.model import FittedEffect, JointModel
+    from sim2real.recording import Load
+    from sim2real.servo.gear_train import SPRING_DAMPING
+    from sim2real.servo.parameters import joint_row
+    from sim2real.servo.rollout import rollout
+
+    rng = np.random.default_rng(job)
+    train, command = draw(rng), commands(rng)
+    output = train["inertia"] - train["rotor"]
+    spring = 1 / train["compliance"] if train["compliance"] else 0.0
+    damper = 2 * SPRING_DAMPING * np.sqrt(spring * train["rotor"] * output / train["inertia"])
+    fine = [
+        reference(
+            command, step, train["kp"], train["kd"], train["weight"], train["rotor"], output,
+            train["gap"] / 2, spring, damper, train["dry"], train["rub"],
+        )
+        for step in STEPS_S
+    ]  # fmt: skip
+    effects = []
+    rotor = {"rotor_inertia_kgm2": train["rotor"]}
+    if train["gap"]:
+        play = {"gap_rad": train["gap"], "output_friction_Nm": train["rub"]}
+        effects.append(FittedEffect("backlash", play | rotor))
+    else:
+        give = {"compliance_rad_per_Nm": train["compliance"], "sensor_on_output": 1.0}
+        effects.append(FittedEffect("compliance", give | rotor))
+    if train["dry"]:
+        effects.append(FittedEffect("coulomb_friction", {"torque_Nm": train["dry"]}))
+    arm = 0.1
+    load = Load(train["inertia"], train["weight"] / (9.80665 * arm), arm)
+    joint = JointModel(train["kp"], train["kd"], 0.0, train["inertia"], effects=tuple(effects))
+    t = PERIOD_S * np.arange(command.size)
+    row = joint_row(joint, load)[None]
+    rigid = joint_row(JointModel(train["kp"], train["kd"], 0.0, train["inertia"]), load)[None]
+    angle = rollout(row, t, command[:, None])[0, :, 0]
+    seconds = []
+    for which in (rigid, row):
+        start = time.perf_counter()
+        for _ in range(20):
+            rollout(np.repeat(which, 8, axis=0), t, command[:, None], substep_s=1e-3)
+        seconds.append(time.perf_counter() - start)
+
+    def rms(x: Array) -> float:
+        return float(np.sqrt(np.mean(x**2)))
+
+    return train | {
+        "error": rms(angle - fine[1][:, 1]),
+        "unsure": rms(fine[0][:, 1] - fine[1][:, 1]),
+        "ratio": seconds[1] / seconds[0],
+    }
+
+
+def main() -> None:
+    """Print the errors and how much slower two masses are than one."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--trains", type=int, default=200, metavar="N")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=2, metavar="N")
+    options = parser.parse_args()
+    jobs = [(options.seed, k) for k in range(options.trains)]
+    with ProcessPoolExecutor(options.processes) as pool:
+        rows = list(tqdm(pool.map(measured, jobs), total=len(jobs), disable=None))
+    for name, kind in (("gap", "play"), ("compliance", "spring")):
+        mine = [row for row in rows if row[name]]
+        kept = [row["error"] for row in mine if row["unsure"] <= LIMIT_RAD]
+        ok = np.mean(np.array(kept) <= LIMIT_RAD)
+        print(
+            f"{kind}: {len(mine)} trains, {len(mine) - len(kept)} excluded; {1e3 * LIMIT_RAD:g} "
+            f"mrad or less in {ok:.1%}, median {1e3 * np.median(kept):.3f}, 95 % "
+            f"{1e3 * np.quantile(kept, 0.95):.3f} mrad"
+        )
+    print(f"a rollout of two masses takes {np.median([r['ratio'] for r in rows]):.1f} times one's")
+    for row in sorted(rows, key=lambda row: -row["error"])[:8]:
+        print({k: float(f"{x:.3g}") for k, x in row.items()})
+
+
+if __name__ == "__main__":
+    main()
