@@ -130,7 +130,7 @@ def train_run(
                 cell_m=cell_m, threads=threads,
             )  # fmt: skip
             agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), table), seed, settings)
-            callback = Progress(steps, table.hold)
+            callback = ProgressCallback(steps, table.hold)
             agent.learn(-(-steps // table.hold), callback=callback)
         agent.gaits, agent.joints = table.content(), [joint.name for joint in fish.joints]
         write_whole(directory / "progress.csv", callback.csv())
@@ -161,7 +161,7 @@ def save(agent: DQN, path: Path) -> None:
     os.replace(temporary, path)
 
 
-class Progress(BaseCallback):
+class ProgressCallback(BaseCallback):
     """Progress bar and rows of ``progress.csv``.
 
     Attributes:

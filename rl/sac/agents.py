@@ -1,9 +1,8 @@
 """Soft actor-critic for a batch of agents; on CUDA an update is one captured graph.
 
 Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905). With the
-settings ``PLAIN`` it equals Stable-Baselines3 up to rounding; ``Settings`` documents the additions.
-The parameters are those of Stable-Baselines3 models, whose methods work unchanged.
-Letters: A agents, B batch, N memory, O observation, J action.
+settings ``PLAIN`` it equals Stable-Baselines3 up to rounding, whose models hold the parameters;
+``Settings`` documents the additions. A agents, B batch, N memory, O observation, J action.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import torch
 from stable_baselines3 import SAC
 from torch import Tensor, nn
 
-from rl.sac.batched import Activations, Layers, adam
+from rl.sac.batched import Activations, Layers, adam, mirrored
 
 _SMALL = 1e-6
 _LOG_STD = (-20.0, 2.0)
@@ -91,17 +90,6 @@ class Batch:
     reward: Tensor
     following: Tensor
     done: Tensor
-
-
-def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
-    """1 for each column of a transition that changes sign under mirroring, else 0.
-
-    Args:
-        odd: The same for the columns of an observation, see ``View.odd``.
-        J: Number of actions, all of which change sign.
-        device: Device of the result.
-    """
-    return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)
 
 
 class Agents:

@@ -147,3 +147,14 @@ def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: T
         lr=rate, beta1=BETAS[0], beta2=BETAS[1], weight_decay=0.0, eps=EPSILON,
         amsgrad=False, maximize=False,
     )  # fmt: skip
+
+
+def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
+    """1 for each column of a transition that changes sign under mirroring, else 0.
+
+    Args:
+        odd: The same for the columns of an observation, see ``View.odd``.
+        J: Number of actions, all of which change sign.
+        device: Device of the result.
+    """
+    return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)
