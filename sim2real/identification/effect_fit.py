@@ -107,9 +107,9 @@ def _starts(
     grid = list(itertools.product(*choices)) if full_grid else list(zip(*choices, strict=True))
     rows = np.tile(plain.row, (len(grid) + scan.points, 1))
     rows[: len(grid), columns] = grid
-    relative = np.ones((len(rows), len(added)))
+    sizes = np.tile([p.nominal for p in added], (len(rows), 1))
     points = kronecker(scan.points, len(added) + 3, rng)
-    for row, size, point in zip(rows[len(grid) :], relative[len(grid) :], points, strict=True):
+    for row, size, point in zip(rows[len(grid) :], sizes[len(grid) :], points, strict=True):
         frequency, ratio = (
             low * (high / low) ** share
             for (low, high), share in zip(
@@ -125,10 +125,9 @@ def _starts(
             row[columns[k]] = (
                 p.low if share > 0.75 else np.clip(strength * p.nominal, p.low, p.high)
             )
-            size[k] = p.nominal / added[k].nominal
+            size[k] = p.nominal
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     losses = [robust_loss(error, OUTLIER_SD * plain.scale_rad) for error in residuals]
-    sizes = np.array([p.nominal for p in added]) * relative
     places = np.log(0.1 + np.abs(rows[:, columns]) / sizes)
     chosen: list[int] = []
     for k in np.argsort(losses):

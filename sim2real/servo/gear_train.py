@@ -30,29 +30,29 @@ from sim2real.servo.motor import (
     Motor,
     Push,
     Row,
+    drive_push,
     gear_friction,
-    held_push,
-    motor_push,
     resistance,
-    wanted_drive,
 )
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, HELD_CELL
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
 from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
 """Angle and speed of the motor's side; lead of the motor, and its rate."""
 
 SPRING_DAMPING = 0.05
+"""Damping ratio of the two masses on the spring."""
 _GAP, _SPRING = FIRST_COLUMN["backlash"], FIRST_COLUMN["compliance"]
 _GAP_CELL, _SPRING_CELL = FIRST_CELL["backlash"], FIRST_CELL["compliance"]
 _GAP_BIT, _SPRING_BIT = (
     1 << [effect.name for effect in CATALOGUE].index(name) for name in ("backlash", "compliance")
 )
 TRAIN_BITS = _GAP_BIT | _SPRING_BIT
-"""Bits of the effects that make two masses of the gear train, see ``gear_train``."""
+"""Bits of the effects that make two masses of the gear train."""
 _PHASES = wp.constant(6)
 """Contacts in one sub-step at most."""
 _SWEEPS = wp.constant(8)
+"""Iterations at most over the dry friction of both sides, which the spring couples."""
 
 
 @wp.struct
@@ -346,11 +346,7 @@ def train_substep(
     dry = zero
     if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
         if kp > zero:
-            if tick:
-                z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
-            push = motor_push(kp, kd, error, speed, m)
-            if m.period > zero:
-                push = held_push(z[wp.static(HELD_CELL)], kd, m)
+            push = drive_push(kp, kd, error, half, v, speed, tick, m, z)
             weaker = wp.float64(1.0) / resistance(push, speed, m)
             push.torque *= weaker
             push.damping *= weaker

@@ -22,15 +22,13 @@ from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
     Row,
+    drive_push,
     gear_friction,
-    held_push,
-    motor_push,
     resistance,
     soft_stop,
     softness,
-    wanted_drive,
 )
-from sim2real.servo.parameters import FIRST_COLUMN, HELD_CELL
+from sim2real.servo.parameters import FIRST_COLUMN
 from sim2real.servo.torques import pd_torque, pendulum_torque, slide
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
@@ -90,11 +88,7 @@ def substep_of(effects: bool) -> wp.Function:
         dry = wp.float64(0.0)
         if (active & wp.static(wp.int64(MOTOR_BIT))) != wp.int64(0):
             if kp > zero:
-                if tick:
-                    z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
-                push = motor_push(kp, kd, error, middle, m)
-                if m.period > zero:
-                    push = held_push(z[wp.static(HELD_CELL)], kd, m)
+                push = drive_push(kp, kd, error, half, v, middle, tick, m, z)
                 rise = resistance(push, speed, m)
                 weaker = wp.float64(1.0) / rise
                 damping = damp * push.damping

@@ -33,7 +33,7 @@ import warp as wp
 
 from sim2real.effects import MOST_EFFECTS
 from sim2real.effects.elementary import decay
-from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, MOTOR
+from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, HELD_CELL, MOTOR
 
 Row = wp.array(dtype=wp.float64)
 
@@ -167,6 +167,30 @@ def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
     if m.stall > wp.float64(0.0):
         push.torque = wp.clamp(drive, -m.stall, m.stall)
     push.damping = back_emf(kd, m)
+    return push
+
+
+@wp.func
+def drive_push(
+    kp: wp.float64,
+    kd: wp.float64,
+    error: wp.float64,
+    half: wp.float64,
+    v: wp.float64,
+    middle: wp.float64,
+    tick: bool,
+    m: Motor,
+    z: Row,
+) -> Push:
+    """Torque and damping of the drive, which a sampled controller updates at each ``tick``.
+
+    ``v`` is the speed at the start of a sub-step of 2 ``half``, ``middle`` that in its middle.
+    """
+    if tick:
+        z[wp.static(HELD_CELL)] = wanted_drive(kp, kd, error + half * v, v, m)
+    push = motor_push(kp, kd, error, middle, m)
+    if m.period > wp.float64(0.0):
+        push = held_push(z[wp.static(HELD_CELL)], kd, m)
     return push
 
 
