@@ -11,9 +11,10 @@ import mujoco_plant
 import numpy as np
 import own_plant
 import voltage_plant
-from bench import JOINTS, RECORDINGS
+from bench import JOINTS, RECORDINGS, _log_uniform
+from bus import draw_bus, draw_packets
 from cases import SAME_JOINT_SHARE, STRAY_SHARE, STRONGEST, WEAKEST, WEAKEST_OF_TWO, _draw_model
-from catalogue import EFFECTS, Scale
+from catalogue import EFFECTS, NOMINAL, Scale
 from clock import Disturbance, draw_disturbance, empty_cells
 from excitation import DURATION_S, signal
 from foreign_servos import SLOW_LOOP_HZ, ForeignServo, draw_servos
@@ -67,6 +68,15 @@ CAN = {
     ),
 }  # fmt: skip
 """Effects of the catalogue that each plant can have."""
+BACKLASH_WITH_FRICTION = {
+    "mujoco": ("backlash_motor_friction", "backlash_output_friction"),
+    "voltage": (),
+    "own": ("backlash_motor_friction",),
+    "gears": ("backlash_motor_friction", "backlash_output_friction"),
+}
+"""Single backlashes on benches whose servos have dry friction on the motor's or the output's side.
+
+The friction is a nuisance: a verdict may name it or leave it out."""
 OUTSIDE = {
     "mujoco": ("external_push", "vibration", "end_stop", "gain_schedule", "potentiometer",
                "stuck_sensor"),
@@ -139,6 +149,13 @@ def draw_case(plant: str, kind: str, name: str, rng: np.random.Generator) -> For
     servos = draw_servos(plant, rng)
     while name in (*LINK, "voltage_sag", "supply_droop", "neighbour_reaction") and len(servos) < 2:
         servos = draw_servos(plant, rng)
+    if name in BACKLASH_WITH_FRICTION[plant]:
+        for servo in servos:
+            strength = _log_uniform(rng, WEAKEST_OF_TWO, STRONGEST)
+            servo.dry_friction_Nm = strength * NOMINAL["coulomb_friction"]
+            servo.friction_on_output = name == "backlash_output_friction"
+    bus_rng = rng.spawn(1)[0]
+    bus = draw_bus(bus_rng)
     stray = rng.random() < STRAY_SHARE and kind not in ("null", "trap")
     rate = float(RATE_HZ[0] * (RATE_HZ[1] / RATE_HZ[0]) ** rng.random())
     takes, lasts = {}, float(np.clip(ROWS / rate, SHORTEST_S, DURATION_S))
@@ -146,14 +163,15 @@ def draw_case(plant: str, kind: str, name: str, rng: np.random.Generator) -> For
         t = _ticks(rate, lasts, draw_disturbance(rng) if stray or name == "clock" else None, rng)
         command = np.stack([np.round(signal(recording, t, rng, lasts), 4) for _ in servos], axis=1)
         clock = float(rng.uniform(-CLOCK, CLOCK))
-        takes[recording] = Take(t, command, rng.random((2, t.size)), clock)
+        takes[recording] = Take(t, command, draw_packets(bus, t.size, len(servos), bus_rng), clock)
     disturbed = stray or name == "clock"
     case = ForeignCase(plant, kind, servos, [], takes, name if kind == "trap" else "", disturbed)
     if kind in ("single", "double"):
         scales = _scales(case)
         if kind == "single":
             joint = int(rng.integers(len(servos)))
-            case.hidden = [_draw(case, name, joint, WEAKEST, scales, rng)]
+            effect = "backlash" if name in BACKLASH_WITH_FRICTION[plant] else name
+            case.hidden = [_draw(case, effect, joint, WEAKEST, scales, rng)]
         else:
             case.hidden = _draw_pair(case, scales, rng)
     elif kind == "outside" and not _hide_outsider(case, name, rng):
@@ -307,6 +325,9 @@ def nuisances(case: ForeignCase) -> list[dict[str, Any]]:
         n = servo.nuisances
         size = {"torque_Nm": n["ripple_Nm"], "period_rad": 2 * np.pi / n["ripple_per_rad"]}
         found.append({"effect": "cogging", "component": joint, "parameters": size})
+        if servo.dry_friction_Nm:
+            friction = {"torque_Nm": servo.dry_friction_Nm}
+            found.append({"effect": "coulomb_friction", "component": joint, "parameters": friction})
     waits = [0.5 / s.loop_Hz for s in case.servos if s.loop_Hz >= SLOW_LOOP_HZ]
     if case.plant != "own" and waits:
         # A new set-point waits for the next turn of the loop.

@@ -18,8 +18,9 @@ MOST_NOISE_LEVELS = 5.0
 LARGEST_NUISANCE_RAD = 6e-3
 RANGE_RAD = 0.8
 """Angles over which a sensor is calibrated."""
-FLAT_SHARE = 0.5
-"""Share of servos of the plant "gears" whose drive is limited in current."""
+FLAT_PLANTS = ("mujoco", "gears")
+FLAT_SHARE = 2 / 3
+"""Share of benches of these plants whose drives are limited in current."""
 SHEET_SPREAD = 0.07
 """Standard deviation of the true stall torque and speed about the stated ones, as logarithms."""
 SLOW_LOOP_HZ = 400.0
@@ -36,6 +37,9 @@ class ForeignServo(Servo):
         read_s: How long after the set-point is sent the angle is read.
         friction_on_output: Whether dry friction acts on the output's side of the gear train.
         sensor_on_output: Whether the recorded sensor is on the output's side.
+        dry_friction_Nm: Coulomb friction of the servo, hidden effects aside.
+        current_limited: Whether the drive's torque is clipped at the stall torque at any speed, and
+            the stated no-load speed does not limit it.
     """
 
     loop_Hz: float = 1000.0
@@ -43,6 +47,8 @@ class ForeignServo(Servo):
     read_s: float = 0.0
     friction_on_output: bool = False
     sensor_on_output: bool = False
+    dry_friction_Nm: float = 0.0
+    current_limited: bool = False
     calibration: tuple[float, float] = field(init=False, default=(0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -66,10 +72,11 @@ class ForeignServo(Servo):
 def draw_servos(plant: str, rng: np.random.Generator) -> list[ForeignServo]:
     """One to three servos of a plant, on one bus."""
     count = int(rng.choice(np.arange(len(JOINTS)) + 1, p=BENCHES))
-    return [_draw(plant, k, rng) for k in range(count)]
+    flat = plant in FLAT_PLANTS and bool(rng.random() < FLAT_SHARE)
+    return [_draw(plant, k, rng, flat=flat) for k in range(count)]
 
 
-def _draw(plant: str, place: int, rng: np.random.Generator) -> ForeignServo:
+def _draw(plant: str, place: int, rng: np.random.Generator, *, flat: bool) -> ForeignServo:
     loop = 1000.0 if plant == "own" else _log_uniform(rng, 100.0, 10000.0)
     while True:
         kp, inertia = _log_uniform(rng, 1.0, 6.0), _log_uniform(rng, 0.001, 0.008)
@@ -104,21 +111,18 @@ def _draw(plant: str, place: int, rng: np.random.Generator) -> ForeignServo:
     )
     off = np.exp(SHEET_SPREAD * rng.normal(size=2))
     if plant == "gears":
-        _draw_gears(servo, rng)
+        least = min(load.inertia_kgm2 for load in servo.loads.values())
+        servo.rotor_inertia = float(rng.uniform(0.15, 0.6) * least)
+        servo.sensor_on_output = bool(rng.random() < 0.5)
+    if plant in ("gears", "mujoco"):
+        servo.friction_on_output = bool(rng.random() < 0.5)
     servo.stated = {
         "max_torque_Nm": float(servo.stall_Nm * off[0]),
         "no_load_speed_rad_s": float(servo.no_load_speed_rad_s * off[1]),
     }
-    if plant == "gears" and rng.random() < FLAT_SHARE:
-        # Limited in current: no line of torque over speed limits the drive.
+    if flat:
+        # No line of torque over speed limits the drive.
+        servo.current_limited = True
         servo.firmware_damping = float(rng.uniform(0.0, 0.6))
         servo.stated["no_load_speed_rad_s"] = _log_uniform(rng, 3.0, 10.0)
     return servo
-
-
-def _draw_gears(servo: ForeignServo, rng: np.random.Generator) -> None:
-    """Where friction and sensor are, and how much of the inertia is the rotor's."""
-    least = min(load.inertia_kgm2 for load in servo.loads.values())
-    servo.rotor_inertia = float(rng.uniform(0.15, 0.6) * least)
-    servo.friction_on_output = bool(rng.random() < 0.5)
-    servo.sensor_on_output = bool(rng.random() < 0.5)

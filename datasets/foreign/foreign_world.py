@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from bus import Packets
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from sensor import noise, quantize, stick
@@ -42,12 +43,13 @@ class Hidden:
 class Take:
     """One recording: T samples of J joints; times in s, angles in rad.
 
-    ``clock`` is how much faster the clock of the sensors runs, relative to that of the set-points.
+    ``packets`` carry the set-points. ``clock`` is how much faster the clock of the sensors runs,
+    relative to that of the set-points.
     """
 
     t: Array
     command: Array
-    chance: Array
+    packets: Packets
     clock: float
     windows: list[Window] = field(default_factory=list)
     measured: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -58,17 +60,21 @@ def acting_on(hidden: Sequence[Hidden], joint: int) -> Acting:
     return {h.effect: h.parameters for h in hidden if h.joint is None or h.joint == joint}
 
 
-def arrivals(take: Take, joint: int, latency_s: float, acting: Acting) -> tuple[Array, Array]:
-    """When set-points take effect, s, and what is then in force, rad; no packet overtakes."""
-    jitter = acting.get("latency_jitter", {}).get("halfwidth_s", 0.0)
+def deliveries(
+    take: Take, joint: int, latency_s: float, acting: Acting
+) -> tuple[NDArray[np.intp], Array]:
+    """Indices of the set-points that a joint receives, in order of arrival, and when, s."""
+    jitter = acting.get("latency_jitter", {}).get("halfwidth_s", 0.0) / np.sqrt(3)
     drift = acting.get("clock_drift", {}).get("s_per_s", 0.0)
     lost = acting.get("packet_loss", {}).get("probability", 0.0)
-    late = latency_s + drift * take.t + jitter * (2 * take.chance[0] - 1)
-    arrival = np.maximum.accumulate(take.t + np.maximum(late, 0.0))
-    index = np.arange(take.t.size)
-    index[(take.chance[1] < lost) & (index > 0)] = 0
-    setpoint = take.command[np.maximum.accumulate(index), joint]
-    return _shaped(arrival, setpoint, acting)
+    late = latency_s + drift * take.t + jitter * take.packets.delay[:, joint]
+    return take.packets.delivered(take.t + np.maximum(late, 0.0), joint, lost)
+
+
+def arrivals(take: Take, joint: int, latency_s: float, acting: Acting) -> tuple[Array, Array]:
+    """When set-points take effect, s, and what is then in force, rad."""
+    received, arrival = deliveries(take, joint, latency_s, acting)
+    return _shaped(arrival, take.command[received, joint], acting)
 
 
 def held(arrival: Array, setpoint: Array, times: Array) -> Array:

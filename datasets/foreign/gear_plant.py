@@ -75,7 +75,8 @@ def simulate(
     if "unmodelled_inertia" in acting:
         output += acting["unmodelled_inertia"]["inertia_kgm2"]
     side = "dry_output" if servo.friction_on_output else "dry_rotor"
-    values[side] = acting.get("coulomb_friction", {}).get("torque_Nm", 0.0)
+    values[side] = servo.dry_friction_Nm
+    values[side] += acting.get("coulomb_friction", {}).get("torque_Nm", 0.0)
     together = rotor * output / (rotor + output)
     spring, ratio = together * (2 * np.pi * FLANK_HZ) ** 2, FLANK_DAMPING
     if "compliance" in acting:

@@ -38,6 +38,7 @@ def simulate_all(
             spans[j, k] = window
         for name, parameters in effects.items():
             (EFFECTS[name] if name in EFFECTS else OUTSIDERS[name]).hide(world, j, parameters)
+        joints["friction_Nm"][j] += servos[j].dry_friction_Nm
         when[j, : arrivals[j].size], what[j, : setpoints[j].size] = arrivals[j], setpoints[j]
     joints["latency_s"] = 0.0  # the link has seen to it
     return march(joints, world.supply, spans, grid, when, what).seen

@@ -19,7 +19,10 @@ FOLDERS = [ROOT / "foreign", ROOT / "concealed"]
 @pytest.fixture(scope="module")
 def code(scripts):
     """The generator's modules by name."""
-    names = ("make_foreign", "foreign_cases", "foreign_servos", "foreign_world")
+    names = (
+        "make_foreign", "foreign_cases", "foreign_servos", "foreign_world", "bus", "gear_plant",
+        "mujoco_plant", "excitation",
+    )  # fmt: skip
     with scripts(*FOLDERS, names=names) as modules:
         yield modules
 
@@ -27,7 +30,7 @@ def code(scripts):
 @pytest.fixture(scope="module")
 def challenge(code, tmp_path_factory):
     out = tmp_path_factory.mktemp("foreign") / "out"
-    counts = {"null": 3, "single": 3, "double": 0, "outside": 0}
+    counts = {"null": 4, "single": 4, "double": 0, "outside": 0}
     plan = code["make_foreign"].plan(counts, np.random.default_rng(5))
     answers = [code["make_foreign"].make((out, 5, k, case, False)) for k, case in enumerate(plan)]
     return out, answers
@@ -35,7 +38,7 @@ def challenge(code, tmp_path_factory):
 
 def test_every_plant_is_there(challenge):
     _, answers = challenge
-    assert {one["plant"] for one in answers} == {"mujoco", "voltage", "own"}
+    assert {one["plant"] for one in answers} == {"mujoco", "voltage", "own", "gears"}
 
 
 def test_the_recordings_can_be_read_and_the_inputs_do_not_tell(challenge):
@@ -59,7 +62,7 @@ def test_the_same_seed_gives_the_same_case(challenge, code, tmp_path):
     assert seen.position == pytest.approx(case.takes["a"].measured, abs=1e-6, nan_ok=True)
 
 
-@pytest.mark.parametrize("plant", ["mujoco", "voltage", "own"])
+@pytest.mark.parametrize("plant", ["mujoco", "voltage", "own", "gears"])
 def test_a_plant_without_nuisances_is_a_proportional_servo(code, plant):
     """It starts late by its latency, is no faster than its motor, rests where torques balance."""
     rng = np.random.default_rng(3)
@@ -67,7 +70,8 @@ def test_a_plant_without_nuisances_is_a_proportional_servo(code, plant):
     servo.nuisances["ripple_Nm"] = 0.0
     t = np.arange(0.0, 4.0, 0.01)
     command = np.where(t < 1.0, 0.0, 0.4)[:, None]
-    take = code["foreign_world"].Take(t, command, np.full((2, t.size), 0.5), 0.0)
+    packets = code["bus"].draw_packets(code["bus"].Bus(), t.size, 1, rng)
+    take = code["foreign_world"].Take(t, command, packets, 0.0)
     cases = code["foreign_cases"]
     case = cases.ForeignCase(plant, "null", [servo], [], {"a": take})
     q = case.readings("a", bent=False)[:, 0]
@@ -91,3 +95,104 @@ def test_answers_say_what_is_always_on(challenge):
         cogging = [n for n in one["nuisances"] if n["effect"] == "cogging"]
         assert len(cogging) == len(one["servos"])
     assert json.dumps(answers)
+
+
+def _gear_servo(code, seed, **fields):
+    """A servo that either plant of two masses can have, without nuisances."""
+    servo = code["foreign_servos"].draw_servos("gears", np.random.default_rng(seed))[0]
+    servo.nuisances["ripple_Nm"] = 0.0
+    fields = {"loop_Hz": 2000.0, "firmware_damping": 0.3, "sensor_on_output": True, **fields}
+    for name, value in fields.items():
+        setattr(servo, name, value)
+    return servo
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "gears"])
+def test_friction_on_the_output_holds_it_in_the_gap(code, plant):
+    """A step back by less than the gap moves the motor, not the output."""
+    grid, t = np.arange(0.0, 4.0, 1e-3), np.arange(0.0, 4.0, 0.01)
+    command = np.where(t < 1.0, 0.0, np.where(t < 2.5, 0.5, 0.46))
+    moved = {}
+    for friction in (0.0, 0.35):
+        servo = _gear_servo(code, 0, kp=3.0, dry_friction_Nm=friction, friction_on_output=True)
+        q = (
+            code["foreign_cases"]
+            .SIMULATORS[plant]
+            .simulate(
+                servo, servo.loads["a"], {"backlash": {"gap_rad": 0.06}}, grid, t, command, []
+            )
+        )
+        moved[friction] = abs(q[grid > 3.8].mean() - q[(grid > 2.3) & (grid < 2.5)].mean())
+    assert moved[0.35] < 5e-4
+    assert moved[0.0] > 0.02
+
+
+@pytest.mark.parametrize("on_output", [False, True])
+def test_two_plants_agree_on_backlash_with_friction_on_either_side(code, on_output):
+    """MuJoCo's constraints and the semi-implicit steps of two masses."""
+    t, grid = np.arange(0.0, 12.0, 0.01), np.arange(0.0, 12.0, 1e-3)
+    command = code["excitation"].signal("a", t, np.random.default_rng(2), 12.0)
+
+    def angle(plant, side):
+        servo = _gear_servo(code, 2, dry_friction_Nm=0.06, friction_on_output=side)
+        acting = {"backlash": {"gap_rad": 0.02}}
+        return code[plant].simulate(servo, servo.loads["a"], acting, grid, t, command, [])
+
+    def rms(difference):
+        return float(np.sqrt(np.mean(difference**2)))
+
+    ours = angle("gear_plant", on_output)
+    assert rms(angle("mujoco_plant", on_output) - ours) < 5e-4
+    assert rms(angle("gear_plant", not on_output) - ours) > 2e-3
+
+
+def test_effects_of_single_cases_can_be_selected(code, tmp_path):
+    effects = ["compliance", "packet_loss", "backlash_output_friction"]
+    counts = {"null": 4, "single": 12}
+    make = code["make_foreign"]
+    cases = make.plan(counts, np.random.default_rng(0), effects=effects)
+    drawn = [name for _, kind, name in cases if kind == "single"]
+    assert {name: drawn.count(name) for name in effects} == dict.fromkeys(effects, 4)
+    assert all(name in make.singles(plant) for plant, kind, name in cases if kind == "single")
+    assert {plant for plant, _, name in cases if name == "packet_loss"} == set(make.PLANTS)
+    with pytest.raises(SystemExit):
+        make.main([str(tmp_path), "--plants", "voltage", "--effects", "packet_loss,compliance"])
+
+
+def test_a_backlash_with_friction_states_the_friction_as_a_nuisance(code):
+    name, rng = "backlash_output_friction", np.random.default_rng(2)
+    case = code["foreign_cases"].draw_case("gears", "single", name, rng)
+    assert [hidden.effect for hidden in case.hidden] == ["backlash"]
+    assert all(servo.friction_on_output for servo in case.servos)
+    friction = [
+        n["parameters"]["torque_Nm"]
+        for n in code["foreign_cases"].nuisances(case) if n["effect"] == "coulomb_friction"
+    ]  # fmt: skip
+    assert friction == [servo.dry_friction_Nm for servo in case.servos]
+    assert min(friction) > 0.01
+
+
+def test_a_quarter_of_the_benches_is_limited_in_current(code):
+    counts = {"null": 206, "single": 264, "double": 70, "outside": 60}
+    plan = code["make_foreign"].plan(counts, np.random.default_rng(4))
+    draw = code["foreign_servos"].draw_servos
+    benches = [draw(plant, np.random.default_rng([4, k])) for k, (plant, *_) in enumerate(plan)]
+    assert np.mean([all(s.current_limited for s in bench) for bench in benches]) > 0.25
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "gears"])
+def test_a_current_limited_drive_is_clipped_at_any_speed(code, plant):
+    """From rest, a large step accelerates as the stall torque less the damping does."""
+    servo = _gear_servo(code, 1, kp=4.0, firmware_damping=0.6, stall_Nm=1.0)
+    load = servo.loads["a"]
+    servo.kd = 0.02
+    grid, command = np.arange(0.0, 0.1, 1e-3), np.array([1.5])
+    q = (
+        code["foreign_cases"]
+        .SIMULATORS[plant]
+        .simulate(servo, load, {}, grid, np.array([0.0]), command, [])
+    )
+    damping, inertia = 0.4 * servo.kd, load.inertia_kgm2
+    t, early = grid, grid < 0.03
+    free = servo.stall_Nm / damping * (t - inertia / damping * (1 - np.exp(-damping / inertia * t)))
+    assert q[early] == pytest.approx(free[early], rel=0.05, abs=2e-3)
