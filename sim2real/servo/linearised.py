@@ -203,6 +203,7 @@ def gain_derivatives(residual: Residual) -> Array:
 
 
 def servo_modes(residual: Residual) -> Modes:
+    """Poles and gain of the linearised servo."""
     weight = residual.gravity_Nm * float(np.cos(np.mean(residual.command)))
     stiffness = max(residual.kp + weight, 1e-3 * residual.kp) / residual.inertia_kgm2
     half = residual.kd / (2 * residual.inertia_kgm2)

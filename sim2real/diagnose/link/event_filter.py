@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -168,7 +169,7 @@ class EventFilter:
         rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s] for x in timings])
         pool = 3 * width  # those kept, and two continuations of each
         joints = max(len(group) for group in self.groups)
-        results = (
+        results: tuple[Any, ...] = (
             wp.zeros((S, G), dtype=wp.float64, device="cpu"),
             wp.zeros((S, G, COUNTS + 1), dtype=wp.float64, device="cpu"),
             wp.zeros((S, G, K), dtype=wp.int32, device="cpu"),
@@ -224,8 +225,8 @@ class EventFilter:
         for row, some in zip(path, active, strict=True):
             row[: some.size] = some
         n, N = order + 2, len(tracks)
-        mean = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
-        covariance = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
+        mean: Any = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
+        covariance: Any = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
         scratch = [
             wp.zeros((N, 1, n), dtype=wp.float64, device="cpu"),
             wp.zeros((N, 1, n * (n + 1)), dtype=wp.float64, device="cpu"),

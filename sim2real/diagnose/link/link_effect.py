@@ -82,7 +82,7 @@ def link(robot: LinkData) -> Uneven:
 
 
 def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
-    """Fits of one effect to all joints: each with packets of its own and, of losses, common ones."""
+    """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
     fits = [LinkFit(joints, effect, common=False)]
     times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
     if effect == "packet_loss" and len(joints) > 1 and len(times) == 1:
@@ -94,7 +94,7 @@ class LinkFit:
     """One effect fitted to the joints of a robot by expectation maximisation.
 
     The noise of each joint is refitted to what the expected deviations leave: Shumway and Stoffer,
-    Journal of Time Series Analysis 3 (1982) 253-264. It begins from three guesses of the noise,
+    Journal of Time Series Analysis 3 (1982) 253-264. It begins from two guesses of the noise,
     since an autoregression can take any deviation for noise.
 
     Args:
@@ -114,8 +114,10 @@ class LinkFit:
         self.noises = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
-        starts = [[_typical(joint) for joint in joints]]
-        starts += [[_white(joint, share) for joint in joints] for share in (1.0, 0.3)]
+        starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
+        guesses = [self._climb(noises, self.timing, steps=1) for noises in starts]
+        if max(total for total, _, _ in guesses) < alone:
+            return
         guesses = [self._climb(noises, self.timing, steps=2) for noises in starts]
         total, timing, noises = max(guesses, key=lambda guess: guess[0])
         total, timing, noises = self._climb(noises, timing, steps=6)
@@ -125,7 +127,7 @@ class LinkFit:
     def _climb(
         self, noises: list[Noise], timing: Timing, steps: int
     ) -> tuple[float, Timing, list[Noise]]:
-        """Alternate between timing and noise: the best log-likelihood, with its timing and noise."""
+        """The best log-likelihood, timing and noises of a few alternations between the two."""
         best: tuple[float, Timing, list[Noise]] = (-np.inf, timing, noises)
         for _ in range(steps):
             events = self._filter(noises)
@@ -149,7 +151,7 @@ class LinkFit:
         return EventFilter([[track] for of_joint in tracks for track in of_joint])
 
     def _losses(
-        self, events: EventFilter, timing: Timing, iterations: int = 3
+        self, events: EventFilter, timing: Timing, iterations: int = 2
     ) -> tuple[Timing, list[Filtered]]:
         """Probabilities of losses by expectation maximisation."""
         for _ in range(iterations):
@@ -189,7 +191,7 @@ class LinkFit:
                 for s, x in zip(joint.segments, some, strict=True)
             )
             corrected = replace(joint, segments=segments)
-            spread = sum(x.covariance for x in some)
+            spread = np.sum([x.covariance for x in some], axis=0)
             noise, _ = corrected.settled(noise)
             series = [[s.left(noise.refit)] for s in segments]
             noise, _ = corrected.settled(corrected.remodelled(noise, series, spread))
@@ -229,10 +231,10 @@ def _typical(joint: NoisyJoint) -> Noise:
     return replace(noise, variance=joint.variance(joint.counts[0] * sd**2))
 
 
-def _white(joint: NoisyJoint, share: float) -> Noise:
-    """White noise with a ``share`` of the size of the third differences of the residual."""
+def _white(joint: NoisyJoint) -> Noise:
+    """White noise of the size of the third differences of the residual."""
     third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
-    sd = share * SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
+    sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
     variance = joint.variance(joint.counts[0] * sd**2)
     return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
 
