@@ -6,7 +6,6 @@ I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,6 @@ from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EARLIEST_S = 0.04
-"""Longest time before the latency from which the response to a set-point is computed."""
 _SETTLED, _LONGEST = 0.003, 80
 """Share of a response at which it is truncated, and its largest number of samples."""
 _LEAST_RATE, _APART = 0.1, 0.03
@@ -143,7 +140,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class _Modes:
+class Modes:
     """A second-order system, gain / ((s - fast) (s - slow)), with distinct poles."""
 
     fast: complex
@@ -154,12 +151,6 @@ class _Modes:
         """Response to an impulse ``x`` s ago, 0 before it."""
         _, a, b = self._decays(x)
         return np.asarray(self.gain * ((a - b) / (self.fast - self.slow)).real)
-
-    def step(self, x: Array) -> Array:
-        """Response to a step ``x`` s ago: the integral of ``impulse``."""
-        p, r = self.fast, self.slow
-        _, a, b = self._decays(x)
-        return np.asarray(self.gain * ((1 + (r * a - p * b) / (p - r)) / (p * r)).real)
 
     def twice(self, x: Array) -> tuple[Array, Array]:
         """Inverse Laplace transform of 1 / ((s - fast) (s - slow))2 at ``x``, and its derivative.
@@ -182,89 +173,41 @@ class _Modes:
         return y, a, a.conj()
 
 
-@dataclass(frozen=True)
-class SetPoints:
-    """Responses of one angle to its K = T set-points.
+def gain_derivatives(residual: Residual) -> Array:
+    """Derivatives of the angle in rad by the latency in s and by the logarithms of kd and kp.
 
-    All tables have one row per set-point; column m of row k is sample ``k + first + m``.
-
-    Attributes:
-        first: Number of samples from a set-point to the first that it can affect.
-        late: Simulated minus measured angle per delay of a set-point in rad/s, shape (K, W).
-        missing: Simulated minus measured angle per rad by which the set-point in force, until the
-            next one, is below the one sent, shape (K, W).
-        change: Set-points minus the previous ones in rad, shape (K,).
-        refit: Derivatives of the angle in rad by the latency in s and by the logarithms of kd and
-            kp, shape (T, 3).
-        period_s: Usual time between set-points.
+    Returns:
+        Shape (T, 3).
     """
-
-    first: int
-    late: Array
-    missing: Array
-    change: Array
-    refit: Array
-    period_s: float
-    modes: _Modes
-    since: Array
-
-    def late_by(self, delay: Array) -> tuple[Array, Array]:
-        """Effect of delays of any size: simulated minus measured angle, and its derivative.
-
-        Args:
-            delay: Of each set-point in s, shape (K,).
-
-        Returns:
-            Angles in rad, shape (T,), and a table like ``late``.
-        """
-        change, elapsed = self.change[:, None], self.since - delay[:, None]
-        gap = (self._on_time - self.modes.step(elapsed)) * change
-        return spread(gap, self.first), self.modes.impulse(elapsed) * change
-
-    @cached_property
-    def _on_time(self) -> Array:
-        return self.modes.step(self.since)
-
-
-def spread(rows: Array, first: int) -> Array:
-    """Sum of a table (K, W) over its set-points, for each sample, shape (K,)."""
-    K, W = rows.shape
-    total = np.zeros(K + first + W)
-    for m in range(W):
-        total[first + m : first + m + K] += rows[:, m]
-    return total[:K]
-
-
-def set_points(residual: Residual) -> SetPoints:
-    """Responses of the linearised servo, to first order in the delay of a set-point."""
-    modes, t, K = _modes(residual), residual.t, residual.t.size
+    modes, t, T = servo_modes(residual), residual.t, residual.t.size
     period = float(np.median(np.diff(t)))
     change = np.diff(residual.command, prepend=residual.command[0])
     arrival = t + residual.latency_s
-    arrived = arrival <= t[-1]
-    offset = (np.searchsorted(t, arrival) - np.arange(K))[arrived]
+    offset = (np.searchsorted(t, arrival) - np.arange(T))[arrival <= t[-1]]
     first = int(offset.min()) if offset.size else 0
-    first -= min(first, int(np.ceil(EARLIEST_S / period)))
     rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)
-    lasting = -np.log(_SETTLED) / rate + period + EARLIEST_S
-    W = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
-    sample = np.arange(K)[:, None] + first + np.arange(W)
-    since = np.where(sample < K, t[np.minimum(sample, K - 1)] - arrival[:, None], -1.0)
-    slot = np.append(np.diff(t), period)[:, None]
-    late = modes.impulse(since) * change[:, None]
-    missing = modes.step(since) - modes.step(since - slot)
+    lasting = -np.log(_SETTLED) / rate + period
+    width = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
+    sample = np.arange(T)[:, None] + first + np.arange(width)
+    since = np.where(sample < T, t[np.minimum(sample, T - 1)] - arrival[:, None], -1.0)
     inertia, kp, kd = residual.inertia_kgm2, residual.kp, residual.kd
     double_pole, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
-    gains = (-late, -kp * kd * double_pole, kp * (inertia * slope + kd * double_pole))
-    refit = np.stack([spread(x, first) for x in gains], axis=1)
-    return SetPoints(first, late, missing, change, refit, period, modes, since)
+    late = modes.impulse(since) * change[:, None]
+    out = np.zeros((3, T + first + width))
+    for row, table in zip(
+        out, (-late, -kp * kd * double_pole, kp * (inertia * slope + kd * double_pole)), strict=True
+    ):
+        for m in range(width):
+            row[first + m : first + m + T] += table[:, m]
+    return out[:, :T].T
 
 
-def _modes(residual: Residual) -> _Modes:
+def servo_modes(residual: Residual) -> Modes:
+    """Poles and gain of the linearised servo."""
     weight = residual.gravity_Nm * float(np.cos(np.mean(residual.command)))
     stiffness = max(residual.kp + weight, 1e-3 * residual.kp) / residual.inertia_kgm2
     half = residual.kd / (2 * residual.inertia_kgm2)
     root = complex(half**2 - stiffness) ** 0.5
     if abs(root) < _APART * half:
         root = complex(_APART * half)
-    return _Modes(-half - root, -half + root, residual.kp / residual.inertia_kgm2)
+    return Modes(-half - root, -half + root, residual.kp / residual.inertia_kgm2)

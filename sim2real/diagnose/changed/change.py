@@ -33,8 +33,7 @@ from sim2real.diagnose.changed.regression import (
     settled,
 )
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.link.link_effect import LinkData, link
-from sim2real.diagnose.link.lost_packets import Uneven
+from sim2real.diagnose.link.link_effect import LinkData, Uneven, link
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student

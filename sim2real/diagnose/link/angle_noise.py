@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
-from sim2real.servo.linearised import Residual, SetPoints, set_points
+from sim2real.servo.linearised import Residual, gain_derivatives
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,9 +27,18 @@ _REST_SHARES = np.linspace(0.1, 0.8, 8)
 
 @dataclass(frozen=True)
 class Segment:
-    """One recording of one joint: its residual in rad, the samples that count and those at rest."""
+    """One recording of one joint.
 
-    response: SetPoints
+    Attributes:
+        source: The recording.
+        derivatives: Of the angle, as ``gain_derivatives`` returns them.
+        residual: Simulated minus measured angle in rad, 0 where not used, shape (T,).
+        counts: Samples whose innovations count, shape (T,).
+        rests: Samples at which the joint is at rest, shape (T,).
+    """
+
+    source: Residual
+    derivatives: Array
     residual: Array
     counts: Mask
     rests: Mask
@@ -40,7 +49,7 @@ class Segment:
 
     def left(self, refit: Array) -> Array:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
-        return self.residual - self.response.refit @ refit
+        return self.residual - self.derivatives @ refit
 
 
 @dataclass(frozen=True)
@@ -80,10 +89,6 @@ class NoisyJoint:
         every = sum(int(s.counts.sum()) for s in self.segments)
         return every, sum(int((s.counts & s.rests).sum()) for s in self.segments)
 
-    def by_recording(self, values: Array) -> list[Array]:
-        """One number a set-point (K,), cut into recordings."""
-        return np.split(values, np.cumsum([s.residual.size for s in self.segments])[:-1])
-
     def variance(self, error2: float) -> float:
         """Likeliest variance of the innovations in motion, in rad2."""
         return max(error2 / self.counts[0], _LEAST_SD_RAD**2)
@@ -113,10 +118,14 @@ class NoisyJoint:
             return 1.0
         return float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
 
-    def remodelled(self, noise: Noise, series: Sequence[Sequence[Array]]) -> Noise:
+    def remodelled(
+        self, noise: Noise, series: Sequence[Sequence[Array]], added: Array | float = 0.0
+    ) -> Noise:
         """The noise with its autoregression refitted to noises (T,), some for each recording."""
         p = noise.model.size
         products = np.zeros((p + 1, p + 1))
+        if isinstance(added, np.ndarray):
+            products += added[0] + added[1] / noise.ratio**2
         for segment, some in zip(self.segments, series, strict=True):
             for mask, size in ((~segment.rests, 1.0), (segment.rests, noise.ratio)):
                 counts = segment.counts & mask
@@ -127,7 +136,7 @@ class NoisyJoint:
     def _refitted(self, noise: Noise) -> tuple[Array, float]:
         products = np.zeros((4, 4))
         for s in self.segments:
-            columns = np.column_stack([s.residual, s.response.refit])
+            columns = np.column_stack([s.residual, s.derivatives])
             columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
             products += columns.T @ columns
         return regress(products)
@@ -152,7 +161,8 @@ def with_noise(
     """
     segments = tuple(
         Segment(
-            set_points(one),
+            one,
+            gain_derivatives(one),
             np.where(one.used, one.residual, 0.0),
             counting(one.used, lags),
             np.zeros(one.used.size, dtype=bool),
@@ -180,7 +190,7 @@ def _with_rest(
 ) -> tuple[Segment, ...]:
     """The recordings with the speed below which a sample rests at its likeliest."""
     square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
-    speeds = [np.abs(s.response.refit[:, 0]) for s in segments]
+    speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
     best, limit = square.size * np.log(square.mean() + 1e-300), -1.0
     for trial in np.quantile(speed, _REST_SHARES):
@@ -207,91 +217,3 @@ def regress(products: Array) -> tuple[Array, float]:
     scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
     refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
     return refit, float(products[0, 0] - products[0, 1:] @ refit)
-
-
-@dataclass(frozen=True)
-class WhitenedRegression:
-    """Inner products of whitened responses and of what they are to explain.
-
-    Set-points of all recordings stand one after another; only neighbours overlap.
-
-    Attributes:
-        gram: Of the responses; row d holds those of set-points k and k + d, shape (W, K).
-        cross: Of the responses with the residual and the columns of ``SetPoints.refit``, (K, 4).
-        square: Of the latter among themselves, shape (4, 4).
-    """
-
-    gram: Array
-    cross: Array
-    square: Array
-
-    def plus(self, other: WhitenedRegression, weight: float) -> WhitenedRegression:
-        """The sum with ``weight`` times another."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return WhitenedRegression(*(mine + weight * its for mine, its in pairs))
-
-    def times(self, amount: Array) -> Array:
-        """Product of ``gram`` and a vector (K,)."""
-        out = self.gram[0] * amount
-        for d in range(1, min(len(self.gram), amount.size)):
-            band = self.gram[d, :-d]
-            out[d:] += band * amount[:-d]
-            out[:-d] += band * amount[d:]
-        return np.asarray(out)
-
-
-def normals(
-    joint: NoisyJoint,
-    noise: Noise,
-    tables: Sequence[Array],
-    *,
-    negligible: float = 1e-5,
-) -> tuple[WhitenedRegression, WhitenedRegression]:
-    """Normal equations of the samples in motion and of those at rest.
-
-    Args:
-        joint: The joint.
-        noise: Whose autoregression whitens.
-        tables: For each recording its responses, laid out as in ``SetPoints``, shape (K, W).
-        negligible: Share of the squares of all responses that may be left where they are cut off.
-    """
-    p = noise.model.size
-    longest = max(table.shape[1] for table in tables) + p
-    wide = [np.pad(table, ((0, 0), (0, longest - table.shape[1]))) for table in tables]
-    white = [whitened(table, noise.model, axis=1) for table in wide]
-    after = np.cumsum(sum(np.sum(table**2, axis=0) for table in white)[::-1])[::-1]
-    kept = max(int(np.sum(after > negligible * after[0])), 1)
-    parts: tuple[list[WhitenedRegression], list[WhitenedRegression]] = ([], [])
-    for table, s in zip(white, joint.segments, strict=True):
-        columns = np.column_stack([s.residual, s.response.refit])
-        columns = whitened(columns, noise.model, axis=0)
-        for resting, some in enumerate(parts):
-            mask = s.counts & (s.rests == bool(resting))
-            some.append(_normal(table[:, :kept], columns, mask, s.response.first))
-    moving, rest = (
-        WhitenedRegression(
-            np.concatenate([x.gram for x in some], axis=1),
-            np.concatenate([x.cross for x in some]),
-            np.sum([x.square for x in some], axis=0),
-        )
-        for some in parts
-    )
-    return moving, rest
-
-
-def _normal(table: Array, columns: Array, part: Mask, first: int) -> WhitenedRegression:
-    K, W = table.shape
-    gram, cross = np.zeros((W, K)), np.zeros((K, 4))
-    if not part.any():
-        return WhitenedRegression(gram, cross, np.zeros((4, 4)))
-    padded = np.zeros((K + first + W, 5))
-    padded[:K, :4] = columns * part[:, None]
-    padded[:K, 4] = part
-    cut = np.empty_like(table)
-    for m in range(W):
-        there = padded[first + m : first + m + K]
-        cut[:, m] = table[:, m] * there[:, 4]
-        cross += cut[:, m, None] * there[:, :4]
-    for d in range(min(W, K)):
-        gram[d, : K - d] = np.einsum("km,km->k", cut[: K - d, d:], cut[d:, : W - d])
-    return WhitenedRegression(gram, cross, padded[:, :4].T @ padded[:, :4])

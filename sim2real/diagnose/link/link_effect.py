@@ -1,16 +1,34 @@
-"""The likelier of the two effects on the link of each robot."""
+"""Do set-points arrive at irregular times, or not at all? The likelier of the two effects."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.link.angle_noise import with_noise
-from sim2real.diagnose.link.jitter import latency_jitter
-from sim2real.diagnose.link.lost_packets import Uneven, packet_loss
+from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
+from sim2real.diagnose.link.event_filter import EventFilter, Filtered, Timing, Track
+from sim2real.inference.correlated_noise import whitened
+from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.processes import shared
-from sim2real.servo.linearised import Residual
+from sim2real.servo.linearised import Residual, servo_modes
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+MOST_LAGS = 6
+"""Largest order of the autoregression of the noise."""
+EFFECTS = ("latency_jitter", "packet_loss")
+HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
+"""Halfwidths of the delays from which the search for jitter starts."""
+FIRST_LOSS = Timing(0.02, 0.1)
+"""Losses from which the search for them starts."""
+_STEP = 0.1
+"""Relative step by which a curvature is measured."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +41,29 @@ class LinkData:
     noticed: float = 0.0
 
 
+@dataclass(frozen=True)
+class Uneven:
+    """Irregular timing that explains a part of a robot's residuals.
+
+    Attributes:
+        effect: ``latency_jitter`` or ``packet_loss``.
+        gain: Log-likelihood gained over noise alone, in nats.
+        value: The effect's parameter: halfwidth in s, or probability.
+        sd: Its standard deviation; infinite where nothing is found.
+        shares: Gain at each joint by itself.
+        common: Whether a set-point is lost for all joints at once.
+        burst: Mean number of set-points that are lost in succession.
+    """
+
+    effect: str
+    gain: float = 0.0
+    value: float = 0.0
+    sd: float = np.inf
+    shares: tuple[float, ...] = ()
+    common: bool = False
+    burst: float = 1.0
+
+
 def links(robots: Sequence[LinkData]) -> list[Uneven]:
     """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
     return shared(link, robots)
@@ -30,12 +71,178 @@ def links(robots: Sequence[LinkData]) -> list[Uneven]:
 
 def link(robot: LinkData) -> Uneven:
     """The likelier of the two effects on one robot's link."""
-    joints = [with_noise(joint, robot.lags, robot.least_gain) for joint in robot.joints]
-    worth = DECISION.link.negligible_gain if robot.noticed else 0.0
-    found = max(latency_jitter(joints, worth), packet_loss(joints), key=lambda x: x.gain)
+    joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
     samples = sum(joint.counts[0] for joint in joints)
-    if found.gain < max(robot.noticed, worth * samples):
-        return Uneven(found.effect, shares=tuple(0.0 for _ in joints))
-    late = found.effect == "latency_jitter"
-    alone = [latency_jitter([one], worth) if late else packet_loss([one]) for one in joints]
-    return replace(found, shares=tuple(one.gain for one in alone))
+    negligible = DECISION.link.negligible_gain * samples if robot.noticed else 0.0
+    fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
+    best = max(fits, key=lambda fit: fit.gain)
+    if best.gain < max(robot.noticed, negligible):
+        return Uneven(best.effect, shares=tuple(0.0 for _ in joints))
+    return best.result()
+
+
+def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
+    """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
+    fits = [LinkFit(joints, effect, common=False)]
+    times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
+    if effect == "packet_loss" and len(joints) > 1 and len(times) == 1:
+        fits.append(LinkFit(joints, effect, common=True))
+    return fits
+
+
+class LinkFit:
+    """One effect fitted to the joints of a robot by expectation maximisation.
+
+    The noise of each joint is refitted to what the expected deviations leave: Shumway and Stoffer,
+    Journal of Time Series Analysis 3 (1982) 253-264. It begins from two guesses of the noise,
+    since an autoregression can take any deviation for noise.
+
+    Args:
+        joints: The joints.
+        effect: ``latency_jitter`` or ``packet_loss``.
+        common: Whether one packet carries the set-points of all joints.
+
+    Attributes:
+        gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
+        timing: How set-points arrive.
+        noises: Of each joint.
+    """
+
+    def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
+        self.joints, self.effect, self.common = joints, effect, common
+        self.gain, self.timing = 0.0, FIRST_LOSS if effect == "packet_loss" else Timing()
+        self.noises = [joint.noise for joint in joints]
+        # The filter's log-likelihood counts the squares, that of the noise alone does not.
+        alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
+        starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
+        guesses = [self._climb(noises, self.timing, steps=1) for noises in starts]
+        if max(total for total, _, _ in guesses) < alone:
+            return
+        guesses = [self._climb(noises, self.timing, steps=2) for noises in starts]
+        total, timing, noises = max(guesses, key=lambda guess: guess[0])
+        total, timing, noises = self._climb(noises, timing, steps=6)
+        if total > alone:
+            self.gain, self.timing, self.noises = total - alone, timing, noises
+
+    def _climb(
+        self, noises: list[Noise], timing: Timing, steps: int
+    ) -> tuple[float, Timing, list[Noise]]:
+        """The best log-likelihood, timing and noises of a few alternations between the two."""
+        best: tuple[float, Timing, list[Noise]] = (-np.inf, timing, noises)
+        for _ in range(steps):
+            events = self._filter(noises)
+            timing, results = (self._losses if timing.loss else self._delays)(events, timing)
+            total = _total(results)
+            gained = total - best[0]
+            if gained > 0:
+                best = (total, timing, noises)
+            if gained < DECISION.link.min_gain:
+                break
+            noises = self._renewed(noises, events, timing, results)
+        return best
+
+    def _filter(self, noises: Sequence[Noise]) -> EventFilter:
+        tracks = [
+            [_track(segment, noise) for segment in joint.segments]
+            for joint, noise in zip(self.joints, noises, strict=True)
+        ]
+        if self.common:
+            return EventFilter(list(zip(*tracks, strict=True)))
+        return EventFilter([[track] for of_joint in tracks for track in of_joint])
+
+    def _losses(
+        self, events: EventFilter, timing: Timing, iterations: int = 2
+    ) -> tuple[Timing, list[Filtered]]:
+        """Probabilities of losses by expectation maximisation."""
+        for _ in range(iterations):
+            before, (results,) = timing, events.run([timing])
+            chances, lost, after, again = np.sum([x.counts for x in results], axis=0)
+            first = float(np.clip((lost + 0.5) / (chances + 1), 1e-4, 0.5))
+            timing = Timing(first, float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9)))
+        return before, results
+
+    def _delays(self, events: EventFilter, timing: Timing) -> tuple[Timing, list[Filtered]]:
+        """The likeliest size of the delays on a grid, which is finer once one is known."""
+        trials = HALFWIDTHS_S / np.sqrt(3)
+        if timing.delay_sd_s:
+            trials = timing.delay_sd_s * np.geomspace(0.6, 1.7, 9)
+        timings = [Timing(delay_sd_s=float(x)) for x in trials]
+        return max(
+            zip(timings, events.run(timings, width=1), strict=True), key=lambda x: _total(x[1])
+        )
+
+    def _renewed(
+        self,
+        noises: Sequence[Noise],
+        events: EventFilter,
+        timing: Timing,
+        results: Sequence[Filtered],
+    ) -> list[Noise]:
+        """The noise of each joint, refitted to what the expected deviations leave."""
+        deviations = events.expected([x.active for x in results], timing)
+        J, out = len(self.joints), []
+        ends = np.cumsum([len(joint.segments) for joint in self.joints])
+        for j, (joint, noise) in enumerate(zip(self.joints, noises, strict=True)):
+            some = (
+                deviations[j::J] if self.common else deviations[: ends[j]][-len(joint.segments) :]
+            )
+            segments = tuple(
+                replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
+                for s, x in zip(joint.segments, some, strict=True)
+            )
+            corrected = replace(joint, segments=segments)
+            spread = np.sum([x.covariance for x in some], axis=0)
+            noise, _ = corrected.settled(noise)
+            series = [[s.left(noise.refit)] for s in segments]
+            noise, _ = corrected.settled(corrected.remodelled(noise, series, spread))
+            taps = np.append(1.0, -noise.model)
+            extra = taps @ (spread[0] + spread[1] / noise.ratio**2) @ taps
+            out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
+        return out
+
+    def result(self) -> Uneven:
+        """The effect, with its standard deviation and the gain at each joint."""
+        late = self.effect == "latency_jitter"
+        value = self.timing.delay_sd_s * np.sqrt(3) if late else self.timing.loss
+        name = "delay_sd_s" if late else "loss"
+        size = getattr(self.timing, name)
+        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
+        timings = [replace(self.timing, **{name: float(size * x)}) for x in factors]
+        below, here, above = map(_total, self._filter(self.noises).run(timings))
+        curvature = (2 * here - below - above) / _STEP**2
+        sd = value / np.sqrt(curvature) if curvature > 0 else np.inf
+        shares = tuple(fitted([joint], self.effect)[0].gain for joint in self.joints)
+        burst = 1 / (1 - self.timing.repeated_loss)
+        return Uneven(self.effect, self.gain, float(value), float(sd), shares, self.common, burst)
+
+
+def _total(results: Sequence[Filtered]) -> float:
+    return sum(x.loglikelihood for x in results)
+
+
+def _typical(joint: NoisyJoint) -> Noise:
+    """The noise with the variance of most samples, not of those that events disturb."""
+    noise = joint.noise
+    sizes = [
+        np.abs(whitened(s.left(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
+        for s in joint.segments
+    ]
+    sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
+    return replace(noise, variance=joint.variance(joint.counts[0] * sd**2))
+
+
+def _white(joint: NoisyJoint) -> Noise:
+    """White noise of the size of the third differences of the residual."""
+    third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
+    sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
+    variance = joint.variance(joint.counts[0] * sd**2)
+    return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
+
+
+def _track(segment: Segment, noise: Noise) -> Track:
+    of, residual = segment.source, segment.left(noise.refit)
+    scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
+    return Track(
+        of.t, of.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
+        noise.model, noise.variance,
+    )  # fmt: skip

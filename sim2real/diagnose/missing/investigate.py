@@ -9,8 +9,7 @@ import numpy as np
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.link.link_effect import LinkData, links
-from sim2real.diagnose.link.lost_packets import Uneven
+from sim2real.diagnose.link.link_effect import LinkData, Uneven, links
 from sim2real.diagnose.missing.baseline import baselines, plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.missing.effect_search import search

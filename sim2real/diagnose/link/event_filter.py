@@ -1,0 +1,285 @@
+"""The likelihood of when each set-point took effect: a switching Kalman filter.
+
+The linearised servo deviates from its simulation because another set-point is in force than the
+simulated one. Which one is a hidden Markov chain, the lag: the number of set-points by which it is
+behind. A delay is Gaussian. A hypothesis is a history of lags; those that have become alike are
+merged and the least likely pruned, as in the M-algorithm (Anderson and Mohan, IEEE Transactions on
+Communications 32 (1984) 169-176). Each hypothesis has a Kalman filter of its own (Ackerson and Fu,
+IEEE Transactions on Automatic Control 15 (1970) 10-17).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim2real.diagnose.link.event_kernels import COUNTS, expect, run_filter
+from sim2real.inference.correlated_noise import whitened
+from sim2real.servo.linearised import Modes
+from sim2real.servo.rollout import to_warp
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Track:
+    """One joint in one recording.
+
+    Attributes:
+        t: Times of the samples and of the set-points in s, shape (T,).
+        command: Set-points in rad, shape (T,).
+        latency_s: From a set-point to the time at which the simulation uses it.
+        modes: Of the linearised servo.
+        residual: Simulated minus measured angle in rad, shape (T,).
+        scale: Standard deviation of each innovation, relative to ``variance``; 0 where the sample
+            does not count, shape (T,).
+        rests: Whether the joint is at rest, shape (T,).
+        autoregression: Of the noise, shape (p,).
+        variance: Of the innovations, rad2.
+    """
+
+    t: Array
+    command: Array
+    latency_s: float
+    modes: Modes
+    residual: Array
+    scale: Array
+    rests: NDArray[np.bool_]
+    autoregression: Array
+    variance: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How set-points arrive.
+
+    Losses are those of Gilbert, Bell System Technical Journal 39 (1960) 1253-1265; delays are
+    independent and Gaussian.
+
+    Attributes:
+        loss: Probability of losing a set-point after one that arrived.
+        repeated_loss: Probability of losing one after one that was lost.
+        delay_sd_s: Standard deviation of the delays.
+    """
+
+    loss: float = 0.0
+    repeated_loss: float = 0.0
+    delay_sd_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """What the filter says of one group of tracks that share their events.
+
+    Attributes:
+        loglikelihood: Of the innovations, up to a constant that no ``Timing`` changes.
+        counts: Expected counts, shape (COUNTS,).
+        active: Index of the set-point in force in each slot of the likeliest history, shape (T,).
+        error2: Expected sum of squares of normalised innovations.
+    """
+
+    loglikelihood: float
+    counts: Array
+    active: Integers
+    error2: float
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Expected difference between the simulation and the servo as it was commanded.
+
+    Attributes:
+        mean: In rad, shape (T,).
+        covariance: Sums, over the samples in motion and over those at rest, of the covariance of
+            the deviations at lags 0 to p, in rad2, shape (2, p + 1, p + 1).
+    """
+
+    mean: Array
+    covariance: Array
+
+
+_MODEL = 9
+"""Place of the autoregressions among the inputs of the kernels."""
+
+
+class EventFilter:
+    """Tracks, ready to be filtered under any timing.
+
+    Slot k begins when set-point k would be in force at its usual latency.
+
+    Args:
+        groups: Tracks that share their events; those of one group have the same set-point times.
+        alike: Difference of two deviations, in standard deviations of the noise, below which they
+            are the same.
+    """
+
+    def __init__(self, groups: Sequence[Sequence[Track]], alike: float = 0.1) -> None:
+        tracks = [track for group in groups for track in group]
+        self.groups = [list(group) for group in groups]
+        self.order = max(track.autoregression.size for track in tracks)
+        start = np.cumsum([0, *(track.t.size for track in tracks)])[:-1]
+        lines = [_timeline(track) for track in tracks]
+        self._slots = np.array(
+            [min(_slots(track) for track in group) for group in groups], dtype=np.int32
+        )
+        ends = np.concatenate(
+            [
+                np.append(first, track.t.size) + at
+                for (_, _, first), track, at in zip(lines, tracks, start, strict=True)
+            ]
+        )
+        model = np.zeros((len(tracks), self.order))
+        for row, track in zip(model, tracks, strict=True):
+            row[: track.autoregression.size] = track.autoregression
+        self._inputs = [
+            np.cumsum([0, *(len(group) for group in groups)]).astype(np.int32),
+            self._slots,
+            start.astype(np.int32),
+            np.concatenate([track.command for track in tracks]),
+            np.concatenate([within for within, _, _ in lines]),
+            np.concatenate([tail for _, tail, _ in lines]),
+            ends.astype(np.int32),
+            np.concatenate([_innovations(track) for track in tracks]),
+            np.concatenate([track.scale * np.sqrt(track.variance) for track in tracks]),
+            model,
+            np.array([track.modes.gain for track in tracks]),
+        ]
+
+        sd = np.array([alike * np.sqrt(track.variance) for track in tracks])
+        speed = np.array([abs(x.modes.fast * x.modes.slow) ** 0.5 for x in tracks])
+        self._tolerance = np.stack([sd, sd * speed], axis=1)
+
+    def run(self, timings: Sequence[Timing], *, width: int = 32) -> list[list[Filtered]]:
+        """Filter every group under each timing.
+
+        Args:
+            timings: One or several.
+            width: Hypotheses that are kept.
+
+        Returns:
+            For each timing the result of each group.
+        """
+        G, S, n, K = len(self.groups), len(timings), self.order + 2, int(self._slots.max())
+        rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s] for x in timings])
+        pool = 3 * width  # those kept, and two continuations of each
+        joints = max(len(group) for group in self.groups)
+        results: tuple[Any, ...] = (
+            wp.zeros((S, G), dtype=wp.float64, device="cpu"),
+            wp.zeros((S, G, COUNTS + 1), dtype=wp.float64, device="cpu"),
+            wp.zeros((S, G, K), dtype=wp.int32, device="cpu"),
+        )
+        scratch = [
+            wp.zeros((S * G, pool, joints * n), dtype=wp.float64, device="cpu"),
+            wp.zeros((S * G, pool, joints * n * (n + 1)), dtype=wp.float64, device="cpu"),
+            wp.zeros((S * G, pool, COUNTS + 2), dtype=wp.float64, device="cpu"),
+            wp.zeros((S * G, pool, 2), dtype=wp.int32, device="cpu"),
+            wp.zeros((S * G, K, width, 2), dtype=wp.int32, device="cpu"),
+        ]
+        inputs = [*self._inputs, rates]
+        arrays = [to_warp(x, "cpu") for x in inputs]
+        settings = [*arrays, width, *scratch, to_warp(self._tolerance, "cpu"), *results]
+        wp.launch(run_filter, (S, G), settings, device="cpu")
+        value, counts, active = (x.numpy() for x in results)
+        return [
+            [
+                Filtered(
+                    float(value[s, g]),
+                    counts[s, g, :COUNTS],
+                    active[s, g, : self._slots[g]],
+                    float(counts[s, g, COUNTS]),
+                )
+                for g in range(G)
+            ]
+            for s in range(S)
+        ]
+
+    def expected(
+        self, active: Sequence[Integers], timing: Timing, span_s: float = 0.1
+    ) -> list[Deviation]:
+        """Deviations along one history of each group, smoothed with a fixed lag.
+
+        Moore, Automatica 9 (1973) 163-173: the state holds the deviations of the last samples, so
+        that the filter also estimates those that lie behind.
+
+        Args:
+            active: Set-point in force in each slot, for each group.
+            timing: Of which the Gaussian part counts.
+            span_s: Time by which the estimate lags behind the samples that it knows.
+
+        Returns:
+            Of each track, group by group.
+        """
+        p, tracks = self.order, [track for group in self.groups for track in group]
+        period = float(np.median(np.concatenate([np.diff(track.t) for track in tracks])))
+        behind = int(np.clip(round(span_s / period), 2, 12))
+        order = p + behind + 1
+        model = np.pad(self._inputs[_MODEL], ((0, 0), (0, behind + 1)))
+        rest = np.concatenate([track.rests for track in tracks]).astype(np.int32)
+        path = np.zeros((len(active), int(self._slots.max())), dtype=np.int32)
+        for row, some in zip(path, active, strict=True):
+            row[: some.size] = some
+        n, N = order + 2, len(tracks)
+        mean: Any = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
+        covariance: Any = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
+        scratch = [
+            wp.zeros((N, 1, n), dtype=wp.float64, device="cpu"),
+            wp.zeros((N, 1, n * (n + 1)), dtype=wp.float64, device="cpu"),
+        ]
+        inputs = [*self._inputs[:_MODEL], model, self._inputs[-1], path, rest]
+        arrays = [to_warp(x, "cpu") for x in inputs]
+        sizes = p, timing.delay_sd_s
+        wp.launch(expect, N, [*arrays, *sizes, *scratch, mean, covariance], device="cpu")
+        parts = np.split(mean.numpy(), np.cumsum([track.t.size for track in tracks])[:-1])
+        sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)
+        return [Deviation(a, b) for a, b in zip(parts, sums, strict=True)]
+
+
+def _innovations(track: Track) -> Array:
+    """Innovations of the residual without any deviation, 0 where not counted, shape (T,)."""
+    return np.where(track.scale > 0, whitened(track.residual, track.autoregression), 0.0)
+
+
+def _slots(track: Track) -> int:
+    """Number of slots that begin before the recording ends."""
+    return int(np.searchsorted(track.t + track.latency_s, track.t[-1], side="right"))
+
+
+def _timeline(track: Track) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Propagation to each sample, that to the end of each slot, and each slot's first sample.
+
+    Rows are those of ``propagator``. A sample is reached from the one before or from the beginning
+    of its slot, whichever is later.
+    """
+    t = track.t
+    begins = t + track.latency_s
+    begins[0] = t[0]
+    slot = np.searchsorted(begins, t, side="right") - 1
+    within = t - np.maximum(np.append(t[0], t[:-1]), begins[slot])
+    ends = np.append(begins[1:], np.maximum(begins[-1], t[-1]))
+    last = np.searchsorted(t, ends) - 1
+    tail = ends - np.maximum(t[last], begins)
+    first = np.searchsorted(slot, np.arange(t.size))
+    return propagator(track.modes, within), propagator(track.modes, tail), first
+
+
+def propagator(modes: Modes, x: Array) -> Array:
+    """Transition of angle and speed over ``x`` s, and the effect of a constant set-point.
+
+    Returns:
+        Shape (N, 6): the transition matrix by rows, then angle and speed per rad of set-point.
+    """
+    p, r = modes.fast, modes.slow
+    a, b = np.exp(p * x), np.exp(r * x)
+    impulse = ((a - b) / (p - r)).real
+    slope = ((p * a - r * b) / (p - r)).real
+    product, total = (p * r).real, (p + r).real
+    stays = slope - total * impulse
+    step = modes.gain * (1 - stays) / product
+    rows = stays, impulse, -product * impulse, slope, step, modes.gain * impulse
+    return np.stack(rows, axis=1)
