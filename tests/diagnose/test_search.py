@@ -58,6 +58,21 @@ def test_what_explains_most_at_first_sight_is_tried_by_itself(rubbing):
     assert len(given) == len(FITTED)
 
 
+def test_every_effect_that_would_show_is_tried_where_something_is_missing(rubbing):
+    """Those that a linear look gives no gain, too: the plain servo's gains may have hidden them."""
+    seen, given = rubbing.seen
+    shows = seen.visible > rubbing.search.limits.least_visible
+    expected = {given[k].effect.name for k in np.unique(seen.candidate[shows])}
+    hidden = {
+        name
+        for k, name in enumerate(option.effect.name for option in given)
+        if seen.gain[seen.candidate == k].max() <= rubbing.search.limits.hopeless_gain
+    }
+    expected -= {effect.name for effect in FITTED if effect.everywhere}
+    assert expected & hidden, "the plain servo hides some"
+    assert {frozenset({name}) for name in expected} <= set(rubbing.tried.tried)
+
+
 def test_filters_before_and_behind_look_alike(filtered):
     tried = filtered.tried.tried
     two = [tried[frozenset({name})].evidence for name in ("command_filter", "sensor_filter")]

@@ -77,7 +77,12 @@ def search(
         exhausted=problem.exhausted,
     )
     if noise is not None:
-        going = [k for k, one in enumerate(ledgers) if not problem.exhausted(one)]
+        # Where the plain servo is likeliest no effect is named, and no rival matters.
+        going = [
+            k
+            for k, one in enumerate(ledgers)
+            if one.best.members != one.base and not problem.exhausted(one)
+        ]
         again = beside_rivals(
             problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.decisive_gain
         )

@@ -143,11 +143,12 @@ def beside_rivals(
     """
     before = {one.case: one.best for one in ledgers}
     largest = {one.case: angle for one, angle in zip(ledgers, large, strict=True)}
+    within = problem.limits.near
     pairs = [
         (one, h)
         for one in ledgers
         for h in sorted(one.tried.values(), key=lambda h: -h.evidence)[:rivals]
-        if _missing(h.members)
+        if _missing(h.members) and h.evidence > before[one.case].evidence - within
     ]
     behind = [before[one.case].evidence - h.evidence for one, h in pairs]
     jobs = _jobs(problem, pairs, [max(x / promise, DECISION.nuisance_min_evidence) for x in behind])

@@ -40,16 +40,16 @@ class SearchLimits:
             best single effect found.
         rivals: Sets that are refitted with nothing held.
         near: How far the evidence of such a set may be behind the best.
-        singles: Starts of single effects that are followed.
-        hopeless_gain: Gain at first sight below which no start is.
+        hopeless_gain: Gain at first sight below which the best start of an effect is not followed.
+        least_visible: Score of an effect, were it there, from which it would be seen.
         promise: Times the gain that a fit's quadratic model promises, which it may still make.
     """
 
     min_rebase_gain: float = 1.0
     rivals: int = 10
     near: float = 80.0
-    singles: int = 24
     hopeless_gain: float = 1.0
+    least_visible: float = 3.0
     promise: float = 6.0
 
 
@@ -130,24 +130,36 @@ class ServoSearch:
         return [found[k] for k in range(len(places))]
 
     def additions(self, ledger: Tried, members: Set, most: int | None) -> list[tuple[str, Array]]:
-        """The effects that explain most from a set, each with a parameter row to start from."""
+        """The effects that explain most from a set, each with a parameter row to start from.
+
+        Where all are tried and something is missing, every effect also starts at its weakest that
+        would be seen: gains that have absorbed an effect hide it from a linear look, but a fit
+        that starts near them finds it.
+        """
         if most is None and not self.singles:
             return []
         seen, given = self.seen(ledger, members)
-        gain, each = seen.gain, 2 if most is None else 1
-        chosen: list[tuple[float, str, Array]] = []
+        gain = seen.gain
+        starts: list[tuple[float, int]] = []
+        weakest = most is None and self.remains(ledger, members)
         for k, option in enumerate(given):
             mine = np.flatnonzero(seen.candidate == k)
-            for index in mine[np.argsort(-gain[mine])][:each]:
-                theta = self.start(ledger, members, members)
-                theta[option.columns] = option.starts[seen.start[index]]
-                chosen.append((float(gain[index]), option.effect.name, theta))
-        chosen.sort(key=lambda entry: -entry[0])
-        if most is None:
-            chosen = [entry for entry in chosen if entry[0] > self.limits.hopeless_gain][
-                : self.limits.singles
-            ]
-        return [(name, theta) for _, name, theta in chosen[:most]]
+            best = int(mine[gain[mine].argmax()])
+            if most is not None or gain[best] > self.limits.hopeless_gain:
+                starts.append((float(gain[best]), best))
+            visible = mine[seen.visible[mine] > self.limits.least_visible]
+            if weakest and visible.size and not option.effect.everywhere:
+                weak = int(visible[seen.visible[visible].argmin()])
+                if (float(gain[weak]), weak) not in starts:
+                    starts.append((float(gain[weak]), weak))
+        starts.sort(key=lambda entry: -entry[0])
+        chosen = []
+        for _, index in starts[:most]:
+            option = given[seen.candidate[index]]
+            theta = self.start(ledger, members, members)
+            theta[option.columns] = option.starts[seen.start[index]]
+            chosen.append((option.effect.name, theta))
+        return chosen
 
     def start(self, ledger: Tried, members: Set, of: Set | None = None) -> Array:
         """The parameter row of a set, or of the best one."""

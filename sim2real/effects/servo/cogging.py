@@ -21,7 +21,7 @@ def ripple(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
     return x + p[c] * sine(wp.float64(6.283185307179586) * q / p[c + 1] + p[c + 2])
 
 
-_PERIODS = tuple(5.0 / (0.75 + 0.3 * k) for k in range(65))
+_PERIODS = tuple(5.0 / (0.75 + 0.6 * k) for k in range(33))
 """From one bump in 1.3 rad to twenty in one."""
 _PHASES = (0.0, 2.0944, -2.0944)
 
