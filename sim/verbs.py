@@ -123,7 +123,7 @@ def calibrate(
 
     from sim.calibration.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
-    from sim2real.output import provenance_of
+    from sim2real.output import provenance
 
     machine, start = robot_of(robot), model_of(model)
     check_joints(start, machine)
@@ -137,7 +137,7 @@ def calibrate(
         fluid=FluidSettings(cell_m, device, rollouts) if fluid else None,
         seed=seed,
     )
-    origin = provenance_of([*read, machine, model], seed)
+    origin = provenance([*read, machine, model], seed)
     return replace(calibration, model=replace(calibration.model, provenance=origin))
 
 

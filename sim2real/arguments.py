@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from numbers import Integral
 
 from sim2real.errors import InputError
-from sim2real.structured import nearest, shown
+from sim2real.structured import one_of, shown
 
 
 def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
@@ -24,9 +24,7 @@ def check_choice(call: str, argument: str, value: object, choices: Iterable[str]
     names = list(choices)
     if isinstance(value, str) and value in names:
         return
-    close = nearest(value, names) if isinstance(value, str) else None
-    hint = f" (did you mean {close}?)" if close else ""
-    raise InputError(call, argument, shown(value), f"one of {', '.join(names)}{hint}")
+    raise InputError(call, argument, shown(value), one_of(value, names))
 
 
 def check_whole(call: str, argument: str, value: object, least: int = 0) -> None:

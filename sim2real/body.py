@@ -1,7 +1,7 @@
-"""Effects of the body and the camera in a model file.
+"""Effects of the body and the camera: in a model file, and on measured poses.
 
-They are listed under ``body.effects``; an effect of a material names it as ``component``. The
-effects are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
+A model file lists them under ``body.effects``; an effect of a material names it as ``component``.
+They are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
 """
 
 from __future__ import annotations
@@ -9,26 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sim2real.effects import BODY, CAMERA
-from sim2real.effects.body_effect import BodyEffect, CameraEffect
+import numpy as np
+from numpy.typing import NDArray
+
+from sim2real.effects import CAMERA, body_effect
 from sim2real.errors import InputError
 from sim2real.model import Model
 
-__all__ = ["BODY", "CAMERA", "body_effect", "listed", "values"]
-
-
-def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
-    """The effect with this identifier.
-
-    Raises:
-        InputError: If there is none; ``where`` is the place in the message.
-    """
-    every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
-    for effect in every:
-        if effect.name == name:
-            return effect
-    names = ", ".join(effect.name for effect in every)
-    raise InputError(where, "effects", repr(name), f"one of {names}")
+Array = NDArray[np.float64]
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:
@@ -69,3 +57,22 @@ def listed(parameters: Mapping[str, float]) -> list[dict[str, Any]]:
         entry["parameters"] = {}
         entries.setdefault(".".join(prefix), entry)["parameters"][parameter] = value
     return list(entries.values())
+
+
+def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
+    """Poses as measured by the camera.
+
+    Args:
+        t: Times in s, shape (T,), increasing and evenly spaced.
+        pose: x, y in m and heading in rad of the head's centre of mass, shape (T, 3).
+        parameters: Parameters of camera effects by ``effect.parameter``; others are ignored.
+
+    Returns:
+        Poses, shape (T, 3).
+    """
+    out = np.array(pose, dtype=np.float64)
+    for effect in CAMERA:
+        values = {p.name: parameters.get(f"{effect.name}.{p.name}", 0.0) for p in effect.parameters}
+        if any(values.values()):
+            out = effect.see(t, out, values)
+    return out

@@ -5,7 +5,6 @@ A file needs only the values that are used: a missing value is an error where it
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,23 +151,15 @@ def _keys(sheet: type) -> list[str]:
 def _servo(name: str, fields: Fields) -> Servo:
     fields.refuse_unknown(key for key in _keys(Servo) if key != "name")
 
-    def optional(name: str, low: float = -math.inf, above: float = -math.inf) -> float | None:
-        return fields.number(name, low=low, above=above) if name in fields else None
-
+    kind = fields.text("type", "")  # a file name is relative to the folder of ``robot.toml``
     return Servo(
         name,
-        max_torque_Nm=optional("max_torque_Nm", above=0),
-        no_load_speed_rad_s=optional("no_load_speed_rad_s", above=0),
-        position_step_rad=optional("position_step_rad", low=0),
+        max_torque_Nm=fields.optional_number("max_torque_Nm", above=0),
+        no_load_speed_rad_s=fields.optional_number("no_load_speed_rad_s", above=0),
+        position_step_rad=fields.optional_number("position_step_rad", low=0),
         where=(str(fields.file), fields.where),
-        type=_type(fields),
+        type=str(Path(fields.file).parent / kind) if kind.endswith(".json") else kind,
     )
-
-
-def _type(fields: Fields) -> str:
-    """The servo's type; a file name is relative to the folder of ``robot.toml``."""
-    name = fields.text("type", "")
-    return str(Path(fields.file).parent / name) if name.endswith(".json") else name
 
 
 def _link(fields: Fields) -> Link:
@@ -176,21 +167,19 @@ def _link(fields: Fields) -> Link:
     if "appendages" in fields:
         for appendage in fields.tables("appendages"):
             appendage.refuse_unknown(_APPENDAGE_KEYS)
-
-    def optional(name: str, above: float = -math.inf) -> float | None:
-        return fields.number(name, low=0, above=above) if name in fields else None
+    number = fields.optional_number
 
     return Link(
         name=fields.text("name"),
-        mass_kg=optional("mass_kg", above=0),
-        length_m=optional("length_m", above=0),
-        width_m=optional("width_m", above=0),
-        height_m=optional("height_m", above=0),
+        mass_kg=number("mass_kg", above=0),
+        length_m=number("length_m", above=0),
+        width_m=number("width_m", above=0),
+        height_m=number("height_m", above=0),
         material=fields.text("material") if "material" in fields else None,
-        com_m=optional("com_m"),
-        inertia_kgm2=optional("inertia_kgm2"),
-        mass_sd_kg=optional("mass_sd_kg"),
-        length_sd_m=optional("length_sd_m"),
+        com_m=number("com_m", low=0),
+        inertia_kgm2=number("inertia_kgm2", low=0),
+        mass_sd_kg=number("mass_sd_kg", low=0),
+        length_sd_m=number("length_sd_m", low=0),
         where=(str(fields.file), fields.where),
     )
 

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, overload
 
@@ -131,6 +131,12 @@ def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | N
     return by_lower[close[0]] if close else None
 
 
+def one_of(name: object, known: Sequence[str]) -> str:
+    """What a message expects instead of ``name``: one of the known names, and the most similar."""
+    close = nearest(name, known) if isinstance(name, str) else None
+    return f"one of {', '.join(known)}" + (f" (did you mean {close}?)" if close else "")
+
+
 class Fields:
     """The fields of one table of a structured file, read by name and type.
 
@@ -168,10 +174,7 @@ class Fields:
         names = list(known)
         for name in self.content:
             if name not in names:
-                close = nearest(name, names)
-                hint = f" (did you mean {close}?)" if close else ""
-                expected = f"one of {', '.join(names)}{hint}"
-                raise InputError(self.file, self.path(name), "an unknown key", expected)
+                raise InputError(self.file, self.path(name), "an unknown key", one_of(name, names))
 
     def refuse_misspelt(self, known: Iterable[str]) -> None:
         """Check that no unknown field looks like a misspelling of a missing known field.
@@ -212,6 +215,12 @@ class Fields:
         if value is None or value < low or value <= above:
             raise self.error(name, expected)
         return value
+
+    def optional_number(
+        self, name: str, *, low: float = -math.inf, above: float = -math.inf
+    ) -> float | None:
+        """Read a finite number, ``>= low`` and ``> above``; None if it is absent."""
+        return self.number(name, low=low, above=above) if name in self.content else None
 
     def text(self, name: str, default: str | None = None) -> str:
         """Read a string; ``default`` if it is absent."""

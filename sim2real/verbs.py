@@ -166,7 +166,7 @@ def ranges(
 
     from tqdm import tqdm
 
-    from sim2real.output import provenance_of
+    from sim2real.output import provenance
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Sampling, gather
 
@@ -185,7 +185,7 @@ def ranges(
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
         sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
         gathered = gather(loaded, description, fitted, sampling)
-    origin = provenance_of([*loaded, description, model], seed)
+    origin = provenance([*loaded, description, model], seed)
     return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))
 
 
@@ -233,11 +233,11 @@ def recordings_or_commands(recordings: Recorded) -> list[Recording]:
     Raises:
         InputError: If there is none, or times or commands do not conform to the format.
     """
-    from sim2real.recording import Recording, read_commands_as_recording, read_recording
+    from sim2real.recording import Recording, read_commands, read_recording
 
     def read(path: File) -> Recording:
         measured = Path(path).with_suffix(".json").exists()
-        return read_recording(path) if measured else read_commands_as_recording(path)
+        return read_recording(path) if measured else read_commands(path)
 
     return [entry if isinstance(entry, Recording) else read(entry) for entry in _listed(recordings)]
 

@@ -13,12 +13,11 @@ from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
 from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
-from sim2real.causality import lead_s
 from sim2real.errors import InputError
 from sim2real.exporters.plain import plain
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
-from sim2real.plausible import validate_recording
+from sim2real.plausible import lead_s, validate_recording
 from sim2real.recording import Load, Recording, read_commands, read_recording
 from sim2real.robot import Robot, Servo, read_robot
 from sim2real.servo.rollout import rollout

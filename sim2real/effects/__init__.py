@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect as Effect
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
@@ -49,18 +49,6 @@ SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
 )
 """Hash of the sources of all effects; kernels that refer to it are recompiled when it changes."""
 
-__all__ = [
-    "BODY",
-    "CAMERA",
-    "CATALOGUE",
-    "SIGNATURE",
-    "BodyEffect",
-    "CameraEffect",
-    "Effect",
-    "Parameter",
-    "named",
-]
-
 
 def named(name: str, where: str = "effects") -> Effect:
     """The effect of servos with this identifier.
@@ -68,10 +56,23 @@ def named(name: str, where: str = "effects") -> Effect:
     Raises:
         InputError: If there is none; ``where`` is the place in the message.
     """
-    for effect in CATALOGUE:
+    return _named(name, where, CATALOGUE)
+
+
+def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
+    """The effect of the body or the camera with this identifier.
+
+    Raises:
+        InputError: If there is none; ``where`` is the place in the message.
+    """
+    return _named(name, where, (*BODY, *CAMERA))
+
+
+def _named(name: str, where: str, effects: tuple[Any, ...]) -> Any:  # noqa: ANN401
+    for effect in effects:
         if effect.name == name:
             return effect
-    names = ", ".join(effect.name for effect in CATALOGUE)
+    names = ", ".join(effect.name for effect in effects)
     raise InputError(where, "effects", repr(name), f"one of {names}")
 
 

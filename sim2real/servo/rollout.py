@@ -42,7 +42,6 @@ def rollout(
     *,
     steps_per_radian: float = STEPS_PER_RADIAN,
     substep_s: float | Array | None = None,
-    device: str = "cpu",
     threads: int = 1,
 ) -> Array:
     """Simulate servos from rest on their first command.
@@ -57,7 +56,6 @@ def rollout(
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
         substep_s: Longest sub-step in s, for all rows or of shape (B * J,); by default determined
             by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
-        device: Warp device.
         threads: CPU threads to share the batch.
 
     Returns:
@@ -72,18 +70,12 @@ def rollout(
         steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
     signal = np.tile(np.arange(J, dtype=np.int32), B)
-    signals = [
-        to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
-    ]
+    lengths = np.full(J, T, dtype=np.int32)
+    signals = [to_warp(x, "cpu") for x in (np.tile(t, (J, 1)), command.T, lengths)]
 
     def simulate_part(part: slice) -> None:
-        out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
-        simulate(
-            active[part], rows[part, 2], to_warp(rows[part], device), signal[part], signals,
-            longest[part], out,
-        )  # fmt: skip
-        if out.device.is_cuda:  # on a CPU the memory is shared
-            position[part] = out.numpy()
+        servos, out = to_warp(rows[part], "cpu"), to_warp(position[part], "cpu")
+        simulate(active[part], rows[part, 2], servos, signal[part], signals, longest[part], out)
 
     edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
