@@ -9,8 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sim2real.arguments import check_choice, check_whole
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
 
 if TYPE_CHECKING:

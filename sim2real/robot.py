@@ -10,18 +10,77 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
+from typing import Any, Generic, Self, TypeVar, overload
 
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.recording import Recording
-from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
+from sim2real.structured import Fields, finite_number, read_toml
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
 
 LIMITS = "two angles in rad, the smaller first"
 _APPENDAGE_KEYS = ("name", "shape", "size_m", "at_m", "submerged", "drag_coefficient")
+
+
+T = TypeVar("T")
+
+
+class Stated(Generic[T]):
+    """A value of a dataclass that may be missing; using a missing value raises an InputError.
+
+    The dataclass has a field ``where``: the file and the table in which the value is expected.
+
+    Args:
+        expected: Description of a valid value, for the message.
+    """
+
+    def __init__(self, expected: str = "a number above 0") -> None:
+        self.expected = expected
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> T: ...
+    def __get__(self, instance: object | None, owner: type) -> Self | T:
+        if instance is None:
+            return self
+        value: T | None = vars(instance)[self.name]
+        if value is None:
+            file, table = vars(instance)["where"]
+            raise InputError(file, f"{table}.{self.name}", "nothing", self.expected)
+        return value
+
+    def __set__(self, instance: object, value: Any) -> None:  # noqa: ANN401 - the default is self
+        vars(instance)[self.name] = None if value is self else value
+
+
+class Sheet:
+    """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
+
+    name: str
+
+    def states(self, *names: str) -> bool:
+        """Whether all of these values are stated."""
+        return all(vars(self)[name] is not None for name in names)
+
+    def _stated(self) -> dict[str, Any]:
+        return {n: v for n, v in vars(self).items() if n != "where" and v is not None}
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._stated() == other._stated()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __repr__(self) -> str:
+        stated = ", ".join(f"{n}={v!r}" for n, v in self._stated().items())
+        return f"{type(self).__name__}({stated})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,7 +209,6 @@ def _keys(sheet: type) -> list[str]:
 
 def _servo(name: str, fields: Fields) -> Servo:
     fields.refuse_unknown(key for key in _keys(Servo) if key != "name")
-
     kind = fields.text("type", "")  # a file name is relative to the folder of ``robot.toml``
     return Servo(
         name,
@@ -168,19 +226,14 @@ def _link(fields: Fields) -> Link:
         for appendage in fields.tables("appendages"):
             appendage.refuse_unknown(_APPENDAGE_KEYS)
     number = fields.optional_number
-
+    measures = ("mass_kg", "length_m", "width_m", "height_m")
+    optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
     return Link(
         name=fields.text("name"),
-        mass_kg=number("mass_kg", above=0),
-        length_m=number("length_m", above=0),
-        width_m=number("width_m", above=0),
-        height_m=number("height_m", above=0),
         material=fields.text("material") if "material" in fields else None,
-        com_m=number("com_m", low=0),
-        inertia_kgm2=number("inertia_kgm2", low=0),
-        mass_sd_kg=number("mass_sd_kg", low=0),
-        length_sd_m=number("length_sd_m", low=0),
         where=(str(fields.file), fields.where),
+        **{name: number(name, above=0) for name in measures},
+        **{name: number(name, low=0) for name in optional},
     )
 
 

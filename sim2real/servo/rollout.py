@@ -74,7 +74,8 @@ def rollout(
     signals = [to_warp(x, "cpu") for x in (np.tile(t, (J, 1)), command.T, lengths)]
 
     def simulate_part(part: slice) -> None:
-        servos, out = to_warp(rows[part], "cpu"), to_warp(position[part], "cpu")
+        servos = to_warp(rows[part], "cpu")
+        out: Any = wp.array(position[part], dtype=wp.float64, device="cpu", copy=False)
         simulate(active[part], rows[part, 2], servos, signal[part], signals, longest[part], out)
 
     edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
@@ -255,6 +256,6 @@ def simulate(
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """A Warp array of int32 or float64 on a device; on the CPU it shares contiguous memory."""
+    """A copy as a Warp array of int32 or float64 on a device."""
     kind = wp.int32 if values.dtype == np.int32 else wp.float64
     return wp.from_numpy(np.ascontiguousarray(values), dtype=kind, device=device)
