@@ -12,11 +12,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.effects import CAMERA, body_effect
+from sim2real.effects import BODY, CAMERA
+from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.errors import InputError
 from sim2real.model import Model
 
 Array = NDArray[np.float64]
+
+
+def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
+    """The effect of the body or the camera with this identifier.
+
+    Raises:
+        InputError: If there is none; ``where`` is the place in the message.
+    """
+    effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in effects:
+        if effect.name == name:
+            return effect
+    names = ", ".join(effect.name for effect in effects)
+    raise InputError(where, "effects", repr(name), f"one of {names}")
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:
@@ -28,8 +43,8 @@ def values(model: Model, where: str = "model") -> dict[str, float]:
         InputError: If an effect or a parameter does not exist, or a value is not a number.
     """
     out: dict[str, float] = {}
-    listed: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
-    for entry in listed:
+    entries: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
+    for entry in entries:
         effect = body_effect(str(entry.get("effect")), where)
         names = {parameter.name for parameter in effect.parameters}
         prefix = effect.name

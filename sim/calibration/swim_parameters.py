@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
-from sim2real.effects import BODY, CAMERA, body_effect
+from sim2real.body import body_effect
+from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model

@@ -25,8 +25,8 @@ from sim.inference.swim_decision import Decided, decide
 from sim.inference.swim_findings import findings
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
+from sim2real.body import body_effect
 from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
-from sim2real.effects import body_effect
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
 from sim2real.robot import Robot

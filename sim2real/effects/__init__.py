@@ -56,23 +56,10 @@ def named(name: str, where: str = "effects") -> Effect:
     Raises:
         InputError: If there is none; ``where`` is the place in the message.
     """
-    return _named(name, where, CATALOGUE)
-
-
-def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
-    """The effect of the body or the camera with this identifier.
-
-    Raises:
-        InputError: If there is none; ``where`` is the place in the message.
-    """
-    return _named(name, where, (*BODY, *CAMERA))
-
-
-def _named(name: str, where: str, effects: tuple[Any, ...]) -> Any:  # noqa: ANN401
-    for effect in effects:
+    for effect in CATALOGUE:
         if effect.name == name:
             return effect
-    names = ", ".join(effect.name for effect in effects)
+    names = ", ".join(effect.name for effect in CATALOGUE)
     raise InputError(where, "effects", repr(name), f"one of {names}")
 
 

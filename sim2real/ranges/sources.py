@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.body import values
+from sim2real.body import body_effect, values
 from sim2real.density import Density
-from sim2real.effects import body_effect
 from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
 from sim2real.posterior.servo import ServoPosterior

@@ -4,8 +4,7 @@ import simulated
 from scipy.signal import lfilter
 
 from sim2real.recording import Load
-from sim2real.servo.innovations import WhitenedServo
-from sim2real.servo.rollout import rollout
+from sim2real.servo.rollout import WhitenedServo, rollout
 from sim2real.servo.trace import trace
 
 CRITICAL = 2 * np.sqrt(simulated.KP * simulated.INERTIA)
