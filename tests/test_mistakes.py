@@ -225,7 +225,7 @@ def test_a_polled_set_point_shortens_the_latency_by_half_a_period() -> None:
         rng = np.random.default_rng(seed)
         sent_at = 0.001 * np.arange(20_000)
         sent = steps(sent_at, rng)
-        angle = rollout(row(load)[None], sent_at, sent[:, None])[0, :, 0]
+        angle = rollout(row(load)[None], sent_at, sent)[0]
         seen = np.arange(0, sent_at.size, 16)
         position = angle[seen, None] + rng.normal(0, NOISE, (seen.size, 1))
         polled = Recording(

@@ -17,7 +17,6 @@ from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
     CELLS,
-    COLUMNS,
     FIRST_COLUMN,
     FIRST_MOTOR_COLUMN,
     INERTIA_LEFT_OUT,
@@ -53,42 +52,40 @@ def rollout(
     is not rounded and no change of the command falls inside a sub-step.
 
     Args:
-        theta: Parameters, shape (B, J * P), joint by joint in the order of ``COLUMNS``.
+        theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
-        command: Set-points in rad sent at ``t``, shape (T, J); NaN where the torque is off.
+        command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
-        substep_s: Longest sub-step in s, for all rows or of shape (B * J,); by default determined
+        substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
             by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
         threads: CPU threads to share the batch.
 
     Returns:
-        Measured angles in rad at ``t``, shape (B, T, J).
+        Measured angles in rad at ``t``, shape (B, T).
     """
-    B, (T, J) = theta.shape[0], command.shape
-    rows = np.ascontiguousarray(theta, dtype=np.float64).reshape(B * J, len(COLUMNS))
-    position = np.empty((B * J, T))
+    rows = np.ascontiguousarray(theta, dtype=np.float64)
+    B, T = rows.shape[0], t.size
+    position = np.empty((B, T))
     active = active_effects(rows)
-    longest = np.full(rows.shape[0], substep_s)
+    longest = np.full(B, substep_s)
     if substep_s is None:
         steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
-    signal = np.tile(np.arange(J, dtype=np.int32), B)
-    lengths = np.full(J, T, dtype=np.int32)
-    signals = [to_warp(x, "cpu") for x in (np.tile(t, (J, 1)), command.T, lengths)]
+    signal = np.zeros(B, dtype=np.int32)
+    signals = [to_warp(x, "cpu") for x in (t[None], command[None], np.array([T], dtype=np.int32))]
 
     def simulate_part(part: slice) -> None:
         servos = to_warp(rows[part], "cpu")
         out: Any = wp.array(position[part], dtype=wp.float64, device="cpu", copy=False)
         simulate(active[part], rows[part, 2], servos, signal[part], signals, longest[part], out)
 
-    edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
+    edges = np.linspace(0, B, min(max(threads, 1), B) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
     if len(parts) == 1:
         simulate_part(parts[0])
     else:
-        with ThreadPoolExecutor(len(parts)) as pool:
-            list(pool.map(simulate_part, parts))
-    return np.moveaxis(position.reshape(B, J, T), 1, 2)
+        list(_pool(len(parts)).map(simulate_part, parts))
+    return position
 
 
 def longest_substep(
