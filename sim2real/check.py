@@ -101,18 +101,18 @@ def check(
 
 def all_findings(check: Check) -> list[str]:
     """All findings, one sentence each; findings that joints share are listed once."""
-    shared: dict[str, list[tuple[str, str]]] = {}
+    joints: dict[str, list[str]] = {}
+    findings: dict[str, str] = {}
     for row in check.joints:
         for finding in row.findings:
-            rest = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
-            shared.setdefault(rest, []).append((row.joint, finding))
-    return [
-        *check.findings,
-        *(
-            same[0][1] if len(same) == 1 else f"{', '.join(joint for joint, _ in same)}: {rest}"
-            for rest, same in shared.items()
-        ),
-    ]
+            about = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
+            joints.setdefault(about, []).append(row.joint)
+            findings[about] = finding
+    shared = (
+        findings[about] if len(names) == 1 else f"{', '.join(names)}: {about}"
+        for about, names in joints.items()
+    )
+    return [*check.findings, *shared]
 
 
 def format_check(check: Check) -> str:

@@ -123,8 +123,8 @@ def _correlation(a: Array, b: Array) -> float:
 
 def _start(data: _PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
     changed = np.flatnonzero(data.command != data.command[0])
-    rest = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
-    early = np.flatnonzero(finite[:rest] & (data.t[:rest] <= data.t[0] + 0.5))
+    still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
+    early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
     if not early.size:
         return
     offset = float(np.median(data.position[early] - data.command[0]))

@@ -126,8 +126,9 @@ def difference_noise(t: Array, position: Array) -> float:
     for order in range(2, 6):
         times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
         unit = times[:, 1:2] - times[:, :1]
-        others = (np.delete(times, k, axis=1) for k in range(order + 1))
-        gaps = [(times[:, k : k + 1] - other) / unit for k, other in enumerate(others)]
+        gaps = [
+            (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)
+        ]
         weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
         weight /= np.linalg.norm(weight, axis=1, keepdims=True)
         square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
@@ -184,10 +185,10 @@ def _noise_before_rounding(blocks: Array) -> float:
     Each of ``blocks`` (N, BLOCK) is at rest at an unknown angle between two levels.
     """
     sd = np.geomspace(0.03, 1, 36)[:, None, None]
-    rest = np.arange(-0.5, 0.5, 0.05)[:, None]
+    angle = np.arange(-0.5, 0.5, 0.05)[:, None]
     likelihood = np.zeros(sd.size)
     for block in np.round(blocks - np.median(blocks, axis=1, keepdims=True)):
         level, counts = np.unique(block, return_counts=True)
-        inside = ndtr((level + 0.5 - rest) / sd) - ndtr((level - 0.5 - rest) / sd)
+        inside = ndtr((level + 0.5 - angle) / sd) - ndtr((level - 0.5 - angle) / sd)
         likelihood += logsumexp(np.log(np.maximum(inside, 1e-300)) @ counts, axis=1)
     return float(sd[np.argmax(likelihood), 0, 0])

@@ -52,14 +52,14 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     start(torque, p, c, z, s)
     half = wp.float64(0.5) * p[c]
     share = rotor_share(p, c)
-    rest = wp.float64(1.0) - share
+    load_share = wp.float64(1.0) - share
     before = z[s]
     one = wp.float64(1.0)
     per = h / (share * p[3])
-    felt = rest / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
+    felt = load_share / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
     push = x - felt * p[0] * (before - z[s + 2])
-    if rest > wp.float64(0.0) and p[4] != wp.float64(0.0):
-        push += share * p[4] * sine(q) / rest
+    if load_share > wp.float64(0.0) and p[4] != wp.float64(0.0):
+        push += share * p[4] * sine(q) / load_share
     damping = wp.float64(0.5) * per * felt * (p[1] + wp.float64(0.5) * h * p[0])
     speed = ((one - damping) * z[s + 1] + per * push) / (one + damping)  # trapezoidal
     place = before + wp.float64(0.5) * h * (z[s + 1] + speed)
@@ -69,7 +69,7 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     z[s] = place
     z[s + 1] = speed
     middle = wp.float64(0.5) * (before + place) - z[s + 2]
-    return x - rest * (p[0] * middle + p[1] * (place - before) / h)
+    return x - load_share * (p[0] * middle + p[1] * (place - before) / h)
 
 
 @wp.func
