@@ -18,8 +18,6 @@ output, more Coulomb friction by kp gap / 2. Confused with: dead band, Coulomb f
 amplitudes distinguish them.
 """
 
-from collections.abc import Mapping
-
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
@@ -86,17 +84,15 @@ def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
     return x + p[c + 2]
 
 
-def said(values: Mapping[str, float]) -> str:
-    """The clause of a diagnosis."""
-    friction = values["output_friction_Nm"] > 0
-    held = ", and friction of {output_friction_Nm} acts on its output" if friction else ""
-    return "the gear train has {gap_rad} of backlash" + held
-
-
 EFFECT = Effect(
     name="backlash",
     plain="backlash",
-    says=said,
+    says=lambda p: (
+        "the gear train has {gap_rad} of backlash, and friction of {output_friction_Nm} acts on "
+        "its output"
+        if p["output_friction_Nm"] > 0
+        else "the gear train has {gap_rad} of backlash"
+    ),
     site="motor",
     term=cross,
     parameters=(

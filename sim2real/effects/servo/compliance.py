@@ -18,8 +18,6 @@ Residual: an error proportional to torque, largest where it changes fast. Confus
 filter; a known additional inertia distinguishes them.
 """
 
-from collections.abc import Mapping
-
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
@@ -71,19 +69,13 @@ def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     return x + (load_share - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
 
 
-def said(values: Mapping[str, float]) -> str:
-    """The clause of a diagnosis."""
-    side = "load" if values["sensor_on_output"] > 0.5 else "motor"
-    return (
-        "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
-        f"the sensor measures the {side}"
-    )
-
-
 EFFECT = Effect(
     name="compliance",
     plain="compliance between motor and load",
-    says=said,
+    says=lambda p: (
+        "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
+        + f"the sensor measures the {'load' if p['sensor_on_output'] > 0.5 else 'motor'}"
+    ),
     site="motor",
     term=soften,
     parameters=(
