@@ -3,8 +3,8 @@
     python benchmarks/causality.py RECORDING.csv...
 
 For every joint that moves, as recorded and with its two columns swapped: how much more every later
-shift of the position leaves unexplained than the best earlier one (``sim2real.causality``). Prints
-quantiles and the shares on the wrong side of ``CAUSALITY.unexplained_ratio``; the shipped
+shift of the position leaves unexplained than the best earlier one (``sim2real.plausible``). Prints
+quantiles and the shares on the wrong side of ``UNEXPLAINED_RATIO``; the shipped
 recordings, those of ``shared/realdata`` and inputs of ``datasets/concealed`` and
 ``datasets/foreign`` set that number.
 """
@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.causality import CAUSALITY, lead_s, matches
 from sim2real.errors import InputError
+from sim2real.plausible import UNEXPLAINED_RATIO, lead_s, matches
 from sim2real.recording import Array, read_recording
 
 
@@ -67,7 +67,7 @@ def main() -> None:
     for way, values in ratios.items():
         quantiles = " ".join(f"{x:8.3f}" for x in np.quantile(values, [0.05, 0.5, 0.95, 1.0]))
         print(f"{way:12} {len(values):6d} {quantiles} {refused[way]:8d}")
-    print(f"threshold {CAUSALITY.unexplained_ratio:g}; largest as recorded: {worst[0]}")
+    print(f"threshold {UNEXPLAINED_RATIO:g}; largest as recorded: {worst[0]}")
 
 
 if __name__ == "__main__":

@@ -129,12 +129,12 @@ def measured(job: tuple[int, int]) -> dict[str, Any]:
     t = PERIOD_S * np.arange(command.size)
     row = joint_row(joint, load)[None]
     rigid = joint_row(JointModel(train["kp"], train["kd"], 0.0, train["inertia"]), load)[None]
-    angle = rollout(row, t, command[:, None])[0, :, 0]
+    angle = rollout(row, t, command)[0]
     seconds = []
     for which in (rigid, row):
         start = time.perf_counter()
         for _ in range(20):
-            rollout(np.repeat(which, 8, axis=0), t, command[:, None], substep_s=1e-3)
+            rollout(np.repeat(which, 8, axis=0), t, command, substep_s=1e-3)
         seconds.append(time.perf_counter() - start)
 
     def rms(x: Array) -> float:

@@ -91,7 +91,7 @@ def rollouts(batch: int, substeps: int, motor: Mapping[str, float] | None = None
     command = 0.5 * np.sign(np.sin(np.pi * t))
     change = np.flatnonzero(np.diff(command)) + 1
     command[change] = command[change - 1]
-    return best_of(5, lambda: rollout(theta, t, command[:, None], substep_s=1.01e-3))
+    return best_of(5, lambda: rollout(theta, t, command, substep_s=1.01e-3))
 
 
 def identification() -> tuple[float, float, float]:

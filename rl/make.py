@@ -13,8 +13,7 @@ from rl.randomize import draw_models, noise_of
 from rl.task import Task
 from rl.world import Draws, World
 from sim.robot.live import Simulator, use_stream
-from sim2real.arguments import check_choice
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot

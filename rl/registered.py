@@ -20,7 +20,7 @@ from rl.make import Fidelity, draws_of, make_world
 from rl.observer import View
 from rl.task import TASKS
 from rl.world import World
-from sim2real.arguments import check_choice
+from sim2real.errors import check_choice
 from sim2real.model import Model, read_model
 from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.robot import Robot, read_robot

@@ -9,8 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sim2real.arguments import check_choice, check_whole
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
 
 if TYPE_CHECKING:
@@ -123,7 +122,7 @@ def calibrate(
 
     from sim.calibration.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
-    from sim2real.output import provenance_of
+    from sim2real.output import provenance
 
     machine, start = robot_of(robot), model_of(model)
     check_joints(start, machine)
@@ -137,7 +136,7 @@ def calibrate(
         fluid=FluidSettings(cell_m, device, rollouts) if fluid else None,
         seed=seed,
     )
-    origin = provenance_of([*read, machine, model], seed)
+    origin = provenance([*read, machine, model], seed)
     return replace(calibration, model=replace(calibration.model, provenance=origin))
 
 

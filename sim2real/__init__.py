@@ -32,27 +32,17 @@ if TYPE_CHECKING:
     from sim2real.verbs import ranges as ranges
     from sim2real.version import __version__ as __version__
 
-_HOMES = {
-    "InputError": "sim2real.errors",
-    "Model": "sim2real.model",
-    "Recording": "sim2real.recording",
-    "Robot": "sim2real.robot",
-    "__version__": "sim2real.version",
-    "calibrate": "sim.verbs",
-    "check": "sim2real.check",
-    "density": "sim2real.verbs",
-    "diagnose": "sim.verbs",
-    "identify": "sim2real.verbs",
-    "posterior": "sim2real.verbs",
-    "predict": "sim2real.verbs",
-    "ranges": "sim2real.verbs",
-    "read_model": "sim2real.model",
-    "read_recording": "sim2real.recording",
-    "read_robot": "sim2real.robot",
-    "simulate": "sim.verbs",
-    "write_model": "sim2real.model",
-    "write_recording": "sim2real.recording",
+_NAMES = {
+    "sim.verbs": ("calibrate", "diagnose", "simulate"),
+    "sim2real.check": ("check",),
+    "sim2real.errors": ("InputError",),
+    "sim2real.model": ("Model", "read_model", "write_model"),
+    "sim2real.recording": ("Recording", "read_recording", "write_recording"),
+    "sim2real.robot": ("Robot", "read_robot"),
+    "sim2real.verbs": ("density", "identify", "posterior", "predict", "ranges"),
+    "sim2real.version": ("__version__",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 """Module of each name. Three verbs need the fluid, in the package ``sim`` one layer up; they are
 imported when a program uses them. Besides the command line, only this module imports upwards."""
 

@@ -1,7 +1,7 @@
-"""Effects of the body and the camera in a model file.
+"""Effects of the body and the camera: in a model file, and on measured poses.
 
-They are listed under ``body.effects``; an effect of a material names it as ``component``. The
-effects are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
+A model file lists them under ``body.effects``; an effect of a material names it as ``component``.
+They are defined in ``sim2real.effects.body`` and ``sim2real.effects.camera``.
 """
 
 from __future__ import annotations
@@ -9,25 +9,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.errors import InputError
 from sim2real.model import Model
 
-__all__ = ["BODY", "CAMERA", "body_effect", "listed", "values"]
+Array = NDArray[np.float64]
 
 
 def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
-    """The effect with this identifier.
+    """The effect of the body or the camera with this identifier.
 
     Raises:
         InputError: If there is none; ``where`` is the place in the message.
     """
-    every: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
-    for effect in every:
+    effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
+    for effect in effects:
         if effect.name == name:
             return effect
-    names = ", ".join(effect.name for effect in every)
+    names = ", ".join(effect.name for effect in effects)
     raise InputError(where, "effects", repr(name), f"one of {names}")
 
 
@@ -40,8 +43,8 @@ def values(model: Model, where: str = "model") -> dict[str, float]:
         InputError: If an effect or a parameter does not exist, or a value is not a number.
     """
     out: dict[str, float] = {}
-    listed: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
-    for entry in listed:
+    entries: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
+    for entry in entries:
         effect = body_effect(str(entry.get("effect")), where)
         names = {parameter.name for parameter in effect.parameters}
         prefix = effect.name
@@ -69,3 +72,22 @@ def listed(parameters: Mapping[str, float]) -> list[dict[str, Any]]:
         entry["parameters"] = {}
         entries.setdefault(".".join(prefix), entry)["parameters"][parameter] = value
     return list(entries.values())
+
+
+def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
+    """Poses as measured by the camera.
+
+    Args:
+        t: Times in s, shape (T,), increasing and evenly spaced.
+        pose: x, y in m and heading in rad of the head's centre of mass, shape (T, 3).
+        parameters: Parameters of camera effects by ``effect.parameter``; others are ignored.
+
+    Returns:
+        Poses, shape (T, 3).
+    """
+    out = np.array(pose, dtype=np.float64)
+    for effect in CAMERA:
+        values = {p.name: parameters.get(f"{effect.name}.{p.name}", 0.0) for p in effect.parameters}
+        if any(values.values()):
+            out = effect.see(t, out, values)
+    return out

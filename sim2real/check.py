@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim2real.clock import Timing, clock_findings, timing
 from sim2real.display import NotebookDisplay
-from sim2real.findings import PoweredJoint, joint_findings, moves
+from sim2real.findings import joint_findings, moves
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
@@ -101,26 +101,27 @@ def check(
 
 def all_findings(check: Check) -> list[str]:
     """All findings, one sentence each; findings that joints share are listed once."""
-    shared: dict[str, list[tuple[str, str]]] = {}
+    joints: dict[str, list[str]] = {}
+    findings: dict[str, str] = {}
     for row in check.joints:
         for finding in row.findings:
-            rest = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
-            shared.setdefault(rest, []).append((row.joint, finding))
-    return [
-        *check.findings,
-        *(
-            same[0][1] if len(same) == 1 else f"{', '.join(joint for joint, _ in same)}: {rest}"
-            for rest, same in shared.items()
-        ),
-    ]
+            about = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
+            joints.setdefault(about, []).append(row.joint)
+            findings[about] = finding
+    shared = (
+        findings[about] if len(names) == 1 else f"{', '.join(names)}: {about}"
+        for about, names in joints.items()
+    )
+    return [*check.findings, *shared]
 
 
 def format_check(check: Check) -> str:
     """The check as text for a terminal, at most 100 columns wide."""
-    clock = check.timing
+    clock, joints = check.timing, len(check.joints)
     pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
     lines = [
-        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, {_count(check.joints)}",
+        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, "
+        f"{joints} joint{'s' if joints != 1 else ''}",
         f"clock: {clock.rate_hz:.4g} Hz, jitter {1000 * clock.jitter_s:.2g} ms, {pauses}, "
         f"{clock.missing_cells} positions missing",
         "",
@@ -153,21 +154,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     step = quantization_step(position)
     load = recording.loads.get(name)
     noise = noise_floor(recording.t, recording.command[:, j], position)
-    findings: tuple[str, ...] = ()
-    if powered > 1:
-        powered_joint = PoweredJoint(
-            joint=name,
-            t=recording.t[:powered],
-            command=command,
-            position=position[:powered],
-            noise_rad=noise,
-            step_rad=step,
-            off_s=float(recording.t[powered]) if powered < position.size else None,
-            bench=recording.kind == "servo",
-            load=load,
-            sheet=robot.joint(name) if robot else None,
-        )
-        findings = tuple(joint_findings(powered_joint))
+    sheet = robot.joint(name) if robot else None
     return JointCheck(
         joint=name,
         range_rad=_range(position),
@@ -175,9 +162,9 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
         moves=moves(recording.t[:powered], command) if powered > 1 else 0,
         noise_rad=noise,
         step_rad=step,
-        missing=int(np.isnan(position).sum()),
+        missing=recording.missing(j),
         load=_load_text(load) if recording.kind == "servo" else recording.medium,
-        findings=findings,
+        findings=tuple(joint_findings(recording, j, noise, step, sheet)),
         identifiable=()
         if seed is None or powered < 2
         else expected_precision(recording, name, seed=seed),
@@ -196,10 +183,6 @@ def _load_text(load: Load | None) -> str:
     if load.gravity_Nm:
         text += f", {load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:.3g} m"
     return text
-
-
-def _count(joints: tuple[JointCheck, ...]) -> str:
-    return "1 joint" if len(joints) == 1 else f"{len(joints)} joints"
 
 
 def _cut(text: str, width: int) -> str:

@@ -39,14 +39,8 @@ COMMANDS = {
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
     "robot": (_EXCHANGE, "write a robot.toml from a URDF or MJCF, and list missing fields"),
-    "export-servo": (
-        _EXCHANGE,
-        "export identified actuators to another simulator",
-    ),
-    "export-ranges": (
-        _EXCHANGE,
-        "export randomization ranges to another simulator",
-    ),
+    "export-servo": (_EXCHANGE, "export identified actuators to another simulator"),
+    "export-ranges": (_EXCHANGE, "export randomization ranges to another simulator"),
     "record": (_HARDWARE, "play a signal on servos and record their positions"),
     "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
     "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),

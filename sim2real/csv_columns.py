@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from sim2real.errors import InputError
-from sim2real.structured import check_size, nearest, shown
+from sim2real.errors import InputError, nearest, shown
+from sim2real.structured import check_size
 
 Array = NDArray[np.float64]
 
@@ -38,10 +38,9 @@ def read_table(csv: Path) -> pd.DataFrame:
     except (ValueError, OSError) as error:
         long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
         if long:
-            columns, row, cells = long.groups()
-            raise InputError(
-                csv, f"row {row}", f"{cells} cells", f"{columns}, as in the header"
-            ) from None
+            expected, row, cells = long[1], long[2], long[3]
+            found = f"{cells} cells"
+            raise InputError(csv, f"row {row}", found, f"{expected}, as in the header") from None
         raise InputError(csv, "", f"no table ({error})", "comma-separated rows") from None
     if not isinstance(table.index, pd.RangeIndex):  # pandas reads excess cells as row names
         cells = table.index.nlevels + len(table.columns)
@@ -74,7 +73,8 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     if name not in table:
         columns = [str(column) for column in table.columns]
         found = f"no column {name} among {_listed(columns)}"
-        close = nearest(name, columns) or _time_column(name, columns)
+        times = [c for c in columns if name == "t_s" and (c.lower() == "t" or "time" in c.lower())]
+        close = nearest(name, columns) or next(iter(times), None)
         hint = f" (did you mean {close}?)" if close else ""
         raise InputError(csv, "header", found, f"the column {name}{hint}")
     cells = table[name]
@@ -93,13 +93,6 @@ def _listed(columns: list[str]) -> str:
     named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
     omitted = len(columns) - len(named)
     return ", ".join(named) + (f" and {omitted} more" if omitted else "")
-
-
-def _time_column(name: str, columns: list[str]) -> str | None:
-    """The column that is probably the time, if ``t_s`` is missing."""
-    if name != "t_s":
-        return None
-    return next((c for c in columns if c.lower() == "t" or "time" in c.lower()), None)
 
 
 def cell(csv: Path, index: int, column: str) -> str:

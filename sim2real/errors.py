@@ -1,8 +1,13 @@
-"""The exception for invalid input."""
+"""The exception for invalid input, and checks of arguments that raise it."""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable, Sequence
+from numbers import Integral
 from os import PathLike
+
+_LONGEST_SHOWN = 80  # characters of a value in a message
 
 
 class InputError(Exception):
@@ -25,3 +30,73 @@ class InputError(Exception):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         """Pickle the four arguments, so that the error can be passed between processes."""
         return type(self), (self.file, self.where, self.found, self.expected)
+
+
+def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
+    """Check that ``value`` is one of ``choices``.
+
+    Args:
+        call: The function that was called, for the message.
+        argument: The argument's name.
+        value: Its value.
+        choices: Valid values.
+
+    Raises:
+        InputError: If it is none of them; the message names the most similar choice.
+    """
+    names = list(choices)
+    if isinstance(value, str) and value in names:
+        return
+    raise InputError(call, argument, shown(value), one_of(value, names))
+
+
+def check_whole(call: str, argument: str, value: object, least: int = 0) -> None:
+    """Check that ``value``, such as a seed, is a whole number of at least ``least``.
+
+    Raises:
+        InputError: If it is not.
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+    if not whole:
+        raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
+
+
+def names_of(call: str, argument: str, value: str | Sequence[str]) -> list[str]:
+    """A list of names without duplicates, from a list or a single name.
+
+    Raises:
+        InputError: If an entry is not a string.
+    """
+    listed = [value] if isinstance(value, str) else list(value)
+    for entry in listed:
+        if not isinstance(entry, str):
+            raise InputError(call, argument, shown(entry), "a name or a list of names")
+    return list(dict.fromkeys(listed))
+
+
+def one_of(name: object, known: Sequence[str]) -> str:
+    """What a message expects instead of ``name``: one of the known names, and the most similar."""
+    close = nearest(name, known) if isinstance(name, str) else None
+    return f"one of {', '.join(known)}" + (f" (did you mean {close}?)" if close else "")
+
+
+def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
+    """The known name that is most similar to ``name``, ignoring case; None if none is similar.
+
+    Args:
+        name: The name that was found.
+        known: The valid names.
+        similarity: Smallest similarity, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
+    """
+    by_lower = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
+    return by_lower[close[0]] if close else None
+
+
+def shown(value: object) -> str:
+    """``repr(value)``, shortened for a message of one line."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or too deep nesting
+        return f"a huge {type(value).__name__}"
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.recording import Load
+from sim2real.recording import Recording
 from sim2real.robot import Joint
 
 Array = NDArray[np.float64]
@@ -20,21 +20,8 @@ STUCK_S = 0.5
 
 
 @dataclass(frozen=True)
-class PoweredJoint:
-    """One joint of a recording while its torque is on.
-
-    Attributes:
-        joint: Its name.
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,), none missing.
-        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-        noise_rad: Standard deviation of the measurement noise.
-        step_rad: Quantization step; 0 if there is none.
-        off_s: Time from which the torque is off; None if it never is.
-        bench: Whether a known load is expected, as in a ``servo`` recording.
-        load: The known load.
-        sheet: The joint in the robot's description.
-    """
+class _PoweredJoint:
+    """One joint of a recording while its torque is on; no command is missing."""
 
     joint: str
     t: Array
@@ -42,10 +29,6 @@ class PoweredJoint:
     position: Array
     noise_rad: float
     step_rad: float
-    off_s: float | None
-    bench: bool
-    load: Load | None
-    sheet: Joint | None
 
 
 def moves(t: Array, command: Array) -> int:
@@ -58,8 +41,24 @@ def moves(t: Array, command: Array) -> int:
     return 1 + int(np.sum(turned | pause))
 
 
-def joint_findings(data: PoweredJoint) -> Iterator[str]:
-    """Findings about one joint, including what its load does not allow to identify."""
+def joint_findings(
+    recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
+) -> Iterator[str]:
+    """Findings about one joint, including what its load does not allow to identify.
+
+    Args:
+        recording: The recording.
+        j: Number of the joint in it.
+        noise_rad: Standard deviation of the measurement noise.
+        step_rad: Quantization step; 0 if there is none.
+        sheet: The joint in the robot's description.
+    """
+    powered = recording.powered(j)
+    if powered < 2:
+        return
+    t, command = recording.t[:powered], recording.command[:powered, j]
+    position = recording.position[:powered, j]
+    data = _PoweredJoint(recording.joints[j], t, command, position, noise_rad, step_rad)
     finite = np.isfinite(data.position)
     if not finite.any():
         yield f"{data.joint} has no measured positions."
@@ -76,20 +75,23 @@ def joint_findings(data: PoweredJoint) -> Iterator[str]:
         yield from _motion(data, finite)
     yield from _start(data, finite)
     yield from _excitation(data)
-    if data.sheet is not None:
-        yield from _data_sheet(data, data.sheet)
-    if data.off_s is not None:
-        yield f"{data.joint}'s torque is off from {data.off_s:.4g} s on."
-    if data.bench and data.load is None:
+    if sheet is not None:
+        yield from _data_sheet(data, sheet)
+    if powered < recording.t.size:
+        yield f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on."
+    if recording.kind != "servo":
+        return
+    load = recording.loads.get(data.joint)
+    if load is None:
         yield f"{data.joint} has no stated load: its gains are identified per unit of inertia."
-    elif data.bench and data.load is not None and not data.load.gravity_Nm:
+    elif not load.gravity_Nm:
         yield (
             f"{data.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
             "identifiable, so the stated inertia cannot be checked."
         )
 
 
-def _motion(data: PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+def _motion(data: _PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
@@ -119,10 +121,10 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(data: PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+def _start(data: _PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
     changed = np.flatnonzero(data.command != data.command[0])
-    rest = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
-    early = np.flatnonzero(finite[:rest] & (data.t[:rest] <= data.t[0] + 0.5))
+    still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
+    early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
     if not early.size:
         return
     offset = float(np.median(data.position[early] - data.command[0]))
@@ -138,7 +140,7 @@ def _start(data: PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
         )
 
 
-def _excitation(data: PoweredJoint) -> Iterator[str]:
+def _excitation(data: _PoweredJoint) -> Iterator[str]:
     count = moves(data.t, data.command)
     if not count:
         return
@@ -159,7 +161,7 @@ def _excitation(data: PoweredJoint) -> Iterator[str]:
         )
 
 
-def _data_sheet(data: PoweredJoint, sheet: Joint) -> Iterator[str]:
+def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[str]:
     if sheet.states("limits_rad"):
         yield from _limits(data, *sheet.limits_rad)
     changed = np.flatnonzero(np.diff(data.command)) + 1
@@ -181,7 +183,7 @@ def _data_sheet(data: PoweredJoint, sheet: Joint) -> Iterator[str]:
         )
 
 
-def _limits(data: PoweredJoint, low: float, high: float) -> Iterator[str]:
+def _limits(data: _PoweredJoint, low: float, high: float) -> Iterator[str]:
     extremes = (float(data.command.min()), float(data.command.max()))
     if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
         beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]

@@ -88,8 +88,7 @@ class Model(NotebookDisplay):
 
     def __str__(self) -> str:
         """Table of the fitted parameters of every joint, with intervals and errors."""
-        text: str = from_report("table.fit_report")(self)
-        return text
+        return str(from_report("table.fit_report")(self))
 
     def plot(self) -> Figure:
         """Gains and latency of every joint, with 90 % intervals."""
@@ -103,15 +102,9 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    content: dict[str, Any] = {
-        "schema": SCHEMA,
-        "joints": {name: _joint_content(joint) for name, joint in model.joints.items()},
-        "body": dict(model.body),
-        "effects": [_effect_content(effect) for effect in model.effects],
-        "fit": {signal: dict(figures) for signal, figures in model.fit.items()},
-        "notes": list(model.notes),
-        "provenance": dict(model.provenance),
-    }
+    content = {"schema": SCHEMA, **vars(model)}
+    content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
+    content["effects"] = [vars(effect) for effect in model.effects]
     write_json(path, content)
 
 
@@ -134,32 +127,18 @@ def read_model(path: str | os.PathLike[str]) -> Model:
 
 
 def _joint_content(joint: JointModel) -> dict[str, Any]:
-    content: dict[str, Any] = {
-        "kp_Nm_per_rad": joint.kp_Nm_per_rad,
-        "kd_Nms_per_rad": joint.kd_Nms_per_rad,
-        "latency_s": joint.latency_s,
-        "inertia_kgm2": joint.inertia_kgm2,
-    }
-    if joint.per_inertia:
-        content["per_inertia"] = True
-    content["law"] = joint.law
-    if joint.motor:
-        content["motor"] = dict(joint.motor)
+    content = dict(vars(joint))
+    for name in ("per_inertia", "motor", "load"):
+        if not content[name]:
+            del content[name]
     if joint.load is not None:
         content["load"] = vars(joint.load)
-    return content | {
-        "interval": {
-            name: [end if math.isfinite(end) else None for end in ends]
-            for name, ends in joint.interval.items()
-        },
-        "correlation": dict(joint.correlation),
-        "effects": [_effect_content(effect) for effect in joint.effects],
-        "notes": list(joint.notes),
+    content["interval"] = {
+        name: [end if math.isfinite(end) else None for end in ends]
+        for name, ends in joint.interval.items()
     }
-
-
-def _effect_content(effect: FittedEffect) -> dict[str, Any]:
-    return {"effect": effect.effect, "parameters": dict(effect.parameters)}
+    content["effects"] = [vars(effect) for effect in joint.effects]
+    return content
 
 
 def _read_joint(fields: Fields) -> JointModel:
@@ -198,32 +177,25 @@ def _read_notes(fields: Fields) -> tuple[str, ...]:
 
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
     ends = fields.content[name]
-    infinite = (-math.inf, math.inf)
     if isinstance(ends, list) and len(ends) == 2:
-        low, high = (
-            end if value is None else number_or_infinity(value)
-            for value, end in zip(ends, infinite, strict=True)
-        )
+        low = -math.inf if ends[0] is None else number_or_infinity(ends[0])
+        high = math.inf if ends[1] is None else number_or_infinity(ends[1])
         if low is not None and high is not None and low <= high:
             return low, high
     raise fields.error(name, "two numbers, the smaller first (null for an infinite end)")
 
 
 def _read_figures(fields: Fields) -> dict[str, float | None]:
-    figures = fields.content
     return {
-        name: None if figures[name] is None else fields.number(name, infinite=True)
-        for name in figures
+        name: None if value is None else fields.number(name, infinite=True)
+        for name, value in fields.content.items()
     }
 
 
 def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:
-    if not fields.content.get("effects"):
-        return ()
-    return tuple(_read_effect(entry) for entry in fields.tables("effects"))
-
-
-def _read_effect(fields: Fields) -> FittedEffect:
-    parameters = fields.table("parameters")
-    values = {name: parameters.number(name, infinite=True) for name in parameters.content}
-    return FittedEffect(fields.text("effect"), values)
+    effects = []
+    for entry in fields.tables("effects") if fields.content.get("effects") else []:
+        parameters = entry.table("parameters")
+        values = {name: parameters.number(name, infinite=True) for name in parameters.content}
+        effects.append(FittedEffect(entry.text("effect"), values))
+    return tuple(effects)

@@ -13,11 +13,14 @@ from scipy.special import chdtri, logsumexp, ndtr
 Array = NDArray[np.float64]
 
 BLOCK = 10  # samples over which a joint at rest may drift along a line
+_FEWEST_BLOCKS = 4  # 32 degrees of freedom: a relative error of the standard deviation of 12 %
+_MOVING_BLOCK = 20  # samples of a block of a moving joint
+_FINEST_RAD = 5e-6  # smaller steps are not distinguishable from rounding in the file
+_COARSEST_RAD = 0.05  # 126 counts a turn
+_STILL_RAD = 1e-4  # largest change of a constant command
 
 
-def quantization_step(
-    position: Array, *, finest_rad: float = 5e-6, coarsest_rad: float = 0.05
-) -> float:
+def quantization_step(position: Array) -> float:
     """Step of the grid on which all positions lie.
 
     The step is the greatest common divisor of the gaps between the visited levels, up to the
@@ -26,8 +29,6 @@ def quantization_step(
 
     Args:
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-        finest_rad: Smallest step; smaller ones are not distinguishable from rounding in the file.
-        coarsest_rad: Largest step, by default that of 126 counts a turn.
 
     Returns:
         The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
@@ -44,11 +45,11 @@ def quantization_step(
     for divisor in range(1, candidates + 1):
         step = _refined(gaps, float(gaps.min()) / divisor)
         error = float(np.abs(gaps - step * np.round(gaps / step)).max())
-        if step < finest_rad or error > min(1.1 * printed, step / 5):
+        if step < _FINEST_RAD or error > min(1.1 * printed, step / 5):
             continue
         chance = min(1.0, (2 * error + printed) / step)  # that a gap of any length fits
         if repeated or (gaps.size - 1) * np.log(chance) < np.log(1e-4 / candidates):
-            return step if step <= coarsest_rad else 0.0
+            return step if step <= _COARSEST_RAD else 0.0
     return 0.0
 
 
@@ -70,7 +71,7 @@ def _refined(gaps: Array, step: float) -> float:
     return step
 
 
-def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int = 4) -> float:
+def noise_floor(t: Array, command: Array, position: Array) -> float:
     """Standard deviation of the measurement noise, including quantization.
 
     It is estimated from segments where the command is constant and the joint has settled: variance
@@ -85,8 +86,6 @@ def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad, shape (T,); NaN where there is none.
         position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-        fewest_blocks: Smallest number of blocks of 10 samples at rest; 4 blocks have 32 degrees of
-            freedom, for a relative error of the standard deviation of 12 %.
 
     Returns:
         The standard deviation in rad, at least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
@@ -96,7 +95,7 @@ def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int
     t, command, position = t[measured], command[measured], position[measured]
     blocks, variance = _quiet_blocks(t, command, position, step)
     sd = difference_noise(t, position)
-    if len(blocks) >= fewest_blocks:
+    if len(blocks) >= _FEWEST_BLOCKS:
         at_rest = float(np.sqrt(variance.mean()))
         if at_rest < 0.6 * step:
             sd = float(np.hypot(_noise_before_rounding(blocks / step) * step, step / np.sqrt(12)))
@@ -105,7 +104,7 @@ def noise_floor(t: Array, command: Array, position: Array, *, fewest_blocks: int
     return max(sd, step / float(np.sqrt(12)))
 
 
-def difference_noise(t: Array, position: Array, *, block: int = 20) -> float:
+def difference_noise(t: Array, position: Array) -> float:
     """Standard deviation of the noise on a moving joint, from differences of high order.
 
     Each ``order + 1`` neighbouring samples are combined with the weights of the divided
@@ -117,7 +116,6 @@ def difference_noise(t: Array, position: Array, *, block: int = 20) -> float:
     Args:
         t: Times in s, shape (T,), increasing.
         position: Measured angles in rad, shape (T,), none missing.
-        block: Samples of a block.
 
     Returns:
         The standard deviation in rad; 0.0 for fewer than 6 samples.
@@ -128,12 +126,13 @@ def difference_noise(t: Array, position: Array, *, block: int = 20) -> float:
     for order in range(2, 6):
         times, angles = (sliding_window_view(x, order + 1) for x in (t, position))
         unit = times[:, 1:2] - times[:, :1]
-        others = (np.delete(times, k, axis=1) for k in range(order + 1))
-        gaps = [(times[:, k : k + 1] - other) / unit for k, other in enumerate(others)]
+        gaps = [
+            (times[:, k : k + 1] - np.delete(times, k, axis=1)) / unit for k in range(order + 1)
+        ]
         weight = 1 / np.stack([gap.prod(axis=1) for gap in gaps], axis=1)
         weight /= np.linalg.norm(weight, axis=1, keepdims=True)
         square = np.sum(weight * (angles - angles[:, :1]), axis=1) ** 2
-        size = min(block, square.size)
+        size = min(_MOVING_BLOCK, square.size)
         blocks = square[: square.size // size * size].reshape(-1, size).mean(axis=1)
         # Neighbouring differences share samples, which reduces the degrees of freedom.
         free = size * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
@@ -171,11 +170,11 @@ def _quietest(variance: Array, freedom: float) -> float:
     return float(np.quantile(variance, 0.2)) * freedom / float(chdtri(freedom, 0.8))
 
 
-def _still_edges(command: Array, *, still_rad: float = 1e-4) -> list[int]:
+def _still_edges(command: Array) -> list[int]:
     """Starts of the segments of constant command, and the end of the last."""
     edges = [0]
     for k in np.flatnonzero(np.diff(command)) + 1:
-        if abs(command[k] - command[edges[-1]]) > still_rad:
+        if abs(command[k] - command[edges[-1]]) > _STILL_RAD:
             edges.append(int(k))
     return [*edges, command.size]
 
@@ -186,10 +185,10 @@ def _noise_before_rounding(blocks: Array) -> float:
     Each of ``blocks`` (N, BLOCK) is at rest at an unknown angle between two levels.
     """
     sd = np.geomspace(0.03, 1, 36)[:, None, None]
-    rest = np.arange(-0.5, 0.5, 0.05)[:, None]
+    angle = np.arange(-0.5, 0.5, 0.05)[:, None]
     likelihood = np.zeros(sd.size)
     for block in np.round(blocks - np.median(blocks, axis=1, keepdims=True)):
         level, counts = np.unique(block, return_counts=True)
-        inside = ndtr((level + 0.5 - rest) / sd) - ndtr((level - 0.5 - rest) / sd)
+        inside = ndtr((level + 0.5 - angle) / sd) - ndtr((level - 0.5 - angle) / sd)
         likelihood += logsumexp(np.log(np.maximum(inside, 1e-300)) @ counts, axis=1)
     return float(sd[np.argmax(likelihood), 0, 0])

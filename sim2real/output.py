@@ -85,25 +85,25 @@ def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
     return value
 
 
-def provenance(inputs: Iterable[str | os.PathLike[str]], seed: int | None) -> dict[str, Any]:
-    """Provenance of a result: command line, versions, seed and SHA-256 of every input file."""
+def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
+    """Provenance of a result: command line, versions, seed and SHA-256 of every input file.
+
+    Args:
+        inputs: Files, or objects read from files (with a ``path``); others are ignored.
+        seed: The seed, if anything was random.
+    """
+    files = (
+        source if isinstance(source, str | os.PathLike) else getattr(source, "path", None)
+        for source in inputs
+    )
     versions = {"python": platform.python_version(), "sim2real": __version__}
     versions |= {name: _version(name) for name in _LIBRARIES}
     return {
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "seed": seed,
         "versions": versions,
-        "inputs": {str(path): _sha256(Path(path)) for path in inputs},
+        "inputs": {str(file): _sha256(Path(file)) for file in files if file is not None},
     }
-
-
-def provenance_of(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
-    """``provenance`` of inputs that are file names or objects read from a file (``path``)."""
-    files = [
-        source if isinstance(source, str | os.PathLike) else getattr(source, "path", None)
-        for source in inputs
-    ]
-    return provenance([file for file in files if file is not None], seed)
 
 
 def _version(name: str) -> str:

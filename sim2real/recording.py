@@ -131,8 +131,12 @@ class Recording(NotebookDisplay):
 
     def __str__(self) -> str:
         """The summary, and the ranges of command and position of each joint."""
-        text: str = from_report("table.recording_report")(self)
-        return text
+        return str(from_report("table.recording_report")(self))
+
+    @property
+    def commands(self) -> dict[str, Array]:
+        """Set-points in rad by joint, each of shape (T,)."""
+        return dict(zip(self.joints, self.command.T, strict=True))
 
     def powered(self, joint: int) -> int:
         """Number of samples before the torque of joint ``joint`` is switched off, at most T."""
@@ -194,17 +198,10 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     )
 
 
-@dataclass(frozen=True)
-class Commands:
-    """Commands: times in s, shape (T,), and set-points in rad by joint, each of shape (T,)."""
+def read_commands(path: str | os.PathLike[str]) -> Recording:
+    """Read the commands of a CSV file as a bench recording whose positions are NaN.
 
-    t: Array
-    by_joint: Mapping[str, Array]
-    loads: Mapping[str, Load]
-
-
-def read_commands(path: str | os.PathLike[str]) -> Commands:
-    """Read the commands of a CSV file; measured columns are ignored, no JSON file is needed.
+    Measured columns are ignored, and no JSON file is needed.
 
     Raises:
         InputError: If times or commands do not conform to the format.
@@ -220,31 +217,11 @@ def read_commands(path: str | os.PathLike[str]) -> Commands:
         raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
     command = csv_columns.angles(csv, table, joints, "command_rad")
     csv_columns.check_commands(csv, joints, command)
-    sidecar = csv.with_suffix(".json")
-    loads: dict[str, Load] = {}
+    sidecar, loads = csv.with_suffix(".json"), {}
     if sidecar.exists():
         loads = _loads(Fields(sidecar, "", read_json(sidecar, SCHEMA)), joints)
-    return Commands(t, {joint: command[:, j] for j, joint in enumerate(joints)}, loads)
-
-
-def read_commands_as_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read the commands of a CSV file as a bench recording whose positions are NaN.
-
-    Raises:
-        InputError: If times or commands do not conform to the format.
-    """
-    commands = read_commands(path)
-    command = np.stack(list(commands.by_joint.values()), axis=1)
-    return Recording(
-        name=Path(path).stem,
-        kind="servo",
-        joints=tuple(commands.by_joint),
-        t=commands.t,
-        command=command,
-        position=np.full_like(command, np.nan),
-        loads=commands.loads,
-        path=Path(path),
-    )
+    unmeasured = np.full_like(command, np.nan)
+    return Recording(csv.stem, "servo", joints, t, command, unmeasured, loads, path=csv)
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:

@@ -5,24 +5,82 @@ A file needs only the values that are used: a missing value is an error where it
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
+from typing import Any, Generic, Self, TypeVar, overload
 
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.recording import Recording
-from sim2real.structured import Fields, Sheet, Stated, finite_number, read_toml
+from sim2real.structured import Fields, finite_number, read_toml
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
 
 LIMITS = "two angles in rad, the smaller first"
 _APPENDAGE_KEYS = ("name", "shape", "size_m", "at_m", "submerged", "drag_coefficient")
+
+
+T = TypeVar("T")
+
+
+class Stated(Generic[T]):
+    """A value of a dataclass that may be missing; using a missing value raises an InputError.
+
+    The dataclass has a field ``where``: the file and the table in which the value is expected.
+
+    Args:
+        expected: Description of a valid value, for the message.
+    """
+
+    def __init__(self, expected: str = "a number above 0") -> None:
+        self.expected = expected
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> T: ...
+    def __get__(self, instance: object | None, owner: type) -> Self | T:
+        if instance is None:
+            return self
+        value: T | None = vars(instance)[self.name]
+        if value is None:
+            file, table = vars(instance)["where"]
+            raise InputError(file, f"{table}.{self.name}", "nothing", self.expected)
+        return value
+
+    def __set__(self, instance: object, value: Any) -> None:  # noqa: ANN401 - the default is self
+        vars(instance)[self.name] = None if value is self else value
+
+
+class Sheet:
+    """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
+
+    name: str
+
+    def states(self, *names: str) -> bool:
+        """Whether all of these values are stated."""
+        return all(vars(self)[name] is not None for name in names)
+
+    def _stated(self) -> dict[str, Any]:
+        return {n: v for n, v in vars(self).items() if n != "where" and v is not None}
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._stated() == other._stated()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __repr__(self) -> str:
+        stated = ", ".join(f"{n}={v!r}" for n, v in self._stated().items())
+        return f"{type(self).__name__}({stated})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,24 +209,15 @@ def _keys(sheet: type) -> list[str]:
 
 def _servo(name: str, fields: Fields) -> Servo:
     fields.refuse_unknown(key for key in _keys(Servo) if key != "name")
-
-    def optional(name: str, low: float = -math.inf, above: float = -math.inf) -> float | None:
-        return fields.number(name, low=low, above=above) if name in fields else None
-
+    kind = fields.text("type", "")  # a file name is relative to the folder of ``robot.toml``
     return Servo(
         name,
-        max_torque_Nm=optional("max_torque_Nm", above=0),
-        no_load_speed_rad_s=optional("no_load_speed_rad_s", above=0),
-        position_step_rad=optional("position_step_rad", low=0),
+        max_torque_Nm=fields.optional_number("max_torque_Nm", above=0),
+        no_load_speed_rad_s=fields.optional_number("no_load_speed_rad_s", above=0),
+        position_step_rad=fields.optional_number("position_step_rad", low=0),
         where=(str(fields.file), fields.where),
-        type=_type(fields),
+        type=str(Path(fields.file).parent / kind) if kind.endswith(".json") else kind,
     )
-
-
-def _type(fields: Fields) -> str:
-    """The servo's type; a file name is relative to the folder of ``robot.toml``."""
-    name = fields.text("type", "")
-    return str(Path(fields.file).parent / name) if name.endswith(".json") else name
 
 
 def _link(fields: Fields) -> Link:
@@ -176,22 +225,15 @@ def _link(fields: Fields) -> Link:
     if "appendages" in fields:
         for appendage in fields.tables("appendages"):
             appendage.refuse_unknown(_APPENDAGE_KEYS)
-
-    def optional(name: str, above: float = -math.inf) -> float | None:
-        return fields.number(name, low=0, above=above) if name in fields else None
-
+    number = fields.optional_number
+    measures = ("mass_kg", "length_m", "width_m", "height_m")
+    optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
     return Link(
         name=fields.text("name"),
-        mass_kg=optional("mass_kg", above=0),
-        length_m=optional("length_m", above=0),
-        width_m=optional("width_m", above=0),
-        height_m=optional("height_m", above=0),
         material=fields.text("material") if "material" in fields else None,
-        com_m=optional("com_m"),
-        inertia_kgm2=optional("inertia_kgm2"),
-        mass_sd_kg=optional("mass_sd_kg"),
-        length_sd_m=optional("length_sd_m"),
         where=(str(fields.file), fields.where),
+        **{name: number(name, above=0) for name in measures},
+        **{name: number(name, low=0) for name in optional},
     )
 
 

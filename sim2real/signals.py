@@ -161,16 +161,16 @@ def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: fl
     Raises:
         InputError: If the file lacks a joint or switches its torque off.
     """
-    commands = read_commands(path)
-    since = commands.t - commands.t[0] + REST_S
+    recording = read_commands(path)
+    since = recording.t - recording.t[0] + REST_S
     t = np.arange(int(since[-1] * rate_hz + 1e-6) + 1) / rate_hz
     held = np.maximum(np.searchsorted(since, t + 1e-9, side="right") - 1, 0)
     columns, notes = [], []
     for joint in joints:
         column = f"{joint.name}.command_rad"
-        if joint.name not in commands.by_joint:
+        if joint.name not in recording.joints:
             raise InputError(path, "header", f"no column {column}", f"the column {column}")
-        requested = commands.by_joint[joint.name][held]
+        requested = recording.commands[joint.name][held]
         if np.isnan(requested).any():
             raise InputError(path, column, "empty cells", "a set-point in every row")
         command = limited(requested, joint, rate_hz)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar, overload
+from typing import Any
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, nearest, one_of, shown
 
 LARGEST_FILE_BYTES = 16 * 2**20
-LONGEST_SHOWN = 80  # characters of a value in a message
 _MISSPELT = 0.8
 """Similarity above which an unknown key counts as a misspelling of a known one."""
-
-
-def shown(value: object) -> str:
-    """``repr(value)``, shortened for a message of one line."""
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, or too deep nesting
-        return f"a huge {type(value).__name__}"
-    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 1]}…"
 
 
 def check_size(path: Path, largest: int, advice: str = "") -> None:
@@ -118,19 +107,6 @@ def number_or_infinity(value: object) -> float | None:
     return finite_number(value)
 
 
-def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
-    """The known name that is most similar to ``name``, ignoring case; None if none is similar.
-
-    Args:
-        name: The name that was found.
-        known: The valid names.
-        similarity: Smallest similarity, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
-    """
-    by_lower = {candidate.lower(): candidate for candidate in known}
-    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
-    return by_lower[close[0]] if close else None
-
-
 class Fields:
     """The fields of one table of a structured file, read by name and type.
 
@@ -168,10 +144,7 @@ class Fields:
         names = list(known)
         for name in self.content:
             if name not in names:
-                close = nearest(name, names)
-                hint = f" (did you mean {close}?)" if close else ""
-                expected = f"one of {', '.join(names)}{hint}"
-                raise InputError(self.file, self.path(name), "an unknown key", expected)
+                raise InputError(self.file, self.path(name), "an unknown key", one_of(name, names))
 
     def refuse_misspelt(self, known: Iterable[str]) -> None:
         """Check that no unknown field looks like a misspelling of a missing known field.
@@ -213,6 +186,12 @@ class Fields:
             raise self.error(name, expected)
         return value
 
+    def optional_number(
+        self, name: str, *, low: float = -math.inf, above: float = -math.inf
+    ) -> float | None:
+        """Read a finite number, ``>= low`` and ``> above``; None if it is absent."""
+        return self.number(name, low=low, above=above) if name in self.content else None
+
     def text(self, name: str, default: str | None = None) -> str:
         """Read a string; ``default`` if it is absent."""
         value = self.content.get(name, default)
@@ -230,61 +209,3 @@ class Fields:
         if not isinstance(value, list) or not value:
             raise self.error(name, f"at least one [[{name}]]")
         return [Fields(self.file, f"{self.path(name)}[{k}]", v) for k, v in enumerate(value)]
-
-
-T = TypeVar("T")
-
-
-class Stated(Generic[T]):
-    """A value of a dataclass that may be missing; using a missing value raises an InputError.
-
-    The dataclass has a field ``where``: the file and the table in which the value is expected.
-
-    Args:
-        expected: Description of a valid value, for the message.
-    """
-
-    def __init__(self, expected: str = "a number above 0") -> None:
-        self.expected = expected
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, instance: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> T: ...
-    def __get__(self, instance: object | None, owner: type) -> Self | T:
-        if instance is None:
-            return self
-        value: T | None = vars(instance)[self.name]
-        if value is None:
-            file, table = vars(instance)["where"]
-            raise InputError(file, f"{table}.{self.name}", "nothing", self.expected)
-        return value
-
-    def __set__(self, instance: object, value: Any) -> None:  # noqa: ANN401 - the default is self
-        vars(instance)[self.name] = None if value is self else value
-
-
-class Sheet:
-    """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
-
-    name: str
-
-    def states(self, *names: str) -> bool:
-        """Whether all of these values are stated."""
-        return all(vars(self)[name] is not None for name in names)
-
-    def _stated(self) -> dict[str, Any]:
-        return {n: v for n, v in vars(self).items() if n != "where" and v is not None}
-
-    def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and self._stated() == other._stated()
-
-    def __hash__(self) -> int:
-        return hash(self.name)
-
-    def __repr__(self) -> str:
-        stated = ", ".join(f"{n}={v!r}" for n, v in self._stated().items())
-        return f"{type(self).__name__}({stated})"

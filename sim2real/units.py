@@ -60,7 +60,7 @@ def unit_of(name: str, *, per_inertia: bool = False) -> str:
         name: The parameter's name.
         per_inertia: Whether torques are per unit of inertia.
     """
-    unit = next((unit for ending, unit, _, _ in _UNITS if name.endswith(ending)), "")
+    unit = _unit(name)[1]
     return _PER_INERTIA.get(unit, unit) if per_inertia else unit
 
 
@@ -72,9 +72,7 @@ def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
         value: Its value, SI.
         per_inertia: Whether torques are per unit of inertia.
     """
-    unit, size = next(
-        ((unit, size) for ending, _, unit, size in _UNITS if name.endswith(ending)), (" %", 100.0)
-    )
+    _, _, unit, size = _unit(name)
     if unit == " N m" and abs(value) < _SMALL_NM:
         unit, size = " mN m", 1e3
     if per_inertia:
@@ -92,6 +90,10 @@ def readable_name(name: str) -> str:
     """A parameter's name without its unit: ``"kp"``, ``"stall torque"``, ``"backlash gap"``."""
     if name in _NAMES:
         return _NAMES[name]
-    ending = next((ending for ending, *_ in _UNITS if name.endswith(ending)), "")
-    bare = name.removesuffix(ending).removeprefix("motor.")
+    bare = name.removesuffix(_unit(name)[0]).removeprefix("motor.")
     return bare.replace(".", " ").replace("_", " ")
+
+
+def _unit(name: str) -> tuple[str, str, str, float]:
+    """The entry of ``_UNITS`` for a parameter; a share in % if it is a pure number."""
+    return next((entry for entry in _UNITS if name.endswith(entry[0])), ("", "", " %", 100.0))

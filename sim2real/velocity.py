@@ -8,11 +8,11 @@ from scipy.signal import savgol_filter
 
 Array = NDArray[np.float64]
 
-WINDOW_S = 0.22
-"""Length of the window: 11 samples at 50 Hz."""
+_WINDOW_S = 0.22
+"""Length of the moving window: 11 samples at 50 Hz."""
 
 
-def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array:
+def body_velocity(t: Array, pose: Array) -> Array:
     """Surge, sway and yaw rate from poses in the world frame.
 
     The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964)
@@ -21,7 +21,6 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
     Args:
         t: Times in s, shape (T,), increasing; assumed to be evenly spaced.
         pose: x, y in m and heading in rad, shape (..., T, 3), NaN where missing.
-        window_s: Length of the window in s.
 
     Returns:
         Surge and sway in m/s, yaw rate in rad/s, shape (..., T, 3).
@@ -30,7 +29,7 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = WINDOW_S) -> Array
         ValueError: If there are fewer than five poses.
     """
     period = float(np.median(np.diff(t)))
-    odd = 2 * max(1, round(window_s / period / 2)) + 1
+    odd = 2 * max(1, round(_WINDOW_S / period / 2)) + 1
     size = min(max(odd, 5), t.size - 1 + t.size % 2)
     filled = np.array(pose, dtype=np.float64)
     for place in np.ndindex(filled.shape[:-2]):

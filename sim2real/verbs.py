@@ -16,8 +16,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sim2real.arguments import check_whole
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.density import Density
@@ -166,7 +165,7 @@ def ranges(
 
     from tqdm import tqdm
 
-    from sim2real.output import provenance_of
+    from sim2real.output import provenance
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Sampling, gather
 
@@ -185,7 +184,7 @@ def ranges(
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
         sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
         gathered = gather(loaded, description, fitted, sampling)
-    origin = provenance_of([*loaded, description, model], seed)
+    origin = provenance([*loaded, description, model], seed)
     return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))
 
 
@@ -233,11 +232,11 @@ def recordings_or_commands(recordings: Recorded) -> list[Recording]:
     Raises:
         InputError: If there is none, or times or commands do not conform to the format.
     """
-    from sim2real.recording import Recording, read_commands_as_recording, read_recording
+    from sim2real.recording import Recording, read_commands, read_recording
 
     def read(path: File) -> Recording:
         measured = Path(path).with_suffix(".json").exists()
-        return read_recording(path) if measured else read_commands_as_recording(path)
+        return read_recording(path) if measured else read_commands(path)
 
     return [entry if isinstance(entry, Recording) else read(entry) for entry in _listed(recordings)]
 
@@ -249,10 +248,8 @@ def robot_of(robot: Robot | File) -> Robot:
         InputError: If it is neither, or the file is not a robot.
     """
     from sim2real.robot import Robot, read_robot
-    from sim2real.structured import shown
 
-    if not isinstance(robot, Robot | str | os.PathLike):
-        raise InputError("robot", "", shown(robot), "a robot or its robot.toml")
+    _check_type("robot", robot, Robot, "a robot or its robot.toml")
     return robot if isinstance(robot, Robot) else read_robot(robot)
 
 
@@ -263,16 +260,13 @@ def model_of(model: Model | File) -> Model:
         InputError: If it is neither, or the file is not a model.
     """
     from sim2real.model import Model, read_model
-    from sim2real.structured import shown
 
-    if not isinstance(model, Model | str | os.PathLike):
-        raise InputError("model", "", shown(model), "a model or its MODEL.json")
+    _check_type("model", model, Model, "a model or its MODEL.json")
     return model if isinstance(model, Model) else read_model(model)
 
 
 def _listed(recordings: Recorded) -> list[Recording | File]:
     from sim2real.recording import Recording
-    from sim2real.structured import shown
 
     sequence: object = recordings
     if isinstance(sequence, Recording | str | os.PathLike):
@@ -283,10 +277,15 @@ def _listed(recordings: Recorded) -> list[Recording | File]:
     listed = list(sequence)
     if not listed:
         raise InputError("recordings", "", "none", "at least one")
-    for recording in listed:
-        if not isinstance(recording, Recording | str | os.PathLike):
-            raise InputError("recordings", "", shown(recording), expected)
+    for entry in listed:
+        _check_type("recordings", entry, Recording, expected)
     return listed
+
+
+def _check_type(argument: str, value: object, kind: type, expected: str) -> None:
+    """Check that ``value`` is an object of this kind or the name of a file."""
+    if not isinstance(value, kind | str | os.PathLike):
+        raise InputError(argument, "", shown(value), expected)
 
 
 def _check_sampling(verb: str, steps: int, walkers: int, seed: int) -> None:

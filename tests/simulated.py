@@ -37,7 +37,7 @@ def recording(seed=0, name="steps", seconds=12.0, noise=NOISE, load=None, comman
     t = PERIOD * np.arange(round(seconds / PERIOD))
     sent = steps(t, rng) if command is None else command(t)
     load = load or Load(INERTIA)
-    angle = rollout(row(load, **effects)[None], t, sent[:, None])[0, :, 0]
+    angle = rollout(row(load, **effects)[None], t, sent)[0]
     seen = angle + rng.normal(0, noise, t.size)
     return Recording(name, "servo", ("j1",), t, sent[:, None], seen[:, None], {"j1": load})
 

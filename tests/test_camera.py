@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim2real.camera import observed
+from sim2real.body import observed
 from sim2real.velocity import body_velocity
 
 T = 0.02 * np.arange(200)

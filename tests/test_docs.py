@@ -260,7 +260,7 @@ from sim2real.servo.rollout import rollout
 stop = FittedEffect("soft_stop", {"stiffness_Nm_per_rad": 5.0, "angle_rad": 0.2})
 row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(stop,)), None)
 t = 0.02 * np.arange(150)
-rest = rollout(row[None], t, np.where(t > 0.2, 0.4, 0.0)[:, None])[0, -1, 0]
+rest = rollout(row[None], t, np.where(t > 0.2, 0.4, 0.0))[0, -1]
 assert abs(rest - (2.2 * 0.4 + 5.0 * 0.2) / 7.2) < 1e-4, rest
 """
     given = os.environ | {"PYTHONPATH": str(tmp_path)}

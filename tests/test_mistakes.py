@@ -13,12 +13,11 @@ from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
 from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
-from sim2real.causality import lead_s
 from sim2real.errors import InputError
 from sim2real.exporters.plain import plain
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
-from sim2real.plausible import validate_recording
+from sim2real.plausible import lead_s, validate_recording
 from sim2real.recording import Load, Recording, read_commands, read_recording
 from sim2real.robot import Robot, Servo, read_robot
 from sim2real.servo.rollout import rollout
@@ -226,7 +225,7 @@ def test_a_polled_set_point_shortens_the_latency_by_half_a_period() -> None:
         rng = np.random.default_rng(seed)
         sent_at = 0.001 * np.arange(20_000)
         sent = steps(sent_at, rng)
-        angle = rollout(row(load)[None], sent_at, sent[:, None])[0, :, 0]
+        angle = rollout(row(load)[None], sent_at, sent)[0]
         seen = np.arange(0, sent_at.size, 16)
         position = angle[seen, None] + rng.normal(0, NOISE, (seen.size, 1))
         polled = Recording(

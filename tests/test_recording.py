@@ -146,18 +146,18 @@ def test_pool_without_commands(tmp_path: Path) -> None:
 def test_commands_alone(tmp_path: Path) -> None:
     path = tmp_path / "commands.csv"
     path.write_text("t_s,j1.command_rad,remark,j1.position_rad\n0,0.1,slow,\n0.02,0.2,fast,\n")
-    commands = read_commands(path)
-    np.testing.assert_array_equal(commands.t, [0, 0.02])
-    np.testing.assert_array_equal(commands.by_joint["j1"], [0.1, 0.2])
-    assert (list(commands.by_joint), commands.loads) == (["j1"], {})
+    read = read_commands(path)
+    np.testing.assert_array_equal(read.t, [0, 0.02])
+    np.testing.assert_array_equal(read.commands["j1"], [0.1, 0.2])
+    assert (read.joints, read.loads) == (("j1",), {})
 
 
 def test_commands_with_a_sidecar(tmp_path: Path) -> None:
     recording = example(tmp_path)
-    commands = read_commands(tmp_path / "bench.csv")
-    assert commands.loads == recording.loads
+    read = read_commands(tmp_path / "bench.csv")
+    assert read.loads == recording.loads
     for j, joint in enumerate(recording.joints):
-        np.testing.assert_array_equal(commands.by_joint[joint], recording.command[:, j])
+        np.testing.assert_array_equal(read.commands[joint], recording.command[:, j])
 
 
 def test_line_endings_and_byte_order_mark(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from sim2real.identification.fit import Fit, fit, gains
 from sim2real.identification.initial_guess import first_guess
 from sim2real.model import JointModel, Model, write_model
 from sim2real.output import write_json
-from sim2real.recording import Commands, read_commands, read_recording
+from sim2real.recording import Recording, read_commands, read_recording
 from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Case:
 
     given: dict[str, list[Trace]]
     plain: dict[str, Fit]
-    wanted: Commands
+    wanted: Recording
     before: Case | None = None
 
     @property

@@ -75,12 +75,12 @@ def predicted(case: Case, residual: Residual) -> dict[str, Array]:
     the plain servos, so that the march's own error cancels.
     """
     wanted, joints = case.wanted, list(case.plain)
-    exact = predict(case.model, wanted.t, wanted.by_joint, wanted.loads)
+    exact = predict(case.model, wanted.t, wanted.commands, wanted.loads)
     kp, kd, latency = np.stack([case.plain[joint].row[:3] for joint in joints], axis=1)
     inertia, gravity = np.array(
         [(wanted.loads[j].inertia_kgm2, wanted.loads[j].gravity_Nm) for j in joints]
     ).T
-    commands = np.stack([wanted.by_joint[joint] for joint in joints], axis=1)
+    commands = np.stack([wanted.commands[joint] for joint in joints], axis=1)
     times = np.arange(wanted.t[0], wanted.t[-1] + STEP_S, STEP_S)
     at = np.searchsorted(wanted.t, times[:, None] - latency, side="right") - 1
     targets = np.take_along_axis(commands, np.maximum(at, 0), axis=0)

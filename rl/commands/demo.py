@@ -55,7 +55,7 @@ from sim2real.report.recordings import recordings_section
 from sim2real.report.style import NARROW
 from sim2real.report.table import fit_report
 from sim2real.robot import Robot, read_robot
-from sim2real.servo.replay import Replay, replay
+from sim2real.servo.prediction import Replay, replay
 
 STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")
 _DIAGNOSED = ("chirp", "steps")

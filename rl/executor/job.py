@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, shown
 from sim2real.output import provenance, write_json
-from sim2real.structured import Fields, read_json, shown
+from sim2real.structured import Fields, read_json
 
 LOG = "log.txt"
 _JOB, _DONE = "job.json", "done.json"

@@ -14,9 +14,8 @@ from rl.executor.job import LOG, Job, Outcome, is_done
 from rl.executor.local import run_local
 from rl.executor.process import child_environment
 from rl.executor.seats import seats
-from sim2real.errors import InputError
+from sim2real.errors import InputError, shown
 from sim2real.output import check_writable
-from sim2real.structured import shown
 
 
 def run_jobs(

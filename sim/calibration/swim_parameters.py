@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
-from sim2real.body import BODY, CAMERA, body_effect
+from sim2real.body import body_effect
+from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
@@ -110,7 +111,7 @@ def candidates(robot: Robot) -> list[Candidate]:
                 free = tuple(effect_parameters(effect.name, material))
                 out.append(Candidate(effect.name, material or "body", free))
         else:
-            component = "camera" if effect.camera else "body"
+            component = "camera" if isinstance(effect, CameraEffect) else "body"
             out.append(Candidate(effect.name, component, tuple(effect_parameters(effect.name))))
     return out
 

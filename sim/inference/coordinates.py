@@ -18,8 +18,7 @@ from sim.calibration.swim_parameters import Candidate, candidates
 from sim.inference import discrepancy
 from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
-from sim2real.body import values
-from sim2real.camera import observed
+from sim2real.body import observed, values
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity

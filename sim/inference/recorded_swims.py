@@ -24,7 +24,7 @@ from sim.inference.swims import Swim, swim_of
 from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model
-from sim2real.output import check_writable, provenance_of
+from sim2real.output import check_writable, provenance
 from sim2real.progress import progress_bar
 from sim2real.recording import Recording
 from sim2real.robot import Robot
@@ -84,7 +84,7 @@ def diagnose_recorded_swims(
         )
     # the search draws nothing at random, so that there is no seed
     inputs = [*recordings, *references, in_water, robot, model]
-    return replace(diagnosis, provenance=provenance_of(inputs, None))
+    return replace(diagnosis, provenance=provenance(inputs, None))
 
 
 def simulator_of(

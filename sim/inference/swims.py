@@ -18,8 +18,7 @@ from tqdm import tqdm
 
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.twin import Coefficients, Twin
-from sim2real.body import listed, values
-from sim2real.camera import observed
+from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.plausible import validate_recording

@@ -13,7 +13,7 @@ from sim2real.model import Model, write_model
 from sim2real.output import check_writable
 from sim2real.recording import Recording
 from sim2real.robot import read_robot
-from sim2real.servo.replay import Replay, replay
+from sim2real.servo.prediction import Replay, replay
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import argparse
 from sim2real import verbs
 from sim2real.errors import InputError
 from sim2real.output import check_writable
-from sim2real.recording import read_commands_as_recording, write_recording
+from sim2real.recording import read_commands, write_recording
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out.resolve() == options.commands.resolve():
         raise InputError(options.out, "--out", "the file of the commands", "another file")
     model = verbs.model_of(options.model)
-    commands = read_commands_as_recording(options.commands)
+    commands = read_commands(options.commands)
     prediction = verbs.predict(commands, None, model)
     source = f"Simulated, not measured: {options.model.name} on {options.commands.name}."
     write_recording(prediction.recording(source=source), options.out)

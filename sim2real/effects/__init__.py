@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
-from sim2real.effects.effect import Effect, Parameter
+from sim2real.effects.effect import Effect as Effect
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
@@ -48,18 +48,6 @@ SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
     b"".join(path.read_bytes() for path in sorted(Path(__path__[0]).rglob("*.py")))
 )
 """Hash of the sources of all effects; kernels that refer to it are recompiled when it changes."""
-
-__all__ = [
-    "BODY",
-    "CAMERA",
-    "CATALOGUE",
-    "SIGNATURE",
-    "BodyEffect",
-    "CameraEffect",
-    "Effect",
-    "Parameter",
-    "named",
-]
 
 
 def named(name: str, where: str = "effects") -> Effect:

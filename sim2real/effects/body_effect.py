@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from sim2real.inference.parameters import Parameter
 
 Array = NDArray[np.float64]
+Values = Mapping[str, float]
+"""Parameters of one effect, by name."""
 
 
 @dataclass
@@ -61,56 +63,48 @@ class Forces:
         return np.array([float(material in ("", other)) for other in self.materials])
 
 
-@dataclass(frozen=True)
-class BodyEffect:
+@dataclass(frozen=True, kw_only=True)
+class _SwimEffect:
+    """What effects of the body and of the camera have in common.
+
+    Attributes:
+        name: Its identifier.
+        plain: Description for use in a sentence.
+        title: Description before a colon and its size, without direction if the size may have
+            either sign.
+        parameters: Its parameters, all 0 where it is absent.
+        order: Position in lists, and in the sequence of effects on the poses.
+        by_material: Whether each material has separate parameters.
+    """
+
+    name: str
+    plain: str
+    title: str
+    parameters: tuple[Parameter, ...]
+    order: int = 99
+    by_material: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyEffect(_SwimEffect):
     """Physics of the body that the simulator omits by default.
 
     Attributes:
-        name: Its identifier.
-        plain: Description for use in a sentence.
-        title: Description before a colon and its size, without direction if the size may have
-            either sign.
-        parameters: Its parameters, all 0 where it is absent.
         act: Adds the effect to the forces, from parameters and a material (empty for all).
-        by_material: Whether each material has separate parameters.
-        order: Position in lists.
     """
 
-    name: str
-    plain: str
-    title: str
-    parameters: tuple[Parameter, ...]
-    act: Callable[[Forces, Mapping[str, float], str], None]
-    by_material: bool = False
-    order: int = 99
-
-    camera = False
-    """Whether it belongs to the camera."""
+    act: Callable[[Forces, Values, str], None]
 
 
-@dataclass(frozen=True)
-class CameraEffect:
+@dataclass(frozen=True, kw_only=True)
+class CameraEffect(_SwimEffect):
     """An error of the poses that the camera measures.
 
     Attributes:
-        name: Its identifier.
-        plain: Description for use in a sentence.
-        title: Description before a colon and its size, without direction if the size may have
-            either sign.
-        parameters: Its parameters, all 0 where it is absent.
         see: Measured poses from even times in s (T,), true poses (T, 3) and parameters.
-        order: Position in the sequence of effects on the poses.
     """
 
-    name: str
-    plain: str
-    title: str
-    parameters: tuple[Parameter, ...]
-    see: Callable[[Array, Array, Mapping[str, float]], Array]
-    order: int = 99
-
-    camera = True
-    by_material = False
+    see: Callable[[Array, Array, Values], Array]
 
 
 def late(t: Array, pose: Array, delay_s: float) -> Array:

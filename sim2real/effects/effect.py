@@ -9,19 +9,6 @@ from typing import Any, Literal
 from sim2real.inference.parameters import Parameter
 from sim2real.units import readable
 
-__all__ = [
-    "LIMITS",
-    "SHAPES",
-    "SIGNED",
-    "STRENGTHS",
-    "Effect",
-    "Parameter",
-    "Site",
-    "is_limit",
-    "readable",
-    "scaled",
-]
-
 Site = Literal["arrival", "command", "error", "motor", "load", "friction", "inertia", "sensor"]
 """Sites where terms act, from the sent command to the measured angle.
 

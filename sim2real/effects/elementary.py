@@ -25,28 +25,10 @@ _PER_LN2 = wp.constant(wp.float64(1.4426950408889634))
 _LN2_HIGH = wp.constant(wp.float64(0.6931471803691238))
 _LN2_LOW = wp.constant(wp.float64(1.9082149292705877e-10))
 _MOST_DECAY = wp.constant(wp.float64(700.0))
-_S3 = wp.constant(wp.float64(-1.0 / math.factorial(3)))
-_S5 = wp.constant(wp.float64(1.0 / math.factorial(5)))
-_S7 = wp.constant(wp.float64(-1.0 / math.factorial(7)))
-_S9 = wp.constant(wp.float64(1.0 / math.factorial(9)))
-_S11 = wp.constant(wp.float64(-1.0 / math.factorial(11)))
-_S13 = wp.constant(wp.float64(1.0 / math.factorial(13)))
-_S15 = wp.constant(wp.float64(-1.0 / math.factorial(15)))
-_S17 = wp.constant(wp.float64(1.0 / math.factorial(17)))
-_S19 = wp.constant(wp.float64(-1.0 / math.factorial(19)))
-"""Coefficients of the sine's Taylor series."""
-_E2 = wp.constant(wp.float64(1.0 / math.factorial(2)))
-_E3 = wp.constant(wp.float64(1.0 / math.factorial(3)))
-_E4 = wp.constant(wp.float64(1.0 / math.factorial(4)))
-_E5 = wp.constant(wp.float64(1.0 / math.factorial(5)))
-_E6 = wp.constant(wp.float64(1.0 / math.factorial(6)))
-_E7 = wp.constant(wp.float64(1.0 / math.factorial(7)))
-_E8 = wp.constant(wp.float64(1.0 / math.factorial(8)))
-_E9 = wp.constant(wp.float64(1.0 / math.factorial(9)))
-_E10 = wp.constant(wp.float64(1.0 / math.factorial(10)))
-_E11 = wp.constant(wp.float64(1.0 / math.factorial(11)))
-_E12 = wp.constant(wp.float64(1.0 / math.factorial(12)))
-"""Coefficients of the Taylor series of the exponential."""
+_S = {n: wp.float64((-1.0) ** (n // 2) / math.factorial(n)) for n in range(3, 20, 2)}
+"""Coefficients of the sine's Taylor series, by power."""
+_E = {n: wp.float64(1.0 / math.factorial(n)) for n in range(2, 13)}
+"""Coefficients of the Taylor series of the exponential, by power."""
 
 
 @wp.func
@@ -65,11 +47,11 @@ def sine(x: wp.float64) -> wp.float64:
     z = r * r
     z2 = z * z
     z4 = z2 * z2
-    a = _S3 + z * _S5
-    b = _S7 + z * _S9
-    c = _S11 + z * _S13
-    d = _S15 + z * _S17
-    d += z2 * _S19
+    a = wp.static(_S[3]) + z * wp.static(_S[5])
+    b = wp.static(_S[7]) + z * wp.static(_S[9])
+    c = wp.static(_S[11]) + z * wp.static(_S[13])
+    d = wp.static(_S[15]) + z * wp.static(_S[17])
+    d += z2 * wp.static(_S[19])
     series = (a + z2 * b) + z4 * (c + z2 * d)
     return sign * (r + r * z * series)
 
@@ -85,12 +67,12 @@ def decay(x: wp.float64) -> wp.float64:
     z2 = r * r
     z4 = z2 * z2
     a = wp.float64(1.0) + r
-    b = _E2 + r * _E3
-    c = _E4 + r * _E5
-    d = _E6 + r * _E7
-    e = _E8 + r * _E9
-    f = _E10 + r * _E11
-    f += z2 * _E12
+    b = wp.static(_E[2]) + r * wp.static(_E[3])
+    c = wp.static(_E[4]) + r * wp.static(_E[5])
+    d = wp.static(_E[6]) + r * wp.static(_E[7])
+    e = wp.static(_E[8]) + r * wp.static(_E[9])
+    f = wp.static(_E[10]) + r * wp.static(_E[11])
+    f += z2 * wp.static(_E[12])
     series = (a + z2 * b) + z4 * ((c + z2 * d) + z4 * (e + z2 * f))
     exponent = wp.int64(halvings) + wp.int64(1023)
     return series * wp.cast(exponent << wp.int64(52), wp.float64)

@@ -58,7 +58,7 @@ def excitation(joint: JointModel, name: str, reach_rad: float | None = None) -> 
             file=f"standard {kind}",
             t=t,
             command=sent,
-            position=rollout(row[None], t, sent[:, None])[0, :, 0],
+            position=rollout(row[None], t, sent)[0],
             load=load,
             used=np.ones(t.size, dtype=bool),
         )

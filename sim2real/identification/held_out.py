@@ -102,5 +102,4 @@ def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> 
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
     # A common sub-step, so that integration errors cancel in differences of servos.
     step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
-    angle = rollout(rows, trace.t, trace.command[:, None], substep_s=step, threads=2)
-    return np.ascontiguousarray(angle[:, :, 0])
+    return rollout(rows, trace.t, trace.command, substep_s=step, threads=2)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.arguments import check_choice, check_whole, names_of
 from sim2real.effects import Effect, named
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals

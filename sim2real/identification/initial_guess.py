@@ -108,8 +108,7 @@ def _errors(points: Array, trace: Trace, *, search: GuessSearch) -> Array:
         shortest, longest = search.substep_s
         substep = longest_substep(theta, theta[:, 3], search.steps_per_radian, longest)
         substep = np.maximum(substep, shortest)
-        command = trace.command[:, None]
-        angle = rollout(theta, trace.t, command, substep_s=substep, threads=2)[:, :, 0]
+        angle = rollout(theta, trace.t, trace.command, substep_s=substep, threads=2)
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 

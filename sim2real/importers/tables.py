@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, shown
 from sim2real.importers.units import SECONDS_PER, Conversion
 from sim2real.recording import Array, Recording
-from sim2real.structured import shown
 
 ANGLES = ("command", "position")
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")

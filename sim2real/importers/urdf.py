@@ -9,10 +9,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, shown
 from sim2real.importers.chain import Body, Hinge, Tree
 from sim2real.recording import Array
-from sim2real.structured import read_text, shown
+from sim2real.structured import read_text
 
 TURNS = ("revolute", "continuous")
 Frame = tuple[Array, Array]  # position of the origin, (3,), and rotation, (3, 3)

@@ -14,9 +14,8 @@ from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.servo.batch import Batch
-from sim2real.servo.innovations import WhitenedServo
 from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, joint_row
-from sim2real.servo.rollout import STEPS_PER_RADIAN
+from sim2real.servo.rollout import STEPS_PER_RADIAN, WhitenedServo
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]

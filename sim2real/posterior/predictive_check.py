@@ -95,4 +95,4 @@ def _angles(posterior: ServoPosterior, trace: Trace, values: Array) -> Array:
     """Angles in rad (B, T) of servos with ``values`` (B, F) on the commands of one recording."""
     theta = posterior.data.theta(values)
     theta[:, 3], theta[:, 4] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    return rollout(theta, trace.t, trace.command[:, None])[:, :, 0]
+    return rollout(theta, trace.t, trace.command)

@@ -45,22 +45,6 @@ def _column(name: str) -> int:
     return FIRST_MOTOR_COLUMN + MOTOR.index(f"motor.{name}")
 
 
-_STALL = wp.constant(_column("stall_torque_Nm"))
-_NO_LOAD = wp.constant(_column("no_load_speed_rad_s"))
-_RISE = wp.constant(_column("resistance_rise"))
-_ROTOR = wp.constant(_column("rotor_inertia_kgm2"))
-_COULOMB = wp.constant(_column("coulomb_Nm"))
-_OF_MOTOR = wp.constant(_column("motor_friction"))
-_OF_LOAD = wp.constant(_column("load_friction"))
-_SLOW_OF_MOTOR = wp.constant(_column("stribeck_motor_friction"))
-_SLOW_OF_LOAD = wp.constant(_column("stribeck_load_friction"))
-_SLOW = wp.constant(_column("stribeck_speed_rad_s"))
-_STICK = wp.constant(_column("stick_time_s"))
-_CREEP = wp.constant(_column("creep_time_s"))
-_PERIOD = wp.constant(_column("loop_period_s"))
-_PHASE = wp.constant(_column("loop_phase_s"))
-
-
 _NO_EXPONENT = wp.constant(wp.float64(36.0))
 """Exponent from which exp(-x) is below the rounding of 1."""
 
@@ -93,23 +77,25 @@ class Motor:
 def read_motor(p: Row) -> Motor:
     """The motor of a row of parameters."""
     m = Motor()
-    m.stall = p[_STALL]
+    m.stall = p[wp.static(_column("stall_torque_Nm"))]
     if m.stall > wp.float64(0.0):
         m.per_stall = wp.float64(1.0) / m.stall
-        if p[_NO_LOAD] > wp.float64(0.0):
-            m.line = m.stall / p[_NO_LOAD]
-    m.rise = p[_RISE]
-    m.rotor = p[_ROTOR]
-    m.coulomb = p[_COULOMB]
-    m.of_motor = p[_OF_MOTOR]
-    m.of_load = p[_OF_LOAD]
-    m.slow_of_motor = p[_SLOW_OF_MOTOR]
-    m.slow_of_load = p[_SLOW_OF_LOAD]
-    m.per_slow = wp.float64(1.0) / wp.max(p[_SLOW], wp.float64(1e-12))
-    m.stick = p[_STICK]
-    m.creep = p[_CREEP]
-    m.period = p[_PERIOD]
-    m.phase = p[_PHASE]
+        no_load = p[wp.static(_column("no_load_speed_rad_s"))]
+        if no_load > wp.float64(0.0):
+            m.line = m.stall / no_load
+    m.rise = p[wp.static(_column("resistance_rise"))]
+    m.rotor = p[wp.static(_column("rotor_inertia_kgm2"))]
+    m.coulomb = p[wp.static(_column("coulomb_Nm"))]
+    m.of_motor = p[wp.static(_column("motor_friction"))]
+    m.of_load = p[wp.static(_column("load_friction"))]
+    m.slow_of_motor = p[wp.static(_column("stribeck_motor_friction"))]
+    m.slow_of_load = p[wp.static(_column("stribeck_load_friction"))]
+    slow = p[wp.static(_column("stribeck_speed_rad_s"))]
+    m.per_slow = wp.float64(1.0) / wp.max(slow, wp.float64(1e-12))
+    m.stick = p[wp.static(_column("stick_time_s"))]
+    m.creep = p[wp.static(_column("creep_time_s"))]
+    m.period = p[wp.static(_column("loop_period_s"))]
+    m.phase = p[wp.static(_column("loop_phase_s"))]
     return m
 
 

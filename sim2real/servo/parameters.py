@@ -63,11 +63,9 @@ CELLS = HELD_CELL + 1
 """Number of memory cells of one joint."""
 
 COLUMNS = (
-    BASE
-    + MOTOR
-    + tuple(
-        f"{effect.name}.{parameter.name}" for effect in CATALOGUE for parameter in effect.parameters
-    )
+    *BASE,
+    *MOTOR,
+    *(f"{e.name}.{parameter.name}" for e in CATALOGUE for parameter in e.parameters),
 )
 """Names of all columns of one joint."""
 
@@ -93,13 +91,7 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
         InputError: If the model has an effect or a parameter that the catalogue lacks.
     """
     row = np.zeros(len(COLUMNS))
-    row[: len(BASE)] = (
-        joint.kp_Nm_per_rad,
-        joint.kd_Nms_per_rad,
-        joint.latency_s,
-        joint.inertia_kgm2,
-        0.0,
-    )
+    row[:4] = joint.kp_Nm_per_rad, joint.kd_Nms_per_rad, joint.latency_s, joint.inertia_kgm2
     load = load or joint.load
     if load is not None and not joint.per_inertia:
         row[BASE.index("inertia_kgm2")] = load.inertia_kgm2
@@ -111,7 +103,12 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
             raise InputError(where, "motor", repr(name), f"one of {valid}")
         row[COLUMNS.index(column)] = value
     for fitted in joint.effects:
-        _fill(row, fitted, where)
+        effect = named(fitted.effect, where)
+        names = [parameter.name for parameter in effect.parameters]
+        for name, value in fitted.parameters.items():
+            if name not in names:
+                raise InputError(where, fitted.effect, repr(name), f"one of {', '.join(names)}")
+            row[FIRST_COLUMN[effect.name] + names.index(name)] = value
     return row
 
 
@@ -143,12 +140,3 @@ def motor_of(row: Array) -> dict[str, float]:
     values = row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]
     pairs = zip(MOTOR, values, strict=True)
     return {name.removeprefix("motor."): float(value) for name, value in pairs if value > 0}
-
-
-def _fill(row: Array, fitted: FittedEffect, where: str) -> None:
-    effect = named(fitted.effect, where)
-    names = [parameter.name for parameter in effect.parameters]
-    for name, value in fitted.parameters.items():
-        if name not in names:
-            raise InputError(where, fitted.effect, repr(name), f"one of {', '.join(names)}")
-        row[FIRST_COLUMN[effect.name] + names.index(name)] = value

@@ -46,5 +46,5 @@ def predict(
             modelled = ", ".join(model.joints)
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
         row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
-        angles[joint] = rollout(row[None], t, sent[:, None])[0, :, 0]
+        angles[joint] = rollout(row[None], t, sent)[0]
     return angles

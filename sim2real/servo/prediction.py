@@ -1,4 +1,4 @@
-"""Recordings as a fitted model predicts them, with the errors and a figure."""
+"""Recordings as a fitted model predicts them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.recording import Recording
 from sim2real.servo.predict import predict
+from sim2real.servo.trace import split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +78,49 @@ def predict_recordings(recordings: Sequence[Recording], model: Model) -> Predict
     """
     angles = []
     for recording in recordings:
-        command = {joint: recording.command[:, j] for j, joint in enumerate(recording.joints)}
-        predicted = predict(model, recording.t, command, recording.loads, where=recording.file)
-        angles.append(np.stack([predicted[joint] for joint in recording.joints], axis=1))
+        predicted = predict(
+            model, recording.t, recording.commands, recording.loads, where=recording.file
+        )
+        angles.append(np.stack(list(predicted.values()), axis=1))
     return Prediction(tuple(recordings), tuple(angles))
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One joint of one recording and the model's prediction for its commands.
+
+    Attributes:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted angles in rad, shape (T,).
+        held_out: Mask of the samples that the fit did not use, shape (T,).
+    """
+
+    recording: Recording
+    joint: str
+    predicted: Array
+    held_out: NDArray[np.bool_]
+
+
+def replay(
+    model: Model, recordings: Sequence[Recording], held_out: str | None = None
+) -> list[Replay]:
+    """Predict every joint of the model in every recording that contains it.
+
+    Args:
+        model: The fitted model.
+        recordings: The recordings that the model was identified from.
+        held_out: Name of the held-out recording, as passed to ``identify``.
+    """
+    replays = []
+    for joint in model.joints:
+        _, scored, _ = split(traces(recordings, joint), held_out)
+        unseen = {trace.file: trace.used for trace in scored}
+        for recording in (r for r in recordings if joint in r.joints):
+            command = {joint: recording.commands[joint]}
+            angles = predict(model, recording.t, command, recording.loads)
+            mask = np.zeros(recording.t.size, dtype=bool)
+            used = unseen.get(recording.file, mask)
+            mask[: used.size] = used
+            replays.append(Replay(recording, joint, angles[joint], mask))
+    return replays

@@ -17,7 +17,6 @@ from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
     BASE,
     CELLS,
-    COLUMNS,
     FIRST_COLUMN,
     FIRST_MOTOR_COLUMN,
     INERTIA_LEFT_OUT,
@@ -25,6 +24,7 @@ from sim2real.servo.parameters import (
     ROTOR_INERTIA,
 )
 from sim2real.servo.trace import Trace
+from sim2real.servo.whitening import innovation_energy
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ STEPS_PER_RADIAN = 32.0
 LONGEST_SUBSTEP_S = 0.002
 _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
+_LANES = 4
+"""Coefficients of the autoregression are padded to a multiple of this."""
 
 
 def rollout(
@@ -42,7 +44,6 @@ def rollout(
     *,
     steps_per_radian: float = STEPS_PER_RADIAN,
     substep_s: float | Array | None = None,
-    device: str = "cpu",
     threads: int = 1,
 ) -> Array:
     """Simulate servos from rest on their first command.
@@ -51,48 +52,40 @@ def rollout(
     is not rounded and no change of the command falls inside a sub-step.
 
     Args:
-        theta: Parameters, shape (B, J * P), joint by joint in the order of ``COLUMNS``.
+        theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
-        command: Set-points in rad sent at ``t``, shape (T, J); NaN where the torque is off.
+        command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
-        substep_s: Longest sub-step in s, for all rows or of shape (B * J,); by default determined
+        substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
             by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
-        device: Warp device.
         threads: CPU threads to share the batch.
 
     Returns:
-        Measured angles in rad at ``t``, shape (B, T, J).
+        Measured angles in rad at ``t``, shape (B, T).
     """
-    B, (T, J) = theta.shape[0], command.shape
-    rows = np.ascontiguousarray(theta, dtype=np.float64).reshape(B * J, len(COLUMNS))
-    position = np.empty((B * J, T))
+    rows = np.ascontiguousarray(theta, dtype=np.float64)
+    B, T = rows.shape[0], t.size
+    position = np.empty((B, T))
     active = active_effects(rows)
-    longest = np.full(rows.shape[0], substep_s)
+    longest = np.full(B, substep_s)
     if substep_s is None:
         steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
-    signal = np.tile(np.arange(J, dtype=np.int32), B)
-    signals = [
-        to_warp(x, device) for x in (np.tile(t, (J, 1)), command.T, np.full(J, T, dtype=np.int32))
-    ]
+    signal = np.zeros(B, dtype=np.int32)
+    signals = [to_warp(x, "cpu") for x in (t[None], command[None], np.array([T], dtype=np.int32))]
 
     def simulate_part(part: slice) -> None:
-        out: Any = wp.array(position[part], dtype=wp.float64, device=device, copy=False)
-        simulate(
-            active[part], rows[part, 2], to_warp(rows[part], device), signal[part], signals,
-            longest[part], out,
-        )  # fmt: skip
-        if out.device.is_cuda:  # on a CPU the memory is shared
-            position[part] = out.numpy()
+        servos = to_warp(rows[part], "cpu")
+        out: Any = wp.array(position[part], dtype=wp.float64, device="cpu", copy=False)
+        simulate(active[part], rows[part, 2], servos, signal[part], signals, longest[part], out)
 
-    edges = np.linspace(0, B * J, min(max(threads, 1), B * J) + 1).astype(int)
+    edges = np.linspace(0, B, min(max(threads, 1), B) + 1).astype(int)
     parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
     if len(parts) == 1:
         simulate_part(parts[0])
     else:
-        with ThreadPoolExecutor(len(parts)) as pool:
-            list(pool.map(simulate_part, parts))
-    return np.moveaxis(position.reshape(B, J, T), 1, 2)
+        list(_pool(len(parts)).map(simulate_part, parts))
+    return position
 
 
 def longest_substep(
@@ -200,6 +193,62 @@ class Simulator:
         return angle
 
 
+class WhitenedServo(Simulator):
+    """Recordings of one joint with a fixed noise model, for servos with any parameters."""
+
+    def __init__(
+        self,
+        traces: Sequence[Trace],
+        counts: Sequence[NDArray[np.bool_]],
+        autoregression: Array,
+        substep_s: float = np.inf,
+        threads: int = 2,
+    ) -> None:
+        """Copy recordings and noise model to Warp arrays.
+
+        Args:
+            traces: The recordings.
+            counts: Mask of the samples whose innovations count, one array (T,) per recording.
+            autoregression: The noise model, shape (p,).
+            substep_s: Longest sub-step in s, the same for all servos, so that the sums are smooth
+                functions of the parameters; infinite for the exact solution of linear servos.
+            threads: CPU threads.
+        """
+        super().__init__(traces, threads)
+        self.substep_s = substep_s
+        p = autoregression.size
+        counted = np.zeros(self.position.shape, dtype=np.int32)
+        for s, mask in enumerate(counts):
+            counted[s, : mask.size] = mask
+        self._counts = to_warp(counted, "cpu")
+        self._noise = (p, to_warp(np.pad(autoregression, (0, -p % _LANES if p else _LANES)), "cpu"))
+
+    def energy(self, theta: Array) -> Array:
+        """Sum of squared innovations in rad2 of servos (B, P), shape (B,).
+
+        Each sum is independent of the other rows to the last bit.
+        """
+        parts = [part for part in np.array_split(theta, self.threads) if part.size]
+        sums = np.concatenate(list(self._pool.map(self._energy, parts)))
+        return np.asarray(sums.reshape(theta.shape[0], -1).sum(axis=1))
+
+    def _energy(self, theta: Array) -> Array:
+        """Sums of a part of the servos, one per servo and recording."""
+        angle = self.run(theta, self.substep_s)
+        sums: Any = wp.zeros(angle.shape[0], dtype=wp.float64, device="cpu")
+        lags, coefficients = self._noise
+        inputs = [len(self.traces), lags, self.length, self.position, self._counts, coefficients]
+        wp.launch(
+            innovation_energy,
+            dim=angle.shape[0],
+            inputs=[*inputs, angle],
+            outputs=[sums],
+            device="cpu",
+        )
+        energies: Array = sums.numpy()
+        return energies
+
+
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads)
@@ -263,6 +312,6 @@ def simulate(
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """A Warp array of int32 or float64 on a device; on the CPU it shares contiguous memory."""
+    """A copy as a Warp array of int32 or float64 on a device."""
     kind = wp.int32 if values.dtype == np.int32 else wp.float64
     return wp.from_numpy(np.ascontiguousarray(values), dtype=kind, device=device)

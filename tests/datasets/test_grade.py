@@ -9,7 +9,7 @@ import pytest
 
 from sim2real.identification.fit import fit, gains, plain_row
 from sim2real.model import FittedEffect, JointModel, Model, write_model
-from sim2real.recording import Commands, Load, Recording, write_recording
+from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.predict import predict
 from sim2real.servo.trace import Trace
 
@@ -325,12 +325,12 @@ def test_rivals_march_adds_a_torque_to_the_plain_motion(code):
     trace = Trace("a", "a.csv", t, command, command, LOADS["j1"], np.ones(t.size, bool))
     row = plain_row(2.0, 0.08, 0.04)
     plain = fit([trace], row, gains(row, 0.002)[:1], evaluations=1, rounds=0)
-    wanted = Commands(t, {"j1": command}, LOADS)
+    wanted = Recording("wanted", "servo", ("j1",), t, command[:, None], command[:, None], LOADS)
     case = code["rival_case"].Case({"j1": [trace]}, {"j1": plain}, wanted)
     drag = code["rival_torque"].predicted(case, lambda state: -0.04 * state.v)["j1"]
     heavier = replace(case.model.joints["j1"], kd_Nms_per_rad=0.12)
-    exact = predict(Model({"j1": heavier}), t, wanted.by_joint, LOADS)["j1"]
-    free = predict(case.model, t, wanted.by_joint, LOADS)["j1"]
+    exact = predict(Model({"j1": heavier}), t, wanted.commands, LOADS)["j1"]
+    free = predict(case.model, t, wanted.commands, LOADS)["j1"]
     assert np.abs(exact - free).max() > 0.02
     np.testing.assert_allclose(drag, exact, atol=1e-3)
 
@@ -350,7 +350,7 @@ def test_rivals_lacking_torque_is_that_of_the_hidden_effect(code):
 def test_rivals_say_nothing_of_what_the_references_show_too(code):
     Case, Said = code["rival_case"].Case, code["rival_case"].Said
     both, news = entry("backlash", "j1", 1.0), entry("deadband", "j1", 1.0)
-    wanted = Commands(np.zeros(2), {}, {})
+    wanted = Recording("wanted", "servo", (), np.zeros(2), np.empty((2, 0)), np.empty((2, 0)))
     before = Case({}, {}, wanted)
     method = {id(before): Said((both,), servos())}.get
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sim.robot.shape import hull_of
-from sim2real.camera import observed
+from sim2real.body import observed
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 

@@ -165,7 +165,7 @@ def lined(stall_Nm):
     rng, traces = np.random.default_rng(0), []
     for k in range(2):
         bare = traced(k, "ab"[k])
-        angle = rollout(theta[None], bare.t, bare.command[:, None])[0, :, 0]
+        angle = rollout(theta[None], bare.t, bare.command)[0]
         traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
     servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
     (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng, "cpu")

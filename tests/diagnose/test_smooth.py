@@ -24,7 +24,7 @@ def plain(seed):
     """What the plain servo does, and the noise of its sensor as residual."""
     rng = np.random.default_rng(seed)
     command = steps(T, rng)
-    angle = rollout(row()[None], T, command[:, None])[0, :, 0]
+    angle = rollout(row()[None], T, command)[0]
     noise = rng.normal(0, NOISE, T.size)
     return JointMotion(T, command, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
 

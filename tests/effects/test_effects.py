@@ -38,7 +38,7 @@ def row(kp=KP, kd=KD, latency=LATENCY, inertia=INERTIA, **effects):
 
 
 def simulate(command=STEP, t=T, accuracy=STEPS_PER_RADIAN, **values):
-    return rollout(row(**values), t, command[:, None], steps_per_radian=accuracy)[0, :, 0]
+    return rollout(row(**values), t, command, steps_per_radian=accuracy)[0]
 
 
 def typical(effect):
@@ -148,8 +148,8 @@ def test_each_effect_has_its_own_memory():
     rows = np.vstack(
         [row(backlash={"gap_rad": g}, command_filter={"time_constant_s": 0.03}) for g in (0.1, 0.2)]
     )
-    together = rollout(rows, T, SQUARE[:, None])
-    alone = [rollout(rows[[k]], T, SQUARE[:, None])[0] for k in range(2)]
+    together = rollout(rows, T, SQUARE)
+    alone = [rollout(rows[[k]], T, SQUARE)[0] for k in range(2)]
     np.testing.assert_array_equal(together, np.stack(alone))
 
 
@@ -170,9 +170,7 @@ def test_a_bristle_that_holds_rings_down_as_its_damping_says(ratio):
     stiffness, t = 20.0, 0.0001 * np.arange(5000)
     bristle = {"torque_Nm": 50.0, "stiffness_Nm_per_rad": stiffness, "damping_ratio": ratio}
     weak, command = 0.02 * stiffness, np.where(t > 0.01, 0.05, 0.0)
-    swing = rollout(
-        row(kp=weak, kd=0.0, latency=0.0, presliding_friction=bristle), t, command[:, None]
-    )[0, :, 0]
+    swing = rollout(row(kp=weak, kd=0.0, latency=0.0, presliding_friction=bristle), t, command)[0]
     swing = swing - 0.05 * weak / (weak + stiffness)
     peaks = swing[1:-1][(swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (t[1:-1] > 0.02)]
     lost = np.diff(np.log(peaks)).mean()
@@ -515,7 +513,7 @@ def recording(seed):
     t = 0.02 * np.arange(300)
     steps = np.repeat(rng.uniform(-0.8, 0.8, 15), 20)
     command = np.convolve(np.r_[np.zeros(30), steps], np.ones(10) / 10)[: t.size]
-    angle = rollout(row[None], t, command[:, None])[0] + rng.normal(0, 0.0015, (t.size, 1))
+    angle = rollout(row[None], t, command)[0][:, None] + rng.normal(0, 0.0015, (t.size, 1))
     return Recording(str(seed), "servo", ("j1",), t, command[:, None], angle, {"j1": Load(0.002)})
 links = tuple(Link(n, 0.2, 0.1, 0.05, 0.05) for n in ("frame", "arm"))
 robot = Robot("bench", links, (Joint("j1", Servo("s", 5.0, 20.0, 0.0001), (-1.6, 1.6)),))

@@ -50,7 +50,7 @@ def apart(effect, parameters, expected):
     """Root mean square of what the effect's law gets wrong, in rad."""
     joint = JointModel(KP, KD, 0.0, J, effects=(FittedEffect(effect, parameters),))
     row = joint_row(joint, LOAD)[None]
-    found = rollout(row, T, COMMAND[:, None], steps_per_radian=64.0)[0, :, 0]
+    found = rollout(row, T, COMMAND, steps_per_radian=64.0)[0]
     return np.sqrt(np.mean((found - expected) ** 2))
 
 

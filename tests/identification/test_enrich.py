@@ -23,8 +23,8 @@ def record(effects, name, seed):
     command = np.append(0.0, rng.uniform(-0.6, 0.6, 100))[np.searchsorted(changes, t)]
     fitted = tuple(FittedEffect(e, p) for e, p in effects.items())
     row = joint_row(JointModel(2.2, 0.06, 0.0683, 0.002, effects=fitted), None)
-    angle = rollout(row[None], t, command[:, None], steps_per_radian=150.0)[0]
-    noisy = angle + rng.normal(0, NOISE_RAD, angle.shape)
+    angle = rollout(row[None], t, command, steps_per_radian=150.0)[0]
+    noisy = (angle + rng.normal(0, NOISE_RAD, t.size))[:, None]
     return Recording(name, "servo", ("j1",), t, command[:, None], noisy, {"j1": Load(0.002)})
 
 

@@ -33,7 +33,7 @@ def recorded(sizes, seed=0):
     levels = rng.uniform(-1, 1, (41, len(sizes))) * sizes
     command = levels[np.minimum(moves, 40)] * (t > 0.3)[:, None]
     row = joint_row(JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=TRUE), None)
-    angle = np.stack([rollout(row[None], t, u[:, None])[0, :, 0] for u in command.T], axis=1)
+    angle = np.stack([rollout(row[None], t, u)[0] for u in command.T], axis=1)
     angle += rng.normal(0.0, 1e-3, angle.shape)
     names = tuple(f"j{k}" for k in range(len(sizes)))
     return Recording("steps", "servo", names, t, command, angle, {n: Load(INERTIA) for n in names})

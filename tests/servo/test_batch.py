@@ -57,7 +57,7 @@ def simulated(theta, trace, coarse=False):
     theta[:, 3:5] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     substep = SUBSTEP * np.sqrt(KP / theta[0, 0])
     substep = coarse_substep(substep) if coarse else substep
-    return rollout(theta, trace.t, trace.command[:, None], substep_s=substep)[:, :, 0]
+    return rollout(theta, trace.t, trace.command, substep_s=substep)
 
 
 def rows(problems, n, trace):

@@ -37,7 +37,7 @@ def test_friction_acts_on_the_side_that_has_it(dry, held):
     if dry:
         effects.append(FittedEffect("coulomb_friction", {"torque_Nm": dry}))
     joint = JointModel(KP, KD, 0.0, INERTIA, effects=tuple(effects))
-    angle = rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND[:, None])[0, :, 0]
+    angle = rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND)[0]
     assert np.sqrt(np.mean((angle - reference(dry, held)) ** 2)) < 3e-4
 
 
@@ -46,7 +46,7 @@ def test_the_motor_is_measured_or_the_load():
         spring = {"compliance_rad_per_Nm": 0.05, "rotor_inertia_kgm2": ROTOR}
         effect = FittedEffect("compliance", spring | {"sensor_on_output": side})
         joint = JointModel(KP, KD, 0.0, INERTIA, effects=(effect,))
-        return rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND[:, None])[0, :, 0]
+        return rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND)[0]
 
     between = 0.5 * (angle(0.0) + angle(1.0))
     np.testing.assert_allclose(angle(0.5), between, atol=1e-12)

@@ -4,8 +4,7 @@ import simulated
 from scipy.signal import lfilter
 
 from sim2real.recording import Load
-from sim2real.servo.innovations import WhitenedServo
-from sim2real.servo.rollout import rollout
+from sim2real.servo.rollout import WhitenedServo, rollout
 from sim2real.servo.trace import trace
 
 CRITICAL = 2 * np.sqrt(simulated.KP * simulated.INERTIA)
@@ -40,7 +39,7 @@ def rows(*servos, **effects):
 @pytest.mark.parametrize("kd", [0.01, 0.06, CRITICAL, 1.00001 * CRITICAL, 0.4])
 def test_closed_form_is_a_fine_rollout(jittered, kd):
     theta = rows((simulated.KP, kd, 0.0), (simulated.KP, kd, 0.0513))
-    fine = rollout(theta, jittered.t, jittered.command[:, None], steps_per_radian=800.0)[:, :, 0]
+    fine = rollout(theta, jittered.t, jittered.command, steps_per_radian=800.0)
     np.testing.assert_allclose(whitened([jittered]).angles(theta, np.inf)[0], fine, atol=1e-6)
 
 
@@ -50,7 +49,7 @@ def test_substeps_are_those_of_a_rollout(jittered):
     every = whitened([jittered, heavy], substep_s=0.001).angles(theta, 0.001)
     for one, angles in zip([jittered, heavy], every, strict=True):
         theta[:, 3:5] = one.load.inertia_kgm2, one.load.gravity_Nm
-        expected = rollout(theta, one.t, one.command[:, None], substep_s=0.001)[:, :, 0]
+        expected = rollout(theta, one.t, one.command, substep_s=0.001)
         assert np.array_equal(angles, expected)
 
 

@@ -37,11 +37,11 @@ def row(load=None, **motor):
 
 def simulate(command=SQUARE, load=None, accuracy=STEPS_PER_RADIAN, **motor):
     theta = row(load, **motor)[None]
-    return rollout(theta, T, command[:, None], steps_per_radian=accuracy)[0, :, 0]
+    return rollout(theta, T, command, steps_per_radian=accuracy)[0]
 
 
 def test_without_limits_it_is_the_linear_servo():
-    plain = rollout(row()[None], T, SQUARE[:, None])[0, :, 0]
+    plain = rollout(row()[None], T, SQUARE)[0]
     far = simulate(stall_torque_Nm=1e6, no_load_speed_rad_s=1e8)
     assert np.abs(far - plain).max() < 5e-5
     assert np.abs(simulate(**LINE) - plain).max() > 0.2
@@ -60,7 +60,7 @@ def test_on_its_line_it_is_the_exact_solution_of_another_program(joint):
             "no_load_speed_rad_s": servo.no_load_speed_rad_s,
         },
     )  # fmt: skip
-    found = rollout(joint_row(model, None)[None], T, command[:, None])[0, :, 0]
+    found = rollout(joint_row(model, None)[None], T, command)[0]
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
 
 
@@ -123,7 +123,7 @@ def test_loss_and_friction_are_the_equations():
     command = np.where(t > 0, 1.0, 0.0)
     theta = joint_row(model, load)[None]
     # the set-point of 1 rad is sent at the second sample, 2 ms late
-    moved = rollout(theta, t, command[:, None])[0, :, 0]
+    moved = rollout(theta, t, command)[0]
     np.testing.assert_allclose(moved[1:], found.sol(t[1:] - t[1])[0], rtol=0, atol=5e-4)
 
 
@@ -135,11 +135,11 @@ def test_gears_that_rub_under_load_hold_it():
 
 
 def test_a_sampled_loop_is_late_by_half_its_period():
-    plain = rollout(row()[None], T, SQUARE[:, None])[0, :, 0]
+    plain = rollout(row()[None], T, SQUARE)[0]
     sampled = simulate(loop_period_s=0.002)
     more = KP * 0.001  # what the controller sees is half a period old
     earlier = JointModel(KP, KD - more, 0.062, INERTIA)  # its next look after the latency
-    alike = rollout(joint_row(earlier, None)[None], T, SQUARE[:, None])[0, :, 0]
+    alike = rollout(joint_row(earlier, None)[None], T, SQUARE)[0]
     assert np.abs(sampled - alike).max() < 0.5 * np.abs(sampled - plain).max()
 
 
@@ -155,7 +155,7 @@ def recorded(load=None, seed=0, **motor):
     levels = rng.uniform(-1.0, 1.0, 60)
     command = np.interp(t, np.cumsum(rng.uniform(0.2, 0.9, 60)), levels) * (t > 0.3)
     command += np.where((t // 1.7) % 2 > 0, 0.4, 0.0) * (t > 0.3)
-    angle = rollout(row(load, **motor)[None], t, command[:, None])[0, :, 0]
+    angle = rollout(row(load, **motor)[None], t, command)[0]
     angle += rng.normal(0.0, 1e-3, t.size)
     loads = {"j1": load or Load(INERTIA)}
     return Recording("moves", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
@@ -185,8 +185,8 @@ def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
     quiet = dataclasses.replace(gentle, command=0.03 * gentle.command)
     rng = np.random.default_rng(1)
     t, command = quiet.t, quiet.command
-    angle = rollout(row(**LINE)[None], t, command)[0] + rng.normal(0.0, 1e-3, command.shape)
-    quiet = dataclasses.replace(quiet, position=angle)
+    angle = rollout(row(**LINE)[None], t, command[:, 0])[0] + rng.normal(0.0, 1e-3, t.size)
+    quiet = dataclasses.replace(quiet, position=angle[:, None])
     joint = identify([quiet], bench()).joints["j1"]
     assert joint.motor["stall_torque_Nm"] == pytest.approx(1.67, rel=0.1)
     assert any("do not determine" in note and "stall torque" in note for note in joint.notes)
@@ -285,7 +285,7 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
     t -= t[0]
     levels = rng.uniform(-0.6, 0.6, 80)
     command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
-    angle = rollout(row(**motor)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    angle = rollout(row(**motor)[None], t, command)[0][:, None] + rng.normal(0, 5e-4, (t.size, 1))
     loads = {"j1": Load(INERTIA)}
     made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, loads)
     model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
@@ -307,7 +307,7 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
         t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
     levels = rng.uniform(-0.6, 0.6, 80)
     command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
-    angle = rollout(row(**line)[None], t, command[:, None])[0] + rng.normal(0, 5e-4, (t.size, 1))
+    angle = rollout(row(**line)[None], t, command)[0][:, None] + rng.normal(0, 5e-4, (t.size, 1))
     made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, {"j1": Load(INERTIA)})
     (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
     assert "loop_period_s" not in joint.motor

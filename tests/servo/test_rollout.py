@@ -59,7 +59,7 @@ def reference(t, command, row):
 def test_agrees_with_an_independent_integrator(clock, gravity):
     t = clock[:120]
     row, command = theta(gravity_Nm=gravity), square(t)
-    angle = rollout(row, t, command[:, None])[0, :, 0]
+    angle = rollout(row, t, command)[0]
     # command[0] is 0, where the pendulum hangs still: both start from the same rest
     assert np.abs(angle - reference(t, command, row)).max() < 1e-4
 
@@ -77,16 +77,16 @@ def test_agrees_with_an_independent_integrator(clock, gravity):
 def test_halving_the_step_changes_nothing_above_1e_4(clock, values):
     from sim2real.servo.rollout import STEPS_PER_RADIAN
 
-    row, command = theta(**values), square(clock)[:, None]
+    row, command = theta(**values), square(clock)
     coarse = rollout(row, clock, command)
     fine = rollout(row, clock, command, steps_per_radian=2 * STEPS_PER_RADIAN)
     assert np.abs(coarse - fine).max() < 1e-4
 
 
 def test_latency_is_any_real_number(clock):
-    command = square(clock)[:, None]
+    command = square(clock)
     rows = np.vstack([theta(latency_s=0.068 + 1e-5 * k) for k in range(200)])
-    angle = rollout(rows, clock, command)[:, :, 0]
+    angle = rollout(rows, clock, command)
     steps = np.abs(np.diff(angle, axis=0)).max(axis=1)
     assert steps.max() < 20 * 1e-5, "no jump: speed never exceeds 20 rad/s here"
     assert steps.min() > 0
@@ -94,47 +94,44 @@ def test_latency_is_any_real_number(clock):
 
 def test_latency_shifts_the_motion():
     t = 0.001 * np.arange(2000)
-    command = square(t)[:, None]
-    early = rollout(theta(latency_s=0.02), t, command)[0, :, 0]
-    late = rollout(theta(latency_s=0.07), t, command)[0, :, 0]
+    command = square(t)
+    early = rollout(theta(latency_s=0.02), t, command)[0]
+    late = rollout(theta(latency_s=0.07), t, command)[0]
     assert np.abs(late[50:] - early[:-50]).max() < 1e-5
 
 
-def test_rows_and_joints_do_not_mix(clock):
-    rng = np.random.default_rng(0)
-    joints = [np.vstack([theta(kp_Nm_per_rad=k) for k in rng.uniform(1, 4, 5)]) for _ in range(3)]
-    command = np.stack([square(clock), -square(clock), 0.2 * square(clock)], axis=1)
-    together = rollout(np.hstack(joints), clock, command)
-    assert together.shape == (5, clock.size, 3)
-    for j in range(3):
-        alone = rollout(joints[j], clock, command[:, [j]])
-        np.testing.assert_array_equal(together[:, :, j], alone[:, :, 0])
+def test_rows_do_not_mix(clock):
+    rows = np.vstack([theta(kp_Nm_per_rad=k) for k in np.random.default_rng(0).uniform(1, 4, 5)])
+    together = rollout(rows, clock, square(clock))
+    assert together.shape == (5, clock.size)
+    for k, row in enumerate(rows):
+        np.testing.assert_array_equal(together[k], rollout(row[None], clock, square(clock))[0])
 
 
 def test_threads_change_nothing(clock):
     rows = np.vstack([theta(kp_Nm_per_rad=k) for k in np.linspace(1, 4, 7)])
-    command = square(clock)[:, None]
+    command = square(clock)
     one = rollout(rows, clock, command)
     np.testing.assert_array_equal(one, rollout(rows, clock, command, threads=2))
 
 
 def test_settles_on_the_command():
     t = 0.02 * np.arange(200)
-    command = np.where(t > 0.1, 0.4, 0.0)[:, None]
-    assert rollout(theta(), t, command)[0, -1, 0] == pytest.approx(0.4, abs=1e-6)
+    command = np.where(t > 0.1, 0.4, 0.0)
+    assert rollout(theta(), t, command)[0, -1] == pytest.approx(0.4, abs=1e-6)
 
 
 def test_starts_in_balance_with_a_pendulum():
     t = 0.02 * np.arange(100)
-    angle = rollout(theta(gravity_Nm=0.48), t, np.full((100, 1), 0.8))[0, :, 0]
+    angle = rollout(theta(gravity_Nm=0.48), t, np.full(100, 0.8))[0]
     assert np.ptp(angle) < 1e-9
     assert KP * (0.8 - angle[0]) == pytest.approx(0.48 * np.sin(angle[0]), abs=1e-9)
 
 
 def test_swings_freely_once_the_torque_is_off():
     t = 0.005 * np.arange(2000)
-    command = np.where(t < 1.0, 0.1, np.nan)[:, None]
-    angle = rollout(theta(gravity_Nm=0.48), t, command)[0, 400:, 0]
+    command = np.where(t < 1.0, 0.1, np.nan)
+    angle = rollout(theta(gravity_Nm=0.48), t, command)[0, 400:]
     crossings = np.flatnonzero(np.diff(np.sign(angle)) > 0)
     period = np.mean(np.diff(t[400:][crossings]))
     assert period == pytest.approx(2 * np.pi * np.sqrt(INERTIA / 0.48), rel=2e-2)
@@ -152,7 +149,7 @@ def test_the_fast_kernel_moves_as_the_one_with_effects_does():
     effect = (FittedEffect("backlash", {"gap_rad": 0.02}),)
     other = joint_row(JointModel(2.0, 0.06, 0.05, 0.002, effects=effect), None)
     t = 0.02 * np.arange(100)
-    command = np.where(t > 0.2, 0.5 * np.sign(np.sin(3 * t)), 0.0)[:, None]
+    command = np.where(t > 0.2, 0.5 * np.sign(np.sin(3 * t)), 0.0)
     alone = rollout(fast[None], t, command, substep_s=5e-4)
     beside = rollout(np.stack([fast, other]), t, command, substep_s=5e-4)
     np.testing.assert_array_equal(alone[0], beside[0])

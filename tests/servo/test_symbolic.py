@@ -49,9 +49,9 @@ def test_same_motion_as_the_rollout(signal, load, sine):
     inertia = load.inertia_kgm2 + PARAMETERS[3]
     row[0, :5] = [*PARAMETERS[:3], inertia, load.gravity_Nm]
     angle, _ = symbolic.simulate(PARAMETERS, load, t, command)
-    fine = rollout(row, t, command[:, None], steps_per_radian=300.0)[0, :, 0]
+    fine = rollout(row, t, command, steps_per_radian=300.0)[0]
     assert np.abs(angle - fine).max() < 1e-5
-    usual = rollout(row, t, command[:, None])[0, :, 0]
+    usual = rollout(row, t, command)[0]
     assert np.abs(angle - usual).max() < 1e-4
 
 

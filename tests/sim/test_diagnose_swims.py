@@ -22,8 +22,7 @@ from sim.inference.searched import learned, searched
 from sim.inference.swim_decision import decide
 from sim.inference.swims import by_twin, swim_of, with_values
 from sim.inference.twin_search import TwinSwims
-from sim2real.body import values
-from sim2real.camera import observed
+from sim2real.body import observed, values
 from sim2real.cli import main
 from sim2real.recording import Recording
 from sim2real.velocity import body_velocity

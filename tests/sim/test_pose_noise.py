@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.inference.swims import PoseNoise, pose_noise
-from sim2real.camera import observed
+from sim2real.body import observed
 
 PERIOD = 0.02
 SD = np.array([0.002, 0.003, 0.01])

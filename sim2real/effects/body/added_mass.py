@@ -5,16 +5,10 @@ Acts on each link's motion normal to its axis and in rotation.
 Confused with: drag normal to the links; accelerations distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.resist[:, 2:] += p["ratio"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="an error of the added mass",
     title="change of the transverse added mass, as a share of the displaced water",
     parameters=(Parameter("ratio", low=-0.5, high=2.0, typical=0.2),),
-    act=act,
+    act=_act,
     order=7,
 )

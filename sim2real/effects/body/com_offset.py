@@ -5,16 +5,10 @@ All links' centres of mass are displaced by the same distances.
 Confused with: an offset of the marker.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.com -= p["x_m"]
     robot.side += p["y_m"]
 
@@ -27,6 +21,6 @@ EFFECT = BodyEffect(
         Parameter("x_m", low=-0.1, high=0.1, typical=0.01),
         Parameter("y_m", low=-0.05, high=0.05, typical=0.005),
     ),
-    act=act,
+    act=_act,
     order=11,
 )

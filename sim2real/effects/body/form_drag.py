@@ -5,16 +5,10 @@
 Confused with: skin friction, which grows with speed in the same way.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.resist[0, 1] += 0.5 * robot.water_kg_m3 * robot.frontal_m2 * p["coefficient"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="an error of the form drag",
     title="change of the form drag, which is proportional to the squared speed",
     parameters=(Parameter("coefficient", low=-1.0, high=3.0, typical=0.1),),
-    act=act,
+    act=_act,
     order=6,
 )

@@ -5,16 +5,10 @@
 Confused with: form drag, skin friction; slow and fast swims distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="an error of the linear drag",
     title="change of the drag that is proportional to the speed of the body",
     parameters=(Parameter("coefficient", low=-5.0, high=20.0, typical=0.3, unit="N s/m"),),
-    act=act,
+    act=_act,
     order=4,
 )

@@ -5,16 +5,10 @@
 Confused with: the servo's damping; bench recordings with and without the skin distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.skin[:, 1] += p["damping_Nms_per_rad"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="damping by the skin",
     title="the skin over the joints acts as a damper",
     parameters=(Parameter("damping_Nms_per_rad", low=0.0, high=2.0, typical=0.03),),
-    act=act,
+    act=_act,
     order=1,
 )

@@ -5,16 +5,10 @@
 Confused with: a smaller servo gain; swims with the torque off distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.skin[:, 0] += p["stiffness_Nm_per_rad"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="an elastic skin",
     title="the skin over the joints acts as a spring towards the straight pose",
     parameters=(Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),),
-    act=act,
+    act=_act,
     order=0,
 )

@@ -6,16 +6,10 @@ strain of the spring decays with the time constant ``relaxation_s``.
 Confused with: elasticity or damping alone; slow and fast strokes distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.skin[:, 2] += p["stiffness_Nm_per_rad"]
     robot.skin[:, 3] = p["relaxation_s"]
 
@@ -28,6 +22,6 @@ EFFECT = BodyEffect(
         Parameter("stiffness_Nm_per_rad", low=0.0, high=10.0, typical=0.3),
         Parameter("relaxation_s", low=0.02, high=5.0, typical=0.3),
     ),
-    act=act,
+    act=_act,
     order=2,
 )

@@ -5,16 +5,10 @@
 Confused with: form drag, which grows with speed in the same way.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, material: str) -> None:
     robot.rough += p["coefficient"] * robot.made_of(material)
 
 
@@ -23,7 +17,7 @@ EFFECT = BodyEffect(
     plain="an error of the skin friction",
     title="change of the skin friction coefficient of the surface",
     parameters=(Parameter("coefficient", low=-0.1, high=0.3, typical=0.01),),
-    act=act,
+    act=_act,
     by_material=True,
     order=5,
 )

@@ -5,16 +5,10 @@
 Confused with: a current; the end point of the swim distinguishes them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.tether[:] = p["stiffness_N_per_m"], p["x_m"], p["y_m"]
 
 
@@ -27,6 +21,6 @@ EFFECT = BodyEffect(
         Parameter("x_m", low=-10.0, high=10.0, typical=0.5),
         Parameter("y_m", low=-10.0, high=10.0, typical=0.5),
     ),
-    act=act,
+    act=_act,
     order=9,
 )

@@ -5,16 +5,10 @@
 Confused with: a lateral current; swims in both directions distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.trim += p["offset_rad"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="a trim offset of the joints",
     title="offset of all joint zeros by the same angle",
     parameters=(Parameter("offset_rad", low=-0.5, high=0.5, typical=0.03),),
-    act=act,
+    act=_act,
     order=12,
 )

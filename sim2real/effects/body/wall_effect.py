@@ -5,16 +5,10 @@ The reactive thrust is larger by ``ratio (length / gap)^2``.
 Confused with: less drag; swims far from the walls distinguish them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import BodyEffect, Forces
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import BodyEffect, Forces, Parameter, Values
 
 
-def act(robot: Forces, p: Mapping[str, float], _material: str) -> None:
-    """Add the effect to the forces on the robot."""
+def _act(robot: Forces, p: Values, _material: str) -> None:
     robot.wall += p["ratio"]
 
 
@@ -23,6 +17,6 @@ EFFECT = BodyEffect(
     plain="the effect of a nearby wall",
     title="gain of thrust near a wall, as a share at a distance of one body length",
     parameters=(Parameter("ratio", low=0.0, high=2.0, typical=0.1),),
-    act=act,
+    act=_act,
     order=10,
 )

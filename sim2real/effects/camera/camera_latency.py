@@ -5,16 +5,10 @@
 Confused with: the servos' latency, where no angles are recorded.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from sim2real.effects.body_effect import Array, CameraEffect, late
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values, late
 
 
-def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as measured by the camera."""
+def _see(t: Array, pose: Array, p: Values) -> Array:
     return late(t, pose, p["latency_s"])
 
 
@@ -23,6 +17,6 @@ EFFECT = CameraEffect(
     plain="latency of the camera",
     title="delay of the camera's poses",
     parameters=(Parameter("latency_s", low=-0.05, high=0.5, typical=0.05),),
-    see=see,
+    see=_see,
     order=1,
 )

@@ -6,18 +6,12 @@ result is a smooth function of p.
 Confused with: latency.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
 import numpy as np
 
-from sim2real.effects.body_effect import Array, CameraEffect, late
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values, late
 
 
-def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as measured by the camera."""
+def _see(t: Array, pose: Array, p: Values) -> Array:
     lost = min(p["probability"], 0.9)
     return late(t, pose, float(np.median(np.diff(t))) * lost / (1 - lost))
 
@@ -27,6 +21,6 @@ EFFECT = CameraEffect(
     plain="lost camera frames",
     title="frames are lost and the last pose is repeated",
     parameters=(Parameter("probability", low=0.0, high=0.4, typical=0.05),),
-    see=see,
+    see=_see,
     order=2,
 )

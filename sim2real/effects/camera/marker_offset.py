@@ -5,18 +5,12 @@
 Confused with: an offset of the centre of mass.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
 import numpy as np
 
-from sim2real.effects.body_effect import Array, CameraEffect
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values
 
 
-def see(_t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as measured by the camera."""
+def _see(_t: Array, pose: Array, p: Values) -> Array:
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     ahead, left = p["x_m"], p["y_m"]
     moved = [ahead * c - left * s, ahead * s + left * c, np.zeros_like(c)]
@@ -31,6 +25,6 @@ EFFECT = CameraEffect(
         Parameter("x_m", low=-0.3, high=0.3, typical=0.02),
         Parameter("y_m", low=-0.1, high=0.1, typical=0.02),
     ),
-    see=see,
+    see=_see,
     order=0,
 )

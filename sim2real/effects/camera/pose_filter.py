@@ -5,18 +5,12 @@
 Confused with: latency, which has the same effect at low frequencies.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
 import numpy as np
 
-from sim2real.effects.body_effect import Array, CameraEffect
-from sim2real.inference.parameters import Parameter
+from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values
 
 
-def see(t: Array, pose: Array, p: Mapping[str, float]) -> Array:
-    """Poses as measured by the camera."""
+def _see(t: Array, pose: Array, p: Values) -> Array:
     from scipy.signal import lfilter  # takes half a second to load; servos need the catalogue too
 
     if p["time_constant_s"] <= 0:
@@ -31,6 +25,6 @@ EFFECT = CameraEffect(
     plain="a filter on the camera's poses",
     title="the camera's poses pass a first-order low-pass filter",
     parameters=(Parameter("time_constant_s", low=0.0, high=1.0, typical=0.05),),
-    see=see,
+    see=_see,
     order=3,
 )

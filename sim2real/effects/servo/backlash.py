@@ -18,8 +18,6 @@ output, more Coulomb friction by kp gap / 2. Confused with: dead band, Coulomb f
 amplitudes distinguish them.
 """
 
-from collections.abc import Mapping
-
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
@@ -52,14 +50,14 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     start(torque, p, c, z, s)
     half = wp.float64(0.5) * p[c]
     share = rotor_share(p, c)
-    rest = wp.float64(1.0) - share
+    load_share = wp.float64(1.0) - share
     before = z[s]
     one = wp.float64(1.0)
     per = h / (share * p[3])
-    felt = rest / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
+    felt = load_share / (one + wp.float64(0.5) * h * p[1] / p[3])  # as the common motion gives way
     push = x - felt * p[0] * (before - z[s + 2])
-    if rest > wp.float64(0.0) and p[4] != wp.float64(0.0):
-        push += share * p[4] * sine(q) / rest
+    if load_share > wp.float64(0.0) and p[4] != wp.float64(0.0):
+        push += share * p[4] * sine(q) / load_share
     damping = wp.float64(0.5) * per * felt * (p[1] + wp.float64(0.5) * h * p[0])
     speed = ((one - damping) * z[s + 1] + per * push) / (one + damping)  # trapezoidal
     place = before + wp.float64(0.5) * h * (z[s + 1] + speed)
@@ -69,7 +67,7 @@ def cross(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s:
     z[s] = place
     z[s + 1] = speed
     middle = wp.float64(0.5) * (before + place) - z[s + 2]
-    return x - rest * (p[0] * middle + p[1] * (place - before) / h)
+    return x - load_share * (p[0] * middle + p[1] * (place - before) / h)
 
 
 @wp.func
@@ -86,17 +84,15 @@ def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
     return x + p[c + 2]
 
 
-def said(values: Mapping[str, float]) -> str:
-    """The clause of a diagnosis."""
-    friction = values["output_friction_Nm"] > 0
-    held = ", and friction of {output_friction_Nm} acts on its output" if friction else ""
-    return "the gear train has {gap_rad} of backlash" + held
-
-
 EFFECT = Effect(
     name="backlash",
     plain="backlash",
-    says=said,
+    says=lambda p: (
+        "the gear train has {gap_rad} of backlash, and friction of {output_friction_Nm} acts on "
+        "its output"
+        if p["output_friction_Nm"] > 0
+        else "the gear train has {gap_rad} of backlash"
+    ),
     site="motor",
     term=cross,
     parameters=(

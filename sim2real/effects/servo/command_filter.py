@@ -20,9 +20,9 @@ def smooth(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s
         z[s] = x
         z[s + 1] = wp.float64(1.0)
     gap = z[s] - x
-    left = decay(h / p[c])
-    z[s] = x + gap * left
-    return x + gap * (wp.float64(1.0) - left) * p[c] / h  # its mean over the sub-step
+    remaining = decay(h / p[c])
+    z[s] = x + gap * remaining
+    return x + gap * (wp.float64(1.0) - remaining) * p[c] / h  # its mean over the sub-step
 
 
 EFFECT = Effect(

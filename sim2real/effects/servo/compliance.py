@@ -18,8 +18,6 @@ Residual: an error proportional to torque, largest where it changes fast. Confus
 filter; a known additional inertia distinguishes them.
 """
 
-from collections.abc import Mapping
-
 import warp as wp
 
 from sim2real.effects.effect import Effect, Parameter
@@ -51,39 +49,33 @@ def carried(
 @wp.func
 def soften(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque of the motor in N m."""
-    rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
-    others = carried(x, q, p, c, z, s) - rest * x  # of the spring's torque: all but the motor's
-    give = rest * p[c]
-    share = wp.float64(1.0) + p[0] * give * rest
-    settled = (x - p[0] * give * others) / share
+    load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
+    passive = carried(x, q, p, c, z, s) - load_share * x  # spring's torque without the motor's
+    give = load_share * p[c]
+    share = wp.float64(1.0) + p[0] * give * load_share
+    settled = (x - p[0] * give * passive) / share
     before = z[s]
-    left = wp.float64(0.0)
+    remaining = wp.float64(0.0)
     if p[1] > wp.float64(0.0):
-        left = decay(h * share / (p[1] * give * rest))
-    z[s] = settled + (before - settled) * left
+        remaining = decay(h * share / (p[1] * give * load_share))
+    z[s] = settled + (before - settled) * remaining
     return wp.float64(0.5) * (before + z[s])
 
 
 @wp.func
 def twist(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Measured angle in rad."""
-    rest = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
-    return x + (rest - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
-
-
-def said(values: Mapping[str, float]) -> str:
-    """The clause of a diagnosis."""
-    side = "load" if values["sensor_on_output"] > 0.5 else "motor"
-    return (
-        "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
-        f"the sensor measures the {side}"
-    )
+    load_share = wp.float64(1.0) - wp.min(p[c + 1] / p[3], wp.float64(0.98))
+    return x + (load_share - p[c + 2]) * p[c] * carried(torque, q, p, c, z, s)
 
 
 EFFECT = Effect(
     name="compliance",
     plain="compliance between motor and load",
-    says=said,
+    says=lambda p: (
+        "motor and load are coupled by a spring with a compliance of {compliance_rad_per_Nm}; "
+        + f"the sensor measures the {'load' if p['sensor_on_output'] > 0.5 else 'motor'}"
+    ),
     site="motor",
     term=soften,
     parameters=(

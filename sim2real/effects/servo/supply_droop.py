@@ -17,10 +17,8 @@ from sim2real.effects.warp_types import F, Row
 @wp.func
 def droop(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque of the motor in N m."""
-    asked = x + p[1] * v
-    return (
-        asked * wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0)) - p[1] * v
-    )
+    remaining = wp.max(wp.float64(1.0) - p[c] * time / wp.float64(60.0), wp.float64(0.0))
+    return (x + p[1] * v) * remaining - p[1] * v
 
 
 EFFECT = Effect(
