@@ -12,6 +12,7 @@ from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
+from sim2real.inference.parameters import column
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
@@ -50,9 +51,8 @@ def on_fit(
     ]
     for direction in dict.fromkeys(spread.open_directions):
         notes.append(_open([readable_name(best.names[k]) for k in direction]))
-    named = {k for direction in spread.open_directions for k in direction}
     for k, name in enumerate(best.names):
-        if k not in named and not np.isfinite(ends[name][1]):
+        if k not in spread.undetermined and not np.isfinite(ends[name][1]):
             notes.append(
                 f"{readable_name(name)} has no upper bound: these recordings do not constrain it"
             )
@@ -88,22 +88,24 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
-    values, log = motor.fit.values, motor.log
-    sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
+    values, prior_sd = motor.fit.values, column(motor.fit.parameters, "prior_sd")
+    sd = np.where(motor.log, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [readable_name(name) for name in motor.fit.names]
-    determined = motor.moved | (sd < _KEPT * motor.prior_sd)
-    undetermined = [n for n, sure in zip(names, determined, strict=True) if not sure]
+    shift = np.abs(motor.x[list(motor.problem.free)] - column(motor.fit.parameters, "nominal"))
+    by_prior = (shift <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
+    undetermined = [name for name, of_prior in zip(names, by_prior, strict=True) if of_prior]
     notes = []
     if undetermined:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
     loop = undetected_loop(motor)
     if loop is not None:
+        period_s, loop_kp, loop_kd = loop
         kp, kd = (float(x) for x in motor.fit.row[:2])
         notes.append(
             "these recordings do not distinguish a control loop that is synchronous with their "
             "samples from a continuous one, which is assumed: at "
-            f"{1 / loop.period_s:.0f} Hz kp would be {loop.kp:.3g} instead of {kp:.3g} and "
-            f"kd {loop.kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
+            f"{1 / period_s:.0f} Hz kp would be {loop_kp:.3g} instead of {kp:.3g} and "
+            f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
             "distinguish them"
         )
     if motor.problem.traces[0].load is PER_INERTIA:
@@ -114,7 +116,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     ):
         k = motor.fit.names.index(name)
         deviation = abs(np.log(values[k] / stated))
-        if deviation > 2 * motor.prior_sd[k] and sd[k] < 0.5 * deviation:
+        if deviation > 2 * prior_sd[k] and sd[k] < 0.5 * deviation:
             notes.append(
                 f"{names[k]} is {values[k]:.3g}, but the data sheet states {stated:.3g}: check the "
                 "type of the servo and the supply voltage"

@@ -164,13 +164,12 @@ def fit(
         evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
     )
     error, slope = expanded(x, fine(x))
-    cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
     return Fit(
         parameters=tuple(free),
         row=rows(x[None])[0],
         scale_rad=robust_scale(error),
-        residuals=tuple(np.split(error, cuts)),
-        jacobians=tuple(np.split(slope / unit, cuts)),
+        residuals=split_by_trace(error, traces),
+        jacobians=split_by_trace(slope / unit, traces),
         converged=converged,
         inertia=traces[0].load.inertia_kgm2,
     )
@@ -197,6 +196,11 @@ def residuals(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
     return tuple(error[0] for error in errors(Simulator(traces), row[None]))
 
 
+def split_by_trace(values: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
+    """Values at the used samples of all traces (n, ...), one array per trace."""
+    return tuple(np.split(values, np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]))
+
+
 def plain_row(kp: float, kd: float, latency: float) -> Array:
     """The parameters of a servo without effects, shape (P,)."""
     row = np.zeros(len(COLUMNS))
@@ -205,14 +209,14 @@ def plain_row(kp: float, kd: float, latency: float) -> Array:
 
 
 def best_of(
-    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
+    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str] = BASE[:3]
 ) -> tuple[Fit, list[Fit]]:
     """The best fit of all starts (P,), and the other fits, sorted by loss.
 
     Args:
         fitted: The joint's recordings.
         starts: Starting points; the first has more evaluations than the others.
-        names: Parameters to fit.
+        names: Those of gains and latency to fit.
     """
     inertia = fitted[0].load.inertia_kgm2
     free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,16 @@ from sim2real.identification import advice
 from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
 from sim2real.identification.initial_guess import first_guess
-from sim2real.identification.intervals import intervals, motor_intervals, symmetric_intervals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
-from sim2real.identification.uncertainty import Uncertainty, uncertainty
+from sim2real.identification.uncertainty import (
+    Uncertainty,
+    intervals,
+    motor_intervals,
+    symmetric_intervals,
+    uncertainty,
+)
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -29,7 +35,7 @@ from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 Array = NDArray[np.float64]
@@ -204,11 +210,11 @@ def _identify_joint(
     notes: list[str],
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
+    load = data[0].load
     noise = sensor_noise(fitted)
     start, others = first_guess(fitted, rng)
     free, without_influence = _influential(fitted, start, noise)
     best, rivals = best_of(fitted, [start, *others], free)
-    stated = data[0].load
     motor = None
     if servo is not None and not without_influence:
         motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
@@ -227,9 +233,9 @@ def _identify_joint(
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
     else:
-        if stated is not PER_INERTIA and shows_inertia(fitted):
-            notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
-        units = _units(best)
+        if load is not PER_INERTIA and shows_inertia(fitted):
+            notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, load)
+        units = np.array([p.typical for p in gains(best.row, best.inertia) if p.name in best.names])
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
     if motor is not None and servo is not None:
@@ -241,14 +247,8 @@ def _identify_joint(
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, without_influence, figures)
-    model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
+    model = _joint_model(best, ends, spread, load, tuple(notes), motor)
     return JointFit(model, figures, held_out_name, motor)
-
-
-def _units(best: Fit) -> Array:
-    """Natural unit of each fitted parameter at its fitted value, shape (F,)."""
-    typical = {p.name: p.typical for p in gains(best.row, best.inertia)}
-    return np.array([typical[name] for name in best.names])
 
 
 def _influential(
@@ -301,30 +301,20 @@ def _joint_model(
     notes: tuple[str, ...],
     motor: MotorFit | None,
 ) -> JointModel:
-    names = best.names
-    kp, kd, latency = (float(x) for x in best.row[:3])
-    load_known = load is not PER_INERTIA
-    fitted: dict[str, dict[str, float]] = {}
-    for name, value in zip(names, best.values, strict=True):
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in zip(best.names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
-        if effect:
-            fitted.setdefault(effect, {})[parameter] = float(value)
-    fitted.pop("motor", None)
-    return JointModel(
-        kp_Nm_per_rad=kp,
-        kd_Nms_per_rad=kd,
-        latency_s=latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=not load_known,
+        if effect and effect != "motor":
+            effects.setdefault(effect, {})[parameter] = float(value)
+    model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
+    pairs = combinations(range(len(best.names)), 2)
+    return replace(
+        model,
         law="pd" if motor is None else "motor",
         motor={} if motor is None else motor.values,
-        load=load if load_known else None,
         interval=ends,
         correlation={
-            f"{names[i]}, {names[j]}": float(spread.correlation[i, j])
-            for i in range(len(names))
-            for j in range(i + 1, len(names))
+            f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs
         },
-        effects=tuple(FittedEffect(*entry) for entry in fitted.items()),
         notes=notes,
     )

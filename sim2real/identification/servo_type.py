@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.identification.motor_fit import MotorFit
-from sim2real.identification.motor_prior import MotorPrior, ParameterPrior
+from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.uncertainty import uncertainty
+from sim2real.inference.parameters import Parameter
 from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LOOP
@@ -68,7 +69,7 @@ class ServoType:
         return replace(generic, parameters=parameters)
 
 
-def _informed(parameter: ParameterPrior, estimate: tuple[float, float] | None) -> ParameterPrior:
+def _informed(parameter: Parameter, estimate: tuple[float, float] | None) -> Parameter:
     if estimate is None:
         return parameter
     middle, sd = estimate
@@ -76,7 +77,7 @@ def _informed(parameter: ParameterPrior, estimate: tuple[float, float] | None) -
     if parameter.log:
         low = min(low, float(np.exp(middle - 4 * sd)))
         high = max(high, float(np.exp(middle + 4 * sd)))
-    return replace(parameter, middle=middle, sd=sd, low=low, high=high)
+    return replace(parameter, nominal=middle, prior_sd=sd, low=low, high=high)
 
 
 def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bool) -> ServoType:
@@ -92,14 +93,13 @@ def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bo
     for motor in motors:
         spread = uncertainty(motor.fit, motor.units).sd
         values = motor.fit.values
-        for k, place in enumerate(motor.problem.free):
-            parameter = motor.problem.prior.parameters[place]
-            if parameter.name in BASE or parameter.name in LOOP:
+        middles = motor.x[list(motor.problem.free)]
+        for k, p in enumerate(motor.fit.parameters):
+            if p.name in BASE or p.name in LOOP:
                 continue
-            sd = float(spread[k] / values[k] if parameter.log else spread[k])
-            sd = min(max(sd, 1e-6), parameter.sd)
-            row = float(motor.x[place]), sd, parameter.unit, parameter.log
-            by_name.setdefault(parameter.name, []).append(row)
+            sd = float(spread[k] / values[k] if p.log else spread[k])
+            row = float(middles[k]), min(max(sd, 1e-6), p.prior_sd), p.typical, p.log
+            by_name.setdefault(p.name, []).append(row)
     parameters = {name: _pooled(np.array(rows, dtype=np.float64)) for name, rows in by_name.items()}
     return ServoType(name, per_inertia, parameters, source)
 

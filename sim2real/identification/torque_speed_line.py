@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import best_of, errors, gains
+from sim2real.identification.fit import best_of, errors
 from sim2real.identification.initial_guess import first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 _LINE = [COLUMNS.index(name) for name in LINE]
 _LARGER = np.linspace(1.0, 2.0, 26)
+_LARGEST_COST = 2.0
+"""Log-likelihood that a line may cost, about the effect of chance on one parameter."""
 
 
 def on_its_line(
@@ -41,8 +43,7 @@ def on_its_line(
     """
     noise = sensor_noise(traces)
     start, others = first_guess(traces, rng)
-    names = [p.name for p in gains(start, traces[0].load.inertia_kgm2)]
-    plain, _ = best_of(traces, [start, *others], names)
+    plain, _ = best_of(traces, [start, *others])
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
     motor = fit_motor(traces, plain, _narrowed_prior(servo, traces, room), LINE, rng)
@@ -50,15 +51,13 @@ def on_its_line(
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
-def with_stated_line(
-    traces: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
-) -> Array:
+def with_stated_line(traces: Sequence[Trace], servo: Servo, row: Array) -> Array:
     """A servo's parameters (P,) with its data sheet's line, if the recordings do not determine it.
 
     Without a line, faster motions would be predicted with unlimited torque. If the recordings
     exclude the stated torque, the smallest larger one that they allow is used, up to twice the
     stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
-    more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
+    more than ``_LARGEST_COST`` of log-likelihood.
     """
     if row[_LINE].any() or traces[0].load is PER_INERTIA:
         return row
@@ -67,7 +66,7 @@ def with_stated_line(
     rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     squares = np.sum(residuals**2, axis=1)
-    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
+    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < _LARGEST_COST
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
 
 
@@ -76,7 +75,7 @@ def _narrowed_prior(servo: Servo, traces: Sequence[Trace], room: float) -> Motor
     parameters = list(prior.parameters)
     for name in LINE:
         k = prior.index(name)
-        middle = float(np.exp(parameters[k].middle))
+        middle = float(np.exp(parameters[k].nominal))
         if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
             parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
     return replace(prior, parameters=tuple(parameters))

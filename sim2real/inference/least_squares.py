@@ -21,6 +21,12 @@ SETTLED = 0.02
 """Expected gain in log-likelihood below which a search ends."""
 OUTLIER_SD = 3.0
 """Residuals beyond this number of standard deviations are down-weighted."""
+_SAME = 0.1
+"""Distance in units below which two searches approach the same minimum."""
+_BEHIND = 30.0
+"""Largest difference to the best loss at which a search continues."""
+_OPTIMISM = 5.0
+"""Assumed remaining decrease of a loss as a multiple of that expected from the next step."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +184,28 @@ def _step(
     gain = -np.einsum("nf,nf->n", slope, step)
     gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
     return np.asarray(step), np.asarray(gain)
+
+
+def cannot_win(active: Index, points: Array, losses: Array, promised: Array) -> Mask:
+    """Searches that approach the minimum of a better one, or cannot reach the best loss.
+
+    For the argument ``hopeless`` of ``minimise``.
+
+    Args:
+        active: Indices of the M active ones of S searches.
+        points: Current points of all searches, in natural units, shape (S, F).
+        losses: Their losses, shape (S,).
+        promised: Decrease of the loss expected from the next step of each active search, (M,).
+
+    Returns:
+        Mask of the active searches to stop, shape (M,).
+    """
+    rank = np.empty(losses.size, dtype=np.intp)
+    rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
+    near = np.abs(points[active, None] - points).max(axis=2) < _SAME
+    follows = (near & (rank < rank[active, None])).any(axis=1)
+    reachable = losses[active] - _OPTIMISM * np.maximum(promised, 0.5)
+    return np.asarray(follows | (reachable > losses.min() + _BEHIND))
 
 
 def central(
