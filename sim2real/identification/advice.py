@@ -89,7 +89,7 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
     values, prior_sd = motor.fit.values, column(motor.fit.parameters, "prior_sd")
-    sd = np.where(motor.log, spread.sd / np.maximum(values, 1e-300), spread.sd)
+    sd = np.where(motor.log_scale, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [readable_name(name) for name in motor.fit.names]
     shift = np.abs(motor.x[list(motor.problem.free)] - column(motor.fit.parameters, "nominal"))
     by_prior = (shift <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)

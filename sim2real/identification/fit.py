@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 64.0
 """Sub-steps per radian of the fastest mode, where there is no exact solution."""
+_DIFFERENCE = 1e-4
+"""Step of the central differences, in natural units."""
+_SETTLED = 1e-3
+"""Expected gain in log-likelihood below which a search ends."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +115,6 @@ def fit(
     *,
     rounds: int = 3,
     evaluations: int = 60,
-    difference: float = 1e-4,
-    settled: float = 1e-3,
 ) -> Fit:
     """Fit some parameters to all traces at once, with the others of the row fixed.
 
@@ -125,14 +127,12 @@ def fit(
         free: Parameters to fit.
         rounds: Largest number of robust rounds after the first one.
         evaluations: Largest number of evaluations in one round.
-        difference: Step of the central differences, in natural units.
-        settled: Expected gain in log-likelihood below which the search ends.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
     unit, low, high = (column(free, name) for name in ("typical", "low", "high"))
     box = low / unit, high / unit
-    step = np.full(len(free), difference)
+    step = np.full(len(free), _DIFFERENCE)
 
     def rows(x: Array) -> Array:
         filled = np.tile(row, (len(x), 1))
@@ -161,7 +161,7 @@ def fit(
 
     start = np.clip(row[columns] / unit, *box)
     x, converged = minimise_robustly(
-        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
+        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=_SETTLED
     )
     error, slope = expanded(x, fine(x))
     return Fit(

@@ -179,10 +179,10 @@ class MotorFit:
         sd = column(self.fit.parameters, "prior_sd")
         prior_width = np.where(np.isfinite(sd), 2 * sd, 0.0)
         unit = np.maximum(column(self.fit.parameters, "typical"), prior_width)
-        return np.where(self.log, unit * self.fit.values, unit)
+        return np.where(self.log_scale, unit * self.fit.values, unit)
 
     @property
-    def log(self) -> NDArray[np.bool_]:
+    def log_scale(self) -> NDArray[np.bool_]:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
         return np.array([p.log for p in self.fit.parameters])
 

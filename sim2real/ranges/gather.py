@@ -15,11 +15,10 @@ from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
-from sim2real.posterior.convergence import require
+from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
-from sim2real.ranges.episodes import labelled, listed
 from sim2real.ranges.latency import Latencies, Spread, latencies, spread
 from sim2real.ranges.sources import (
     body_ranges,
@@ -28,6 +27,8 @@ from sim2real.ranges.sources import (
     from_model,
     from_posterior,
     joint_noise,
+    labelled,
+    listed,
     shared_ranges,
 )
 from sim2real.recording import Recording

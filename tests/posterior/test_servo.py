@@ -11,8 +11,8 @@ from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.posterior.laplace import laplace
 from sim2real.posterior.likelihood import LONGEST_SUBSTEP_S, Likelihood
+from sim2real.posterior.posteriors import joint_sample, read_sample, to_inference_data, write_sample
 from sim2real.posterior.predictive_check import predictive_check
-from sim2real.posterior.sample import joint_sample, read_sample, to_inference_data, write_sample
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load
 
