@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim2real.effects import Effect
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
@@ -50,7 +49,10 @@ def on_fit(
         for name in without_influence
     ]
     for direction in dict.fromkeys(spread.open_directions):
-        notes.append(_open([readable_name(best.names[k]) for k in direction]))
+        *names, last = [readable_name(best.names[k]) for k in direction]
+        listed = f"{', '.join(names)} and {last}" if names else last
+        how = "be determined separately" if names else "be determined"
+        notes.append(f"{listed} cannot {how} from these recordings")
     for k, name in enumerate(best.names):
         if k not in spread.undetermined and not np.isfinite(ends[name][1]):
             notes.append(
@@ -64,14 +66,17 @@ def on_fit(
         notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
-    return notes + _on_misfit(figures)
-
-
-def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
-    """A note where the inertia is to be fitted but is not identifiable from the recordings."""
-    if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
-        return []
-    return ["unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"]
+    train, noise = figures.get("train"), figures.get("noise")
+    white, time = figures.get("whiteness"), figures.get("correlation_time_s")
+    if not train or noise is None or white is None or time is None:
+        return notes
+    if train >= ABOVE_NOISE * noise and white >= 0.5:
+        times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
+        notes.append(
+            f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
+            f"{1e3 * time:.0f} ms: physics is missing from this model"
+        )
+    return notes
 
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
@@ -143,25 +148,4 @@ def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> 
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
         f"{1e3 * after:.1f} mrad) and changes the latency by {shift:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
-    ]
-
-
-def _open(names: list[str]) -> str:
-    if len(names) == 1:
-        return f"{names[0]} cannot be determined from these recordings"
-    listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    return f"{listed} cannot be determined separately from these recordings"
-
-
-def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
-    train, noise = figures.get("train"), figures.get("noise")
-    white, time = figures.get("whiteness"), figures.get("correlation_time_s")
-    if not train or noise is None or white is None or time is None:
-        return []
-    if train < ABOVE_NOISE * noise or white < 0.5:
-        return []
-    times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
-    return [
-        f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
-        f"{1e3 * time:.0f} ms: physics is missing from this model"
     ]

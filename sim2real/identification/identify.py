@@ -120,8 +120,7 @@ def identify(
         results = {joint: running[joint].result() for joint in progress(moving)}
     if together:
         learned = {joint: _type_from_others(joint, servos, results) for joint in moving}
-        for joint, prior in learned.items():
-            results[joint] = results[joint] if prior is None else identify_joint(joint, prior)
+        results |= {j: identify_joint(j, prior) for j, prior in learned.items() if prior}
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
@@ -148,9 +147,7 @@ def fitted_motors(
         if not data:
             continue
         noise = sensor_noise(data)
-        start, others = first_guess(data, rng)
-        best, _ = best_of(data, [start, *others], _influential(data, start, noise)[0])
-        motor = choose_motor(data, best, joint.servo, noise, rng)
+        motor = choose_motor(data, _fit_plain(data, noise, rng)[0], joint.servo, noise, rng)
         if motor.with_gains:
             motors[joint.name] = motor
     return motors
@@ -212,9 +209,7 @@ def _identify_joint(
     fitted, scored, held_out_name = split(data, held_out)
     load = data[0].load
     noise = sensor_noise(fitted)
-    start, others = first_guess(fitted, rng)
-    free, without_influence = _influential(fitted, start, noise)
-    best, rivals = best_of(fitted, [start, *others], free)
+    best, rivals, without_influence = _fit_plain(fitted, noise, rng)
     motor = None
     if servo is not None and not without_influence:
         motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
@@ -228,7 +223,10 @@ def _identify_joint(
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
-        notes += advice.on_effects(extra, shows_inertia=shows_inertia(fitted))
+        if not shows_inertia(fitted) and any(e.name == "unmodelled_inertia" for e in extra):
+            notes.append(
+                "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
+            )
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
@@ -251,18 +249,23 @@ def _identify_joint(
     return JointFit(model, figures, held_out_name, motor)
 
 
-def _influential(
-    fitted: list[Trace], start: Array, noise: float
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split parameters by whether their effect on simulated angles exceeds the noise."""
+def _fit_plain(
+    fitted: list[Trace], noise: float, rng: np.random.Generator
+) -> tuple[Fit, list[Fit], list[str]]:
+    """The best fit of gains and latency, its rivals, and parameters without visible influence.
+
+    These change simulated angles by less than the noise and are not fitted.
+    """
+    start, others = first_guess(fitted, rng)
     free = gains(start, fitted[0].load.inertia_kgm2)
     slope = np.concatenate(fit(fitted, start, free, rounds=0, evaluations=1).jacobians)
     effect = np.linalg.norm(slope * column(free, "typical"), axis=0)
-    influential = tuple(p.name for p, size in zip(free, effect, strict=True) if size > noise)
-    if not influential:
+    names = [p.name for p, size in zip(free, effect, strict=True) if size > noise]
+    if not names:
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
-    return influential, tuple(p.name for p in free if p.name not in influential)
+    best, rivals = best_of(fitted, [start, *others], names)
+    return best, rivals, [p.name for p in free if p.name not in names]
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
@@ -282,14 +285,13 @@ def _figures(
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
     period = float(np.median(np.diff(fitted[0].t)))
-    all_errors = np.concatenate(errors)
     return {
         "train": rms(errors),
         "heldout": rms(heldout) if heldout else None,
         "noise": noise,
         "whiteness": whiteness(errors),
         "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
-        "robust_outliers": float(np.mean(np.abs(all_errors) > 4 * best.scale_rad)),
+        "robust_outliers": float(np.mean(np.abs(np.concatenate(errors)) > 4 * best.scale_rad)),
     }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,40 +21,22 @@ DAMPING_RATIO = (0.05, 4.0)
 LATENCY_S = (0.0, 0.3)
 
 
-@dataclass(frozen=True)
-class GuessSearch:
-    """Settings of the search for a starting point.
-
-    Attributes:
-        candidates: Number of servos in the first round.
-        elite: Number of the best ones, about which further ones are drawn.
-        spreads: Standard deviation of the candidates about the best ones in each round, as a share
-            of the ranges.
-        rival_error: Largest error of a rival, relative to the smallest error.
-        rival_distance: Smallest difference of its gain, as a share of the range.
-        most_rivals: Largest number of rivals.
-        steps_per_radian: Sub-steps per radian of the fastest mode of a candidate.
-        substep_s: Shortest and longest sub-step; faster modes of strongly damped candidates decay
-            within the shortest one.
-    """
-
-    candidates: int = 1024
-    elite: int = 16
-    spreads: tuple[float, float, float] = (0.1, 0.04, 0.015)
-    rival_error: float = 1.03
-    rival_distance: float = 0.08
-    most_rivals: int = 4
-    steps_per_radian: float = 6.0
-    substep_s: tuple[float, float] = (1e-3, 4e-3)
+_CANDIDATES, _ELITE = 1024, 16
+"""Number of servos in the first round, and of the best ones, about which further ones are drawn."""
+_SPREADS = (0.1, 0.04, 0.015)
+"""Standard deviations of candidates about the best ones in each round, as shares of the ranges."""
+_RIVAL_ERROR = 1.03
+"""Largest error of a rival, relative to the smallest error."""
+_RIVAL_DISTANCE, _MOST_RIVALS = 0.08, 4
+"""Smallest difference of a rival's gain, as a share of the range, and largest number of rivals."""
+_STEPS_PER_RADIAN = 6.0
+"""Sub-steps per radian of the fastest mode of a candidate."""
+_SUBSTEP_S = (1e-3, 4e-3)
+"""Shortest and longest sub-step; faster modes of strongly damped candidates decay within the
+shortest one."""
 
 
-GUESS_SEARCH = GuessSearch()
-"""The defaults."""
-
-
-def first_guess(
-    traces: Sequence[Trace], rng: np.random.Generator, *, search: GuessSearch = GUESS_SEARCH
-) -> tuple[Array, Array]:
+def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
     """Parameters of a servo that approximately fits the recordings, and of very different rivals.
 
     Simulates a low-discrepancy set of servos over the segment with most motion in one batch, then,
@@ -65,7 +46,6 @@ def first_guess(
     Args:
         traces: The recorded joint, one trace per recording.
         rng: Generator for the candidates.
-        search: Settings of the search.
 
     Returns:
         The best candidate, shape (P,), and rivals with nearly the same error but very different
@@ -74,29 +54,27 @@ def first_guess(
     windows = [trace.window(WINDOW_S) for trace in traces]
     moving = [window for window in windows if window.moves() and window.used.any()]
     trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
-    points = kronecker(search.candidates, 3, rng)
-    error = _errors(points, trace, search=search)
-    for spread in search.spreads:
-        best = np.argsort(error)[: search.elite]
+    points = kronecker(_CANDIDATES, 3, rng)
+    error = _errors(points, trace)
+    for spread in _SPREADS:
+        best = np.argsort(error)[:_ELITE]
         points, error = points[best], error[best]
-        around = np.repeat(points, search.candidates // (4 * search.elite), axis=0)
+        around = np.repeat(points, _CANDIDATES // (4 * _ELITE), axis=0)
         drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
-        points, error = (
-            np.vstack([points, drawn]),
-            np.append(error, _errors(drawn, trace, search=search)),
-        )
+        error = np.append(error, _errors(drawn, trace))
+        points = np.vstack([points, drawn])
     order = np.argsort(error)
-    equal = order[error[order] < search.rival_error * error[order[0]]]
+    equal = order[error[order] < _RIVAL_ERROR * error[order[0]]]
     chosen = [equal[0]]
     for candidate in equal[1:]:
         distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
-        if distance > search.rival_distance and len(chosen) <= search.most_rivals:
+        if distance > _RIVAL_DISTANCE and len(chosen) <= _MOST_RIVALS:
             chosen.append(candidate)
     rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
     return rows[0], rows[1:]
 
 
-def _errors(points: Array, trace: Trace, *, search: GuessSearch) -> Array:
+def _errors(points: Array, trace: Trace) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
     theta = np.zeros((points.shape[0], len(COLUMNS)))
     theta[:, :3] = servos_at(points, trace.load.inertia_kgm2)
@@ -105,11 +83,10 @@ def _errors(points: Array, trace: Trace, *, search: GuessSearch) -> Array:
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        shortest, longest = search.substep_s
-        substep = longest_substep(theta, theta[:, 3], search.steps_per_radian, longest)
-        substep = np.maximum(substep, shortest)
-        command = trace.command[:, None]
-        angle = rollout(theta, trace.t, command, substep_s=substep, threads=2)[:, :, 0]
+        shortest, longest = _SUBSTEP_S
+        substep = longest_substep(theta, theta[:, 3], _STEPS_PER_RADIAN, longest)
+        step = np.maximum(substep, shortest)
+        angle = rollout(theta, trace.t, trace.command[:, None], substep_s=step, threads=2)[:, :, 0]
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 

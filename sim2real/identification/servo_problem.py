@@ -60,11 +60,9 @@ class Servos:
 
     def wide(self, width: int) -> Servos:
         """Add or remove places for free parameters at the end, to ``width`` places."""
-        columns, unit = _resized(self.columns, width), _resized(self.unit, width)
-        columns[:, self.columns.shape[1] :] = -1
-        unit[:, self.columns.shape[1] :] = 1.0
-        low, high = _resized(self.low, width), _resized(self.high, width)
-        return Servos(self.joint, self.theta, columns, unit, low, high)
+        fill = {"columns": -1, "unit": 1.0, "low": 0.0, "high": 0.0}
+        parts = {name: _resized(getattr(self, name), width, x) for name, x in fill.items()}
+        return replace(self, **parts)
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -87,12 +85,10 @@ class Servos:
         return replace(self, theta=theta)
 
 
-def _resized(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
-    """Pad with zeros, or truncate, to ``width`` places along some axes."""
-    for axis in axes:
-        widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
-        values = np.pad(values, widths).take(np.arange(width), axis)
-    return values
+def _resized(values: NDArray[Any], width: int, fill: float = 0.0, axis: int = 1) -> NDArray[Any]:
+    """Pad with a value, or truncate, to ``width`` places along an axis."""
+    widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
+    return np.pad(values, widths, constant_values=fill).take(np.arange(width), axis)
 
 
 def stacked(servos: Sequence[Servos]) -> Servos:
@@ -197,7 +193,7 @@ class Fits:
 
     def wide(self, width: int) -> Fits:
         """Change the number of places for free parameters, see ``Servos.wide``."""
-        gram = _resized(self.gram, 1 + width, (2, 3))
+        gram = _resized(_resized(self.gram, 1 + width, axis=2), 1 + width, axis=3)
         return replace(self, servos=self.servos.wide(width), gram=gram)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim2real.identification.fit import best_of, errors
 from sim2real.identification.initial_guess import first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
-from sim2real.identification.motor_prior import MotorPrior, motor_prior
+from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA
@@ -46,7 +46,14 @@ def on_its_line(
     plain, _ = best_of(traces, [start, *others])
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
-    motor = fit_motor(traces, plain, _narrowed_prior(servo, traces, room), LINE, rng)
+    prior = motor_prior(servo, traces)
+    parameters = list(prior.parameters)
+    for name in LINE:
+        k = prior.index(name)
+        middle = float(np.exp(parameters[k].nominal))
+        if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
+            parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
+    motor = fit_motor(traces, plain, replace(prior, parameters=tuple(parameters)), LINE, rng)
     model = stated(motor.fit.row, traces[0].load)
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
@@ -68,14 +75,3 @@ def with_stated_line(traces: Sequence[Trace], servo: Servo, row: Array) -> Array
     squares = np.sum(residuals**2, axis=1)
     allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < _LARGEST_COST
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
-
-
-def _narrowed_prior(servo: Servo, traces: Sequence[Trace], room: float) -> MotorPrior:
-    prior = motor_prior(servo, traces)
-    parameters = list(prior.parameters)
-    for name in LINE:
-        k = prior.index(name)
-        middle = float(np.exp(parameters[k].nominal))
-        if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
-            parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
-    return replace(prior, parameters=tuple(parameters))

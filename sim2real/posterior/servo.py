@@ -81,15 +81,17 @@ def servo_priors(joint: JointModel) -> Priors:
     """
     inertia = joint.inertia_kgm2
     (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
+
+    def gain(name: str, low: float, high: float, typical: float) -> Parameter:
+        unit = unit_of(name, per_inertia=joint.per_inertia)
+        return Parameter(name, low * inertia, high * inertia, typical, log=True, unit=unit)
+
+    kp, kd = joint.kp_Nm_per_rad, max(joint.kd_Nms_per_rad, 1e-9)
     parameters = [
-        Parameter("kp_Nm_per_rad", slow**2 * inertia, fast**2 * inertia, joint.kp_Nm_per_rad,
-                  log=True,
-                  unit=unit_of("kp_Nm_per_rad", per_inertia=joint.per_inertia)),
-        Parameter("kd_Nms_per_rad", 2 * low * slow * inertia, 2 * high * fast * inertia,
-                  max(joint.kd_Nms_per_rad, 1e-9), log=True,
-                  unit=unit_of("kd_Nms_per_rad", per_inertia=joint.per_inertia)),
+        gain("kp_Nm_per_rad", slow**2, fast**2, kp),
+        gain("kd_Nms_per_rad", 2 * low * slow, 2 * high * fast, kd),
         Parameter("latency_s", *LATENCY_S, 0.05),
-    ]  # fmt: skip
+    ]
     for fitted in joint.effects:
         if fitted.effect in RANDOM_EFFECTS:
             continue

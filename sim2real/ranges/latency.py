@@ -46,7 +46,7 @@ def episode_latencies(
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
     shared by the traces of a group and fitted together with one latency per trace, by Gauss-Newton
     steps from which the latencies are eliminated (Golub and Pereyra, SIAM Journal on Numerical
-    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``gain_sd``.
+    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``_GAIN_SD``.
 
     Args:
         traces: The traces.
@@ -61,17 +61,11 @@ def episode_latencies(
     gains = _pooled(single_fits, _weights(single_fits, batch.lags), group)
     for _ in range(_ROUNDS):
         fits = _with_gains(batch, servos, single_fits, gains)
-        gains = gains * (
-            1
-            + _step(
-                fits,
-                _weights(fits, batch.lags),
-                group,
-                gains / servos.unit[:, :2],
-            )
-        )
+        change = _step(_weights(fits, batch.lags), group, gains / servos.unit[:, :2])
+        gains = gains * (1 + change)
     fits = _with_gains(batch, servos, single_fits, gains)
-    return fits.servos.theta[:, 2], _errors(fits, _weights(fits, batch.lags)) * servos.unit[:, 2]
+    sd = _errors(fits, _weights(fits, batch.lags)[1])
+    return fits.servos.theta[:, 2], sd * servos.unit[:, 2]
 
 
 def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array) -> Fits:
@@ -79,11 +73,8 @@ def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array) -> Fits
     x = start.servos.values()
     x[:, :2] = gains / servos.unit[:, :2]
     fixed = servos.at(x)
-    latency_only = Servos(
-        fixed.joint, fixed.theta, fixed.columns[:, 2:], fixed.unit[:, 2:], fixed.low[:, 2:],
-        fixed.high[:, 2:],
-    )  # fmt: skip
-    latency_fits = minimise(batch, latency_only, iterations=_ITERATIONS)
+    free = {name: getattr(fixed, name)[:, 2:] for name in ("columns", "unit", "low", "high")}
+    latency_fits = minimise(batch, replace(fixed, **free), iterations=_ITERATIONS)
     x[:, 2] = latency_fits.servos.values()[:, 0]
     return minimise(batch, servos.at(x), iterations=1)
 
@@ -117,7 +108,7 @@ def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -
     return np.asarray(np.maximum(out, 1e-3) * unit)
 
 
-def _step(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -> Array:
+def _step(weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -> Array:
     """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
     slope, inner = _eliminated(weights)
     out = np.empty_like(slope)
@@ -128,9 +119,8 @@ def _step(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp], gai
     return np.clip(out, -_LARGEST_CHANGE, _LARGEST_CHANGE)
 
 
-def _errors(fits: Fits, weights: tuple[Array, Array]) -> Array:
-    """Standard deviation of each latency in units, for gains with ``gain_sd``."""
-    _, curvature = weights
+def _errors(fits: Fits, curvature: Array) -> Array:
+    """Standard deviation of each latency in units, for gains with ``_GAIN_SD``."""
     penalised = curvature.copy()
     gains = np.maximum(fits.servos.values()[:, :2], 1e-9)
     penalised[:, [0, 1], [0, 1]] += 1 / (_GAIN_SD * gains) ** 2
@@ -243,9 +233,9 @@ def _windows(name: str, whole: Trace) -> list[tuple[str, Trace]]:
     """Windows of one recording, simulated from its start but scored separately."""
     windows = []
     for start in np.arange(whole.t[0], whole.t[-1], _WINDOW_S):
-        inside = whole.used & (whole.t >= start) & (whole.t < start + _WINDOW_S)
-        moves = np.ptp(whole.command[(whole.t >= start) & (whole.t < start + _WINDOW_S)]) > 0
-        if inside.sum() >= _LEAST_SAMPLES and moves:
+        within = (whole.t >= start) & (whole.t < start + _WINDOW_S)
+        inside = whole.used & within
+        if inside.sum() >= _LEAST_SAMPLES and np.ptp(whole.command[within]) > 0:
             windows.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
     return windows
 
