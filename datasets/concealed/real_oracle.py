@@ -37,8 +37,7 @@ from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
 from sim2real.diagnose.changed.repeated_commands import freed_of_the_common
-from sim2real.identification.fit import best_of, residuals
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import best_of, first_guess, residuals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load

@@ -58,19 +58,17 @@ def on_fit(
             notes.append(
                 f"{readable_name(name)} has no upper bound: these recordings do not constrain it"
             )
-    for p in best.at_bound:
-        if p.name.startswith("motor.") and p.low == 0:
-            continue  # the loss is absent
-        value = best.values[best.names.index(p.name)]
-        end = p.low if value - p.low < p.high - value else p.high
-        notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
+    for p, value in zip(best.parameters, best.values, strict=True):
+        above, below = value - p.low, p.high - value
+        absent = p.name.startswith("motor.") and p.low == 0  # a loss
+        if min(above, below) < 1e-6 * (p.high - p.low) and not absent:
+            end = p.low if above < below else p.high
+            notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
-    train, noise = figures.get("train"), figures.get("noise")
-    white, time = figures.get("whiteness"), figures.get("correlation_time_s")
-    if not train or noise is None or white is None or time is None:
-        return notes
-    if train >= ABOVE_NOISE * noise and white >= 0.5:
+    keys = ("train", "noise", "whiteness", "correlation_time_s")
+    train, noise, white, time = (figures[key] or 0.0 for key in keys)
+    if train > 0 and train >= ABOVE_NOISE * noise and white >= 0.5:
         times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
         notes.append(
             f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "

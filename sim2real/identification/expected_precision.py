@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import fit, gains, inertia_left_out
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import first_guess, fit, gains, inertia_left_out
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor

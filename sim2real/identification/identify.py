@@ -15,8 +15,15 @@ from sim2real.effects import Effect, named
 from sim2real.errors import InputError
 from sim2real.identification import advice
 from sim2real.identification.effect_fit import fit_effects
-from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import (
+    Fit,
+    best_of,
+    first_guess,
+    fit,
+    gains,
+    inertia_left_out,
+    residuals,
+)
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of

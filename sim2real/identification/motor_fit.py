@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
-from sim2real.identification.initial_guess import WINDOW_S
+from sim2real.identification.fit import WINDOW_S, Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import (

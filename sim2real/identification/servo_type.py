@@ -24,7 +24,6 @@ from sim2real.errors import InputError
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.uncertainty import uncertainty
-from sim2real.inference.parameters import Parameter
 from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LOOP
@@ -60,24 +59,18 @@ class ServoType:
 
     def prior(self, generic: MotorPrior, *, per_inertia: bool) -> MotorPrior:
         """The generic prior, with the parameters of the type where they apply."""
-        applicable = {
-            name: parameter
-            for name, parameter in self.parameters.items()
-            if per_inertia == self.per_inertia or not name.endswith(("_Nm", "_kgm2"))
-        }
-        parameters = tuple(_informed(p, applicable.get(p.name)) for p in generic.parameters)
-        return replace(generic, parameters=parameters)
-
-
-def _informed(parameter: Parameter, estimate: tuple[float, float] | None) -> Parameter:
-    if estimate is None:
-        return parameter
-    middle, sd = estimate
-    low, high = parameter.low, parameter.high
-    if parameter.log:
-        low = min(low, float(np.exp(middle - 4 * sd)))
-        high = max(high, float(np.exp(middle + 4 * sd)))
-    return replace(parameter, nominal=middle, prior_sd=sd, low=low, high=high)
+        parameters = []
+        for p in generic.parameters:
+            applies = per_inertia == self.per_inertia or not p.name.endswith(("_Nm", "_kgm2"))
+            if applies and p.name in self.parameters:
+                middle, sd = self.parameters[p.name]
+                low, high = p.low, p.high
+                if p.log:
+                    low = min(low, float(np.exp(middle - 4 * sd)))
+                    high = max(high, float(np.exp(middle + 4 * sd)))
+                p = replace(p, nominal=middle, prior_sd=sd, low=low, high=high)
+            parameters.append(p)
+        return replace(generic, parameters=tuple(parameters))
 
 
 def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bool) -> ServoType:

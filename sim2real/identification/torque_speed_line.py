@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import best_of, errors
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import best_of, errors, first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
 from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.least_squares import rms

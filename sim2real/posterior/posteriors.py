@@ -65,10 +65,30 @@ class Posteriors(NotebookDisplay):
     def to_arviz(self) -> Any:  # noqa: ANN401 - ArviZ is not a dependency
         """ArviZ's ``InferenceData``: variables ``J.PARAMETER``, one chain per walker.
 
+        Units are attributes of the variables. The last draws of each joint are used, as many as the
+        shortest chain has.
+
         Raises:
             ModuleNotFoundError: If the extra ``arviz`` is not installed.
+            ValueError: If the joints were sampled with different numbers of walkers.
         """
-        return to_inference_data(self.joints)
+        import arviz  # an extra: pip install sim2real[arviz]
+
+        columns, units = {}, {}
+        for joint, servo in self.joints.items():
+            values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
+            for k, prior in enumerate(servo.priors.each):
+                columns[f"{joint}.{prior.name}"] = values[:, :, k].T
+                units[f"{joint}.{prior.name}"] = prior.unit
+        if len({column.shape[0] for column in columns.values()}) > 1:
+            raise ValueError("the joints were sampled with different numbers of walkers")
+        draws = min(column.shape[1] for column in columns.values())
+        drawn = {name: column[:, -draws:] for name, column in columns.items()}
+        old = arviz.__version__.startswith("0.")
+        data = arviz.from_dict(posterior=drawn) if old else arviz.from_dict({"posterior": drawn})
+        for name, unit in units.items():
+            data.posterior[name].attrs["units"] = unit
+        return data
 
     def __str__(self) -> str:
         """Median and 90 % interval of each parameter."""
@@ -142,32 +162,3 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
             return JointSample(names, units, content["sample"])
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None
-
-
-def to_inference_data(posteriors: Mapping[str, ServoPosterior]) -> Any:  # noqa: ANN401 - ArviZ's
-    """Posteriors of servos as ArviZ's ``InferenceData``, with one chain per walker.
-
-    Variables are named ``J.PARAMETER`` and have their unit as an attribute. The last draws of each
-    joint are used, as many as the shortest chain has.
-
-    Raises:
-        ModuleNotFoundError: If ArviZ is not installed.
-        ValueError: If the joints were sampled with different numbers of walkers.
-    """
-    import arviz  # an extra: pip install sim2real[arviz]
-
-    columns, units = {}, {}
-    for joint, servo in posteriors.items():
-        values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
-        for k, prior in enumerate(servo.priors.each):
-            columns[f"{joint}.{prior.name}"] = values[:, :, k].T
-            units[f"{joint}.{prior.name}"] = prior.unit
-    if len({column.shape[0] for column in columns.values()}) > 1:
-        raise ValueError("the joints were sampled with different numbers of walkers")
-    draws = min(column.shape[1] for column in columns.values())
-    drawn = {name: column[:, -draws:] for name, column in columns.items()}
-    old = arviz.__version__.startswith("0.")
-    data = arviz.from_dict(posterior=drawn) if old else arviz.from_dict({"posterior": drawn})
-    for name, unit in units.items():
-        data.posterior[name].attrs["units"] = unit
-    return data
