@@ -314,9 +314,9 @@ def _candidates(
     x[: _CANDIDATES // 2, :3] = np.log(kp), np.log(kd), latency
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
-        new = [k for k in problem.free if np.isneginf(start[k])]
+        missing = [k for k in problem.free if np.isneginf(start[k])]
         x[0] = start
-        x[0, new] = x[1, new]
+        x[0, missing] = x[1, missing]
     low, high, _ = problem.box
     x[:, problem.free] = np.clip(x[:, problem.free], low, high)
     return x
