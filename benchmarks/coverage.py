@@ -26,7 +26,7 @@ from tqdm import tqdm
 from sim2real.identification.identify import identify
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.output import write_json, write_whole
-from sim2real.posterior.convergence import LEAST_TIMES
+from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load, Recording
 from sim2real.report.style import ACCENT, FAINT, RULE, house_style, new_figure

@@ -37,8 +37,7 @@ from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
 from sim2real.diagnose.changed.repeated_commands import freed_of_the_common
-from sim2real.identification.fit import best_of, gains, residuals
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import best_of, first_guess, residuals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load
@@ -99,8 +98,7 @@ class Rig:
         servo = Servo("servo", *SERVOS[self.logs[0].family])
         noise = max(noise_floor(t.t, t.command, t.position) for t in given)
         start, others = first_guess(given, rng)
-        names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
-        plain, _ = best_of(given, [start, *others], names)
+        plain, _ = best_of(given, [start, *others])
         row = choose_motor(given, plain, servo, noise, rng).fit.row
         errors = list(residuals(row, given))
         freed, repeated = freed_of_the_common(given, errors, len(given))

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import Fit, fit, gains
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import Fit, first_guess, fit, gains
 from sim2real.model import JointModel, Model, write_model
 from sim2real.output import write_json
 from sim2real.recording import Recording, read_commands, read_recording

@@ -11,7 +11,7 @@ import numpy as np
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.output import check_writable
-from sim2real.posterior.sample import joint_sample, write_sample
+from sim2real.posterior.posteriors import joint_sample, write_sample
 from sim2real.ranges.entry import write_ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.robot import read_robot

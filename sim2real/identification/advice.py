@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim2real.effects import Effect
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
+from sim2real.inference.parameters import column
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
@@ -49,29 +49,32 @@ def on_fit(
         for name in without_influence
     ]
     for direction in dict.fromkeys(spread.open_directions):
-        notes.append(_open([readable_name(best.names[k]) for k in direction]))
-    named = {k for direction in spread.open_directions for k in direction}
+        *names, last = [readable_name(best.names[k]) for k in direction]
+        listed = f"{', '.join(names)} and {last}" if names else last
+        how = "be determined separately" if names else "be determined"
+        notes.append(f"{listed} cannot {how} from these recordings")
     for k, name in enumerate(best.names):
-        if k not in named and not np.isfinite(ends[name][1]):
+        if k not in spread.undetermined and not np.isfinite(ends[name][1]):
             notes.append(
                 f"{readable_name(name)} has no upper bound: these recordings do not constrain it"
             )
-    for p in best.at_bound:
-        if p.name.startswith("motor.") and p.low == 0:
-            continue  # the loss is absent
-        value = best.values[best.names.index(p.name)]
-        end = p.low if value - p.low < p.high - value else p.high
-        notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
+    for p, value in zip(best.parameters, best.values, strict=True):
+        above, below = value - p.low, p.high - value
+        absent = p.name.startswith("motor.") and p.low == 0  # a loss
+        if min(above, below) < 1e-6 * (p.high - p.low) and not absent:
+            end = p.low if above < below else p.high
+            notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
-    return notes + _on_misfit(figures)
-
-
-def on_effects(effects: Sequence[Effect], *, shows_inertia: bool) -> list[str]:
-    """A note where the inertia is to be fitted but is not identifiable from the recordings."""
-    if shows_inertia or all(effect.name != "unmodelled_inertia" for effect in effects):
-        return []
-    return ["unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"]
+    keys = ("train", "noise", "whiteness", "correlation_time_s")
+    train, noise, white, time = (figures[key] or 0.0 for key in keys)
+    if train > 0 and train >= ABOVE_NOISE * noise and white >= 0.5:
+        times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
+        notes.append(
+            f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
+            f"{1e3 * time:.0f} ms: physics is missing from this model"
+        )
+    return notes
 
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
@@ -88,22 +91,24 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
 
 def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
-    values, log = motor.fit.values, motor.log
-    sd = np.where(log, spread.sd / np.maximum(values, 1e-300), spread.sd)
+    values, prior_sd = motor.fit.values, column(motor.fit.parameters, "prior_sd")
+    sd = np.where(motor.log_scale, spread.sd / np.maximum(values, 1e-300), spread.sd)
     names = [readable_name(name) for name in motor.fit.names]
-    determined = motor.moved | (sd < _KEPT * motor.prior_sd)
-    undetermined = [n for n, sure in zip(names, determined, strict=True) if not sure]
+    shift = np.abs(motor.x[list(motor.problem.free)] - column(motor.fit.parameters, "nominal"))
+    by_prior = (shift <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
+    undetermined = [name for name, of_prior in zip(names, by_prior, strict=True) if of_prior]
     notes = []
     if undetermined:
         notes.append(f"these recordings do not determine {', '.join(undetermined)}: the prior does")
     loop = undetected_loop(motor)
     if loop is not None:
+        period_s, loop_kp, loop_kd = loop
         kp, kd = (float(x) for x in motor.fit.row[:2])
         notes.append(
             "these recordings do not distinguish a control loop that is synchronous with their "
             "samples from a continuous one, which is assumed: at "
-            f"{1 / loop.period_s:.0f} Hz kp would be {loop.kp:.3g} instead of {kp:.3g} and "
-            f"kd {loop.kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
+            f"{1 / period_s:.0f} Hz kp would be {loop_kp:.3g} instead of {kp:.3g} and "
+            f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
             "distinguish them"
         )
     if motor.problem.traces[0].load is PER_INERTIA:
@@ -114,7 +119,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     ):
         k = motor.fit.names.index(name)
         deviation = abs(np.log(values[k] / stated))
-        if deviation > 2 * motor.prior_sd[k] and sd[k] < 0.5 * deviation:
+        if deviation > 2 * prior_sd[k] and sd[k] < 0.5 * deviation:
             notes.append(
                 f"{names[k]} is {values[k]:.3g}, but the data sheet states {stated:.3g}: check the "
                 "type of the servo and the supply voltage"
@@ -141,25 +146,4 @@ def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> 
         f"{stated.inertia_kgm2 + extra:.4g} fits better (error {1e3 * before:.1f} -> "
         f"{1e3 * after:.1f} mrad) and changes the latency by {shift:+.1f} ms; a rotor or arm may "
         "be missing from it, --effects unmodelled_inertia fits it"
-    ]
-
-
-def _open(names: list[str]) -> str:
-    if len(names) == 1:
-        return f"{names[0]} cannot be determined from these recordings"
-    listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    return f"{listed} cannot be determined separately from these recordings"
-
-
-def _on_misfit(figures: Mapping[str, float | None]) -> list[str]:
-    train, noise = figures.get("train"), figures.get("noise")
-    white, time = figures.get("whiteness"), figures.get("correlation_time_s")
-    if not train or noise is None or white is None or time is None:
-        return []
-    if train < ABOVE_NOISE * noise or white < 0.5:
-        return []
-    times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
-    return [
-        f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
-        f"{1e3 * time:.0f} ms: physics is missing from this model"
     ]

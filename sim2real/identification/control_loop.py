@@ -9,7 +9,7 @@ Astrophys. 128 (1983) 245, one harmonic).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,48 +22,27 @@ from sim2real.servo.trace import Trace
 Array = NDArray[np.float64]
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
+_RATES_HZ = (90.0, 1100.0)
+"""Range of rates; faster loops are not distinguishable from continuous ones."""
+_MOST_STEPS, _FEWEST_STEPS = 60, 12
+"""Largest number of steps of a recording whose delay is estimated, and smallest number of all."""
+_LEAST_STEP = 0.1
+"""Smallest of these steps, as a share of the largest."""
+_DELAY_S = 1e-3
+"""Delay of the finite differences."""
+_DELAY_SD_S = 0.004
+"""Prior standard deviation of the delays about their mean."""
+_IN_STEP = 0.95
+"""Length of the mean phase vector above which set-points are synchronous with a loop."""
+_CANDIDATES, _LATENCIES, _PHASES = 6, 16, 64
+"""Numbers of rates without their subharmonics, latencies of each, and phases about a fit."""
+_FIRST_STEPS = 8
+"""Largest number of steps of the first fits."""
+_BEST, _ROUNDS = 2, 3
+"""Number of the best phases, from which fits start, and rounds of phases and fits."""
 
 
-@dataclass(frozen=True)
-class LoopSearch:
-    """Settings of the search for the period of a sampled controller.
-
-    Attributes:
-        rates_Hz: Range of rates; faster loops are not distinguishable from continuous ones.
-        most_steps: Largest number of steps of a recording whose delay is estimated.
-        least_step: Smallest of these steps, as a share of the largest.
-        delay_s: Delay of the finite differences.
-        delay_sd_s: Prior standard deviation of the delays about their mean.
-        in_step: Length of the mean phase vector above which set-points are synchronous with a loop.
-        fewest_steps: Smallest number of steps for an estimate of the period.
-        candidates: Number of rates that are tried, without their subharmonics.
-        latencies: Number of latencies that are tried with each rate.
-        first_steps: Largest number of steps of the first fits.
-        phases: Number of phases that are tried about a fit.
-        best: Number of the best phases, from which fits start.
-        rounds: Rounds of phases and fits.
-    """
-
-    rates_Hz: tuple[float, float] = (90.0, 1100.0)
-    most_steps: int = 60
-    least_step: float = 0.1
-    delay_s: float = 1e-3
-    delay_sd_s: float = 0.004
-    in_step: float = 0.95
-    fewest_steps: int = 12
-    candidates: int = 6
-    latencies: int = 16
-    first_steps: int = 8
-    phases: int = 64
-    best: int = 2
-    rounds: int = 3
-
-
-LOOP_SEARCH = LoopSearch()
-"""The defaults."""
-
-
-def fit_sampled_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> MotorFit | None:
+def fit_sampled_loop(motor: MotorFit) -> MotorFit | None:
     """Fit a sampled loop, without a test of its significance.
 
     The latency of a fit without a loop includes the mean wait for the next sample. All recordings
@@ -71,52 +50,34 @@ def fit_sampled_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Mo
 
     Args:
         motor: A fit without a loop.
-        search: Settings of the search.
 
     Returns:
         The best fit; None if there are too few steps.
     """
-    sent, delay, spread = arrivals(motor, search=search)
-    if sent.size < search.fewest_steps:
+    sent, delay, spread = _arrivals(motor)
+    if sent.size < _FEWEST_STEPS:
         return None
-    rates = _rates(sent + delay, spread, search=search)
-    coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread, search=search) for hz in rates])
-    loss = motor.rough_losses(np.concatenate(coarse)).reshape(coarse.shape[:2])
+    rates = _rates(sent + delay, spread)
+    coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread) for hz in rates])
+    loss = motor.losses(np.concatenate(coarse), coarse=True).reshape(coarse.shape[:2])
     starts = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    fit = refitted(motor, starts, search.first_steps)[0]
-    for _ in range(search.rounds):
-        candidates = np.concatenate([fit.x[None], _with_other_phases(fit, search=search)])
-        fit = refitted(fit, candidates[np.argsort(fit.rough_losses(candidates))[: search.best]])[0]
+    fit = refitted(motor, starts, _FIRST_STEPS)
+    for _ in range(_ROUNDS):
+        candidates = np.concatenate([fit.x[None], _with_other_phases(fit)])
+        order = np.argsort(fit.losses(candidates, coarse=True))
+        fit = refitted(fit, candidates[order[:_BEST]])
     return fit
 
 
-@dataclass(frozen=True)
-class UndetectedLoop:
-    """A sampled loop that the recordings do not exclude, and the gains that it implies.
-
-    Attributes:
-        period_s: Sampling period.
-        kp: Proportional gain in N m/rad, or per unit of inertia.
-        kd: Derivative gain in N m s/rad, likewise.
-    """
-
-    period_s: float
-    kp: float
-    kd: float
-
-
-def undetected_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> UndetectedLoop | None:
+def undetected_loop(motor: MotorFit) -> tuple[float, float, float] | None:
     """The slowest sampled loop that is not distinguishable from a continuous one.
 
     Its samples are synchronous with the set-points: the wait is then equal for all set-points and
     equivalent to latency, and the delay of the measurement is equivalent to other gains.
 
-    Args:
-        motor: A fit without a loop.
-        search: Settings of the search.
-
     Returns:
-        None if set-points are sent at irregular times, or if the fit has a loop.
+        Its period in s and the gains kp and kd that it implies; None if set-points are sent at
+        irregular times, or if the fit has a loop.
     """
     if motor.fit.row[COLUMNS.index(LOOP[0])] > 0:
         return None
@@ -125,57 +86,48 @@ def undetected_loop(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> Und
     if times.size < 2:
         return None
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
-    for n in range(1, 1 + int(search.rates_Hz[1] * sampling)):
+    for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
         period = sampling / n
-        if 1 / period < search.rates_Hz[0]:
+        if 1 / period < _RATES_HZ[0]:
             continue
-        if abs(np.exp(2j * np.pi * times / period).mean()) > search.in_step:
-            return UndetectedLoop(period, *_equivalent_gains(motor, period))
+        if abs(np.exp(2j * np.pi * times / period).mean()) > _IN_STEP:
+            return period, *_equivalent_gains(motor, period)
     return None
 
 
-def arrivals(motor: MotorFit, *, search: LoopSearch = LOOP_SEARCH) -> tuple[Array, Array, Array]:
-    """Times of large steps of the command, their delays and standard deviations, in s, (K,).
-
-    Args:
-        motor: A fit without a loop.
-        search: Settings of the search.
-    """
+def _arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
+    """Times of large steps of the command, their delays and standard deviations, in s, (K,)."""
     times, delays, spreads = [], [], []
     scale = motor.fit.scale_rad
     for trace, error, slopes in zip(
         motor.problem.traces, motor.fit.residuals, motor.fit.jacobians, strict=True
     ):
         jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
-        step = np.flatnonzero(jump > search.least_step * jump.max())
-        step = np.sort(step[np.argsort(-jump[step])[: search.most_steps]])
+        step = np.flatnonzero(jump > _LEAST_STEP * jump.max())
+        step = np.sort(step[np.argsort(-jump[step])[:_MOST_STEPS]])
         step = step[(step > 0) & (step < trace.t.size - 1)]
         if not step.size:
             continue
-        delayed = _effect_of_delay(motor, trace, step, search=search)[trace.used]
+        delayed = _effect_of_delay(motor, trace, step)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
         slope_matrix = np.hstack([delayed, slopes / units])
-        prior_precision = np.concatenate(
-            [np.full(step.size, (scale / search.delay_sd_s) ** 2), 1e-9 + 0 * units]
-        )
+        delay_precision = np.full(step.size, (scale / _DELAY_SD_S) ** 2)
+        prior_precision = np.concatenate([delay_precision, np.full(units.size, 1e-9)])
         precision = slope_matrix.T @ slope_matrix + np.diag(prior_precision)
         inverse = np.linalg.inv(precision)
         delay = -(inverse @ (slope_matrix.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])
         delays.append(motor.fit.row[_LATENCY] + delay)
         spreads.append(scale * np.sqrt(np.diag(inverse)[: step.size]))
-    if not times:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    return np.concatenate(times), np.concatenate(delays), np.concatenate(spreads)
+    sent, delay, spread = (np.concatenate([[], *x]) for x in (times, delays, spreads))
+    return sent, delay, spread
 
 
-def _effect_of_delay(
-    motor: MotorFit, trace: Trace, step: NDArray[np.intp], *, search: LoopSearch
-) -> Array:
+def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     shifted = [trace]
     for k in step:
-        delay = min(search.delay_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
+        delay = min(_DELAY_S, 0.5 * float(trace.t[k + 1] - trace.t[k]))
         command = np.insert(trace.command, k, trace.command[k - 1])
         shifted.append(
             replace(
@@ -194,10 +146,10 @@ def _effect_of_delay(
     return np.stack(derivatives, axis=1)
 
 
-def _rates(times: Array, spread: Array, *, search: LoopSearch) -> Array:
+def _rates(times: Array, spread: Array) -> Array:
     """Rates in Hz of the lattices that fit the times best, best first."""
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
-    rates = np.arange(*search.rates_Hz, fine)
+    rates = np.arange(*_RATES_HZ, fine)
     power = np.empty(rates.size)
     block = max(1, 10**6 // times.size)
     turned = np.exp(2j * np.pi * fine * np.arange(min(block, rates.size))[:, None] * times)
@@ -211,23 +163,15 @@ def _rates(times: Array, spread: Array, *, search: LoopSearch) -> Array:
     for k in np.argsort(-power):
         if all(abs(rates[k] - other) > 5 * fine for other in chosen):
             chosen.append(float(rates[k]))
-        if len(chosen) == search.candidates:
+        if len(chosen) == _CANDIDATES:
             break
     for lower in [rate / n for rate in chosen for n in (2, 3)]:  # of harmonics
-        if lower > search.rates_Hz[0] and all(abs(lower - other) > 5 * fine for other in chosen):
+        if lower > _RATES_HZ[0] and all(abs(lower - other) > 5 * fine for other in chosen):
             chosen.append(lower)
     return np.array(chosen)
 
 
-def _starts(
-    motor: MotorFit,
-    period_s: float,
-    sent: Array,
-    delay: Array,
-    spread: Array,
-    *,
-    search: LoopSearch,
-) -> Array:
+def _starts(motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array) -> Array:
     """Parameters as searched with a loop of this period, one row per latency, (latencies, F).
 
     The phase is that of the arrivals; latencies are up to a period below the median delay.
@@ -235,8 +179,8 @@ def _starts(
     prior = motor.problem.prior
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
-    x = np.tile(motor.x, (search.latencies, 1))
-    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, search.latencies)
+    x = np.tile(motor.x, (_LATENCIES, 1))
+    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, _LATENCIES)
     x[:, _LATENCY] = np.maximum(shortest, 0.0)
     x[:, prior.index(LOOP[0])] = period_s
     x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
@@ -260,11 +204,11 @@ def _equivalent_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
     return ratio * kp, ratio * (kd + kp * half)
 
 
-def _with_other_phases(fit: MotorFit, *, search: LoopSearch) -> Array:
+def _with_other_phases(fit: MotorFit) -> Array:
     """Parameters as searched in which set-points wait for earlier or later samples."""
     prior = fit.problem.prior
     length, phase = fit.x[prior.index(LOOP[0])], prior.index(LOOP[1])
-    shift = np.linspace(-0.5, 0.5, search.phases + 1) * length
+    shift = np.linspace(-0.5, 0.5, _PHASES + 1) * length
     x = np.tile(fit.x, (shift.size, 1))
     x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - shift, 0.0)  # the sampling times do not change
     x[:, phase] = (fit.x[phase] + fit.x[_LATENCY] - x[:, _LATENCY]) % length

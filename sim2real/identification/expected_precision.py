@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import fit, gains, inertia_left_out
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import first_guess, fit, gains, inertia_left_out
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
@@ -34,20 +33,20 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
         return ("nothing can be identified: the joint does not move under command",)
     trace = moving[0]
     start, _ = first_guess(moving, np.random.default_rng(seed))
-    pendulum = trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0
     inertia = trace.load.inertia_kgm2
-    parameters = (*gains(start, inertia), inertia_left_out(start, inertia))
-    free = range(4 if pendulum else 3)
-    slopes = fit(moving, start, [parameters[k] for k in free], rounds=0, evaluations=1).jacobians[0]
-    unit = column([parameters[k] for k in free], "typical")
+    parameters = list(gains(start, inertia))
+    if trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0:  # a pendulum
+        parameters.append(inertia_left_out(start, inertia))
+    slopes = fit(moving, start, parameters, rounds=0, evaluations=1).jacobians[0]
+    unit = column(parameters, "typical")
     noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
     scaled = slopes * unit / noise
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
     half = Z90 * np.sqrt(variance) * unit
     determined = np.sqrt(variance) < 1
-    identifiable = [_precision(k, half[i], start) for i, k in enumerate(free) if determined[i]]
-    unidentifiable = [_NAMES[k] for i, k in enumerate(free) if not determined[i]]
+    identifiable = [_precision(k, half[k], start) for k in np.flatnonzero(determined).tolist()]
+    unidentifiable = [_NAMES[k] for k in np.flatnonzero(~determined)]
     per = " per unit of inertia" if trace.load is PER_INERTIA else ""
     sentences = []
     if identifiable:

@@ -1,4 +1,4 @@
-"""Robust least squares on simulated angles: gains, latency and, where wanted, effects."""
+"""Robust least squares on simulated angles, and the search for its starting point."""
 
 from __future__ import annotations
 
@@ -17,16 +17,43 @@ from sim2real.inference.least_squares import (
     robust_loss,
     robust_scale,
 )
+from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator, active_effects, coarse_substep
+from sim2real.servo.rollout import (
+    LONGEST_SUBSTEP_S,
+    Simulator,
+    active_effects,
+    coarse_substep,
+    longest_substep,
+    rollout,
+)
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
+WINDOW_S = 8.0
+FREQUENCY_RAD_S = (2.0, 300.0)
+DAMPING_RATIO = (0.05, 4.0)
+LATENCY_S = (0.0, 0.3)
+_GUESSES, _ELITE = 1024, 16
+"""Number of servos in the first round, and of the best ones, about which further ones are drawn."""
+_SPREADS = (0.1, 0.04, 0.015)
+"""Standard deviations of candidates about the best ones in each round, as shares of the ranges."""
+_RIVAL_ERROR = 1.03
+"""Largest error of a rival, relative to the smallest error."""
+_RIVAL_DISTANCE, _MOST_RIVALS = 0.08, 4
+"""Smallest difference of a rival's gain, as a share of the range, and largest number of rivals."""
+_GUESS_STEPS_PER_RADIAN, _GUESS_SUBSTEP_S = 6.0, (1e-3, 4e-3)
+"""Sub-steps per radian of a candidate's fastest mode, and shortest and longest sub-step. Faster
+modes of strongly damped candidates decay within the shortest one."""
 STEPS_PER_RADIAN = 64.0
 """Sub-steps per radian of the fastest mode, where there is no exact solution."""
+_DIFFERENCE = 1e-4
+"""Step of the central differences, in natural units."""
+_SETTLED = 1e-3
+"""Expected gain in log-likelihood below which a search ends."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +96,78 @@ class Fit:
         """Robust loss in rad2 for a given scale of the residual, near the sum of squares."""
         return robust_loss(np.concatenate(self.residuals), OUTLIER_SD * scale_rad)
 
-    @property
-    def at_bound(self) -> tuple[Parameter, ...]:
-        """Parameters at a bound."""
-        ends = zip(self.parameters, self.values, strict=True)
-        return tuple(p for p, x in ends if min(x - p.low, p.high - x) < 1e-6 * (p.high - p.low))
+
+def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
+    """Parameters of a servo that approximately fits the recordings, and of very different rivals.
+
+    Simulates a low-discrepancy set of servos over the segment with most motion in one batch, then,
+    in a few narrower rounds, others around the best of them (the cross-entropy method: Rubinstein,
+    Methodology and Computing in Applied Probability 1 (1999) 127-190).
+
+    Args:
+        traces: The recorded joint, one trace per recording.
+        rng: Generator for the candidates.
+
+    Returns:
+        The best candidate, shape (P,), and rivals with nearly the same error but very different
+        gains, shape (R, P): none if the recordings determine the gain.
+    """
+    windows = [trace.window(WINDOW_S) for trace in traces]
+    moving = [window for window in windows if window.moves() and window.used.any()]
+    trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
+    points = kronecker(_GUESSES, 3, rng)
+    error = _guess_errors(points, trace)
+    for spread in _SPREADS:
+        best = np.argsort(error)[:_ELITE]
+        points, error = points[best], error[best]
+        around = np.repeat(points, _GUESSES // (4 * _ELITE), axis=0)
+        drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
+        error = np.append(error, _guess_errors(drawn, trace))
+        points = np.vstack([points, drawn])
+    order = np.argsort(error)
+    equal = order[error[order] < _RIVAL_ERROR * error[order[0]]]
+    chosen = [equal[0]]
+    for candidate in equal[1:]:
+        distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
+        if distance > _RIVAL_DISTANCE and len(chosen) <= _MOST_RIVALS:
+            chosen.append(candidate)
+    rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
+    return rows[0], rows[1:]
+
+
+def _guess_errors(points: Array, trace: Trace) -> Array:
+    """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
+    theta = np.zeros((points.shape[0], len(COLUMNS)))
+    theta[:, :3] = servos_at(points, trace.load.inertia_kgm2)
+    theta[:, 3 : len(BASE)] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    exact = Simulator([trace])
+    if exact.is_linear(theta):
+        (angle,) = exact.angles(theta, np.inf)
+    else:
+        shortest, longest = _GUESS_SUBSTEP_S
+        substep = longest_substep(theta, theta[:, 3], _GUESS_STEPS_PER_RADIAN, longest)
+        step = np.maximum(substep, shortest)
+        angle = rollout(theta, trace.t, trace.command, substep_s=step, threads=2)
+    return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
+
+
+def servos_at(points: Array, inertia: float | Array) -> Array:
+    """Gains and latencies of servos at points of the unit cube.
+
+    Args:
+        points: Points of shape (N, 3): frequency and damping ratio (logarithmic) and latency, as
+            shares of the ranges of a first guess.
+        inertia: Inertia of the load in kg m2, a number or shape (..., 1).
+
+    Returns:
+        kp, kd and latency in SI units, shape (..., N, 3).
+    """
+    ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
+    scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
+    frequency, damping = np.exp(scaled[:, :2]).T
+    kp = frequency**2 * inertia
+    kd = 2 * damping * frequency * inertia
+    return np.stack([kp, kd, np.broadcast_to(scaled[:, 2], kp.shape)], axis=-1)
 
 
 def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
@@ -111,8 +205,6 @@ def fit(
     *,
     rounds: int = 3,
     evaluations: int = 60,
-    difference: float = 1e-4,
-    settled: float = 1e-3,
 ) -> Fit:
     """Fit some parameters to all traces at once, with the others of the row fixed.
 
@@ -125,14 +217,12 @@ def fit(
         free: Parameters to fit.
         rounds: Largest number of robust rounds after the first one.
         evaluations: Largest number of evaluations in one round.
-        difference: Step of the central differences, in natural units.
-        settled: Expected gain in log-likelihood below which the search ends.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
     unit, low, high = (column(free, name) for name in ("typical", "low", "high"))
     box = low / unit, high / unit
-    step = np.full(len(free), difference)
+    step = np.full(len(free), _DIFFERENCE)
 
     def rows(x: Array) -> Array:
         filled = np.tile(row, (len(x), 1))
@@ -161,16 +251,15 @@ def fit(
 
     start = np.clip(row[columns] / unit, *box)
     x, converged = minimise_robustly(
-        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
+        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=_SETTLED
     )
     error, slope = expanded(x, fine(x))
-    cuts = np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]
     return Fit(
         parameters=tuple(free),
         row=rows(x[None])[0],
         scale_rad=robust_scale(error),
-        residuals=tuple(np.split(error, cuts)),
-        jacobians=tuple(np.split(slope / unit, cuts)),
+        residuals=split_by_trace(error, traces),
+        jacobians=split_by_trace(slope / unit, traces),
         converged=converged,
         inertia=traces[0].load.inertia_kgm2,
     )
@@ -197,6 +286,11 @@ def residuals(row: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
     return tuple(error[0] for error in errors(Simulator(traces), row[None]))
 
 
+def split_by_trace(values: Array, traces: Sequence[Trace]) -> tuple[Array, ...]:
+    """Values at the used samples of all traces (n, ...), one array per trace."""
+    return tuple(np.split(values, np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1]))
+
+
 def plain_row(kp: float, kd: float, latency: float) -> Array:
     """The parameters of a servo without effects, shape (P,)."""
     row = np.zeros(len(COLUMNS))
@@ -205,14 +299,14 @@ def plain_row(kp: float, kd: float, latency: float) -> Array:
 
 
 def best_of(
-    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str]
+    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str] = BASE[:3]
 ) -> tuple[Fit, list[Fit]]:
     """The best fit of all starts (P,), and the other fits, sorted by loss.
 
     Args:
         fitted: The joint's recordings.
         starts: Starting points; the first has more evaluations than the others.
-        names: Parameters to fit.
+        names: Those of gains and latency to fit.
     """
     inertia = fitted[0].load.inertia_kgm2
     free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]

@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.servo_problem import Servos, minimise, stacked
+from sim2real.identification.servo_problem import Servos, minimise, residual_angles, stacked
 from sim2real.inference.least_squares import rms
-from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import BASE, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
 
 Array = NDArray[np.float64]
 
 _INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
-_MORE_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
+_STEPS_PER_RADIAN = 16.0
+"""Sub-steps per radian of the fastest mode."""
 
 
 @dataclass(frozen=True)
@@ -71,35 +72,31 @@ def held_out(
         return [None for _ in joints]
     training = Batch([fitted for _, (fitted, _) in pairs], device, bounded=False)
     scoring = Batch([scored for _, (_, scored) in pairs], device)
-    results: dict[int, tuple[list[Array], list[Array]]] = {}
+    residuals: list[list[Array]] = [[] for _ in joints]
+    theta: list[list[Array]] = [[] for _ in joints]
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
         members = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
         start = stacked([servos[pairs[k][0]] for k in members])
         start = replace(start, joint=np.array(members, dtype=np.int32))
         fits = minimise(training, start, iterations=10, white=white)
-        scored = scoring.evaluate(
-            Problems(start.joint, fits.servos.theta[:, None], np.zeros((len(members), 1))),
-            keep=True,
-        )
-        assert scored.residual is not None
-        for k, residual, theta in zip(members, scored.residual, fits.servos.theta, strict=True):
-            used = pairs[k][1][1][0].used
-            errors, thetas = results.setdefault(pairs[k][0], ([], []))
-            errors.append(residual[0, : used.size][used])
-            thetas.append(theta)
+        errors = residual_angles(scoring, fits)
+        for k, error, row in zip(members, errors, fits.servos.theta, strict=True):
+            n, (_, (trace,)) = pairs[k]
+            residuals[n].append(error[0, : trace.used.size][trace.used])
+            theta[n].append(row)
     return [
-        Unseen(tuple(results[n][0]), np.array(results[n][1])) if n in results else None
-        for n in range(len(joints))
+        Unseen(tuple(errors), np.array(rows)) if errors else None
+        for errors, rows in zip(residuals, theta, strict=True)
     ]
 
 
-def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> Array:
+def simulated(trace: Trace, theta: Array) -> Array:
     """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
     rows = np.array(theta)
     rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     kp, kd = rows[0, :2]
-    inertia = trace.load.inertia_kgm2 + rows[0, _MORE_INERTIA]
+    inertia = trace.load.inertia_kgm2 + rows[0, INERTIA_LEFT_OUT]
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
     # A common sub-step, so that integration errors cancel in differences of servos.
-    step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
+    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
     return rollout(rows, trace.t, trace.command, substep_s=step, threads=2)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,25 @@ from sim2real.effects import Effect, named
 from sim2real.errors import InputError, check_choice, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.effect_fit import fit_effects
-from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
-from sim2real.identification.initial_guess import first_guess
-from sim2real.identification.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.identification.fit import (
+    Fit,
+    best_of,
+    first_guess,
+    fit,
+    gains,
+    inertia_left_out,
+    residuals,
+)
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
-from sim2real.identification.uncertainty import Uncertainty, uncertainty
+from sim2real.identification.uncertainty import (
+    Uncertainty,
+    intervals,
+    motor_intervals,
+    symmetric_intervals,
+    uncertainty,
+)
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -28,7 +41,7 @@ from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 Array = NDArray[np.float64]
@@ -113,8 +126,7 @@ def identify(
         results = {joint: running[joint].result() for joint in progress(moving)}
     if together:
         learned = {joint: _type_from_others(joint, servos, results) for joint in moving}
-        for joint, prior in learned.items():
-            results[joint] = results[joint] if prior is None else identify_joint(joint, prior)
+        results |= {j: identify_joint(j, prior) for j, prior in learned.items() if prior}
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
@@ -141,9 +153,7 @@ def fitted_motors(
         if not data:
             continue
         noise = sensor_noise(data)
-        start, others = first_guess(data, rng)
-        best, _ = best_of(data, [start, *others], _influential(data, start, noise)[0])
-        motor = choose_motor(data, best, joint.servo, noise, rng)
+        motor = choose_motor(data, _fit_plain(data, noise, rng)[0], joint.servo, noise, rng)
         if motor.with_gains:
             motors[joint.name] = motor
     return motors
@@ -203,11 +213,9 @@ def _identify_joint(
     notes: list[str],
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
+    load = data[0].load
     noise = sensor_noise(fitted)
-    start, others = first_guess(fitted, rng)
-    free, without_influence = _influential(fitted, start, noise)
-    best, rivals = best_of(fitted, [start, *others], free)
-    stated = data[0].load
+    best, rivals, without_influence = _fit_plain(fitted, noise, rng)
     motor = None
     if servo is not None and not without_influence:
         motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
@@ -221,14 +229,17 @@ def _identify_joint(
         spread = uncertainty(best, units)
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
-        notes += advice.on_effects(extra, shows_inertia=shows_inertia(fitted))
+        if not shows_inertia(fitted) and any(e.name == "unmodelled_inertia" for e in extra):
+            notes.append(
+                "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
+            )
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
     else:
-        if stated is not PER_INERTIA and shows_inertia(fitted):
-            notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
-        units = _units(best)
+        if load is not PER_INERTIA and shows_inertia(fitted):
+            notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, load)
+        units = np.array([p.typical for p in gains(best.row, best.inertia) if p.name in best.names])
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
     if motor is not None and servo is not None:
@@ -240,28 +251,27 @@ def _identify_joint(
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
     notes += advice.on_fit(best, spread, ends, without_influence, figures)
-    model = _joint_model(best, ends, spread, stated, tuple(notes), motor)
+    model = _joint_model(best, ends, spread, load, tuple(notes), motor)
     return JointFit(model, figures, held_out_name, motor)
 
 
-def _units(best: Fit) -> Array:
-    """Natural unit of each fitted parameter at its fitted value, shape (F,)."""
-    typical = {p.name: p.typical for p in gains(best.row, best.inertia)}
-    return np.array([typical[name] for name in best.names])
+def _fit_plain(
+    fitted: list[Trace], noise: float, rng: np.random.Generator
+) -> tuple[Fit, list[Fit], list[str]]:
+    """The best fit of gains and latency, its rivals, and parameters without visible influence.
 
-
-def _influential(
-    fitted: list[Trace], start: Array, noise: float
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split parameters by whether their effect on simulated angles exceeds the noise."""
+    These change simulated angles by less than the noise and are not fitted.
+    """
+    start, others = first_guess(fitted, rng)
     free = gains(start, fitted[0].load.inertia_kgm2)
     slope = np.concatenate(fit(fitted, start, free, rounds=0, evaluations=1).jacobians)
     effect = np.linalg.norm(slope * column(free, "typical"), axis=0)
-    influential = tuple(p.name for p, size in zip(free, effect, strict=True) if size > noise)
-    if not influential:
+    names = [p.name for p, size in zip(free, effect, strict=True) if size > noise]
+    if not names:
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
-    return influential, tuple(p.name for p in free if p.name not in influential)
+    best, rivals = best_of(fitted, [start, *others], names)
+    return best, rivals, [p.name for p in free if p.name not in names]
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
@@ -281,14 +291,13 @@ def _figures(
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
     period = float(np.median(np.diff(fitted[0].t)))
-    all_errors = np.concatenate(errors)
     return {
         "train": rms(errors),
         "heldout": rms(heldout) if heldout else None,
         "noise": noise,
         "whiteness": whiteness(errors),
         "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
-        "robust_outliers": float(np.mean(np.abs(all_errors) > 4 * best.scale_rad)),
+        "robust_outliers": float(np.mean(np.abs(np.concatenate(errors)) > 4 * best.scale_rad)),
     }
 
 
@@ -300,30 +309,20 @@ def _joint_model(
     notes: tuple[str, ...],
     motor: MotorFit | None,
 ) -> JointModel:
-    names = best.names
-    kp, kd, latency = (float(x) for x in best.row[:3])
-    load_known = load is not PER_INERTIA
-    fitted: dict[str, dict[str, float]] = {}
-    for name, value in zip(names, best.values, strict=True):
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in zip(best.names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
-        if effect:
-            fitted.setdefault(effect, {})[parameter] = float(value)
-    fitted.pop("motor", None)
-    return JointModel(
-        kp_Nm_per_rad=kp,
-        kd_Nms_per_rad=kd,
-        latency_s=latency,
-        inertia_kgm2=load.inertia_kgm2,
-        per_inertia=not load_known,
+        if effect and effect != "motor":
+            effects.setdefault(effect, {})[parameter] = float(value)
+    model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
+    pairs = combinations(range(len(best.names)), 2)
+    return replace(
+        model,
         law="pd" if motor is None else "motor",
         motor={} if motor is None else motor.values,
-        load=load if load_known else None,
         interval=ends,
         correlation={
-            f"{names[i]}, {names[j]}": float(spread.correlation[i, j])
-            for i in range(len(names))
-            for j in range(i + 1, len(names))
+            f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs
         },
-        effects=tuple(FittedEffect(*entry) for entry in fitted.items()),
         notes=notes,
     )

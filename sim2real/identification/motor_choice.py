@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
@@ -20,29 +18,14 @@ from sim2real.servo.trace import Trace, shows_inertia
 
 FACTORS = (0.5, 2.0)
 """Factors on the width of the prior of losses, for the average of fits."""
-
-
-@dataclass(frozen=True)
-class MotorCriteria:
-    """Criteria for the parts of the motor's law.
-
-    Attributes:
-        min_gain: Smallest decrease of the loss beyond chance.
-        loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
-        white: Lag-1 autocorrelation below which a residual counts as white.
-        loop_error_before: Largest residual over noise without a loop for which one is searched.
-        loop_error_after: Largest residual with a loop, likewise.
-    """
-
-    min_gain: float = 6.0
-    loop_parameters: int = 12
-    white: float = 0.1
-    loop_error_before: float = 15.0
-    loop_error_after: float = 1.5
-
-
-MOTOR_CRITERIA = MotorCriteria()
-"""The defaults."""
+_MIN_GAIN = 6.0
+"""Smallest decrease of the loss beyond chance for which parameters are added."""
+_LOOP_PARAMETERS = 12
+"""Effective parameters of a loop, the best of a thousand periods and phases."""
+_WHITE = 0.1
+"""Lag-1 autocorrelation below which a residual counts as white."""
+_LOOP_ERROR_BEFORE, _LOOP_ERROR_AFTER = 15.0, 1.5
+"""Largest residuals over noise without a loop, for which one is searched, and with it."""
 
 
 def choose_motor(
@@ -54,14 +37,13 @@ def choose_motor(
     servo_type: ServoType | None = None,
     *,
     average: bool = False,
-    criteria: MotorCriteria = MOTOR_CRITERIA,
 ) -> MotorFit:
     """Fit the motor's line and, if that does not explain the recordings, its losses.
 
     Where the linear servo explains them, its gains are kept and only the line is fitted. Losses are
     included if they decrease the loss by more than twice their number (Akaike's criterion) plus
-    ``criteria.min_gain``. The same applies to gradual friction and a sampled loop if a residual
-    remains. A servo of a known type has the losses of its type.
+    ``_MIN_GAIN``. The same applies to gradual friction and a sampled loop if a residual remains. A
+    servo of a known type has the losses of its type.
 
     Args:
         fitted: The joint's recordings.
@@ -72,27 +54,22 @@ def choose_motor(
         servo_type: Prior from other servos of its type.
         average: Whether fits with losses that do not explain the recordings are averaged over
             priors of the usual, half and twice the width, if the load is known.
-        criteria: Criteria of the selection.
     """
     prior = motor_prior(servo, fitted)
     if servo_type is not None:
         prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
     if rms(plain.residuals) < EXPLAINED * noise:
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
-    chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type, criteria=criteria)
+    chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
     ratio = rms(chosen.fit.residuals) / noise
-    explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < criteria.white
-    looped = None if explained or ratio > criteria.loop_error_before else fit_sampled_loop(chosen)
-    if looped is not None and rms(looped.fit.residuals) <= criteria.loop_error_after * noise:
-        return _better(chosen, looped, criteria.loop_parameters, criteria=criteria)
+    explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
+    looped = None if explained or ratio > _LOOP_ERROR_BEFORE else fit_sampled_loop(chosen)
+    if looped is not None and rms(looped.fit.residuals) <= _LOOP_ERROR_AFTER * noise:
+        return _better(chosen, looped, _LOOP_PARAMETERS)
     names = [prior.names[k] for k in chosen.problem.free[3:]]
     stated = fitted[0].load is not PER_INERTIA  # else minima are too far apart to be averaged
-    if (
-        not (average and stated)
-        or servo_type is not None
-        or ratio < EXPLAINED
-        or LOSSES[0] not in names
-    ):
+    unclear = servo_type is None and ratio >= EXPLAINED and LOSSES[0] in names
+    if not (average and stated and unclear):
         return chosen
     others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
     return averaged([chosen, *others])
@@ -105,8 +82,6 @@ def _fit_continuous(
     noise: float,
     rng: np.random.Generator,
     servo_type: ServoType | None,
-    *,
-    criteria: MotorCriteria,
 ) -> MotorFit:
     """Fit a motor with a continuous controller."""
     line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
@@ -117,17 +92,17 @@ def _fit_continuous(
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
     full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
-    chosen = _better(first, full, len(LOSSES), criteria=criteria)
+    chosen = _better(first, full)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
     soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=soft_starts(full))
-    return _better(
-        chosen, soft, len(SOFT) + (len(LOSSES) if chosen is first else 0), criteria=criteria
-    )
+    return _better(chosen, soft)
 
 
-def _better(fewer: MotorFit, more: MotorFit, added: int, *, criteria: MotorCriteria) -> MotorFit:
+def _better(fewer: MotorFit, more: MotorFit, added: int | None = None) -> MotorFit:
     """The fit with more parameters if they decrease the loss significantly, else the other."""
     scale, inflation = more.fit.scale_rad, more.inflation
     gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
-    return more if gain > 2 * added + criteria.min_gain else fewer
+    if added is None:
+        added = len(more.problem.free) - len(fewer.problem.free)
+    return more if gain > 2 * added + _MIN_GAIN else fewer

@@ -4,27 +4,142 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import Fit
-from sim2real.identification.initial_guess import WINDOW_S
+from sim2real.identification.fit import WINDOW_S, Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
-from sim2real.identification.motor_problem import MOTOR_SEARCH, MotorProblem, MotorSearch
 from sim2real.inference.correlated_noise import correlation_samples
-from sim2real.inference.least_squares import OUTLIER_SD, Expansion, minimise, robust_scale, stacked
-from sim2real.inference.multi_start import cannot_win
-from sim2real.inference.parameters import Parameter
-from sim2real.servo.parameters import LOOP, SOFT, motor_of
-from sim2real.servo.rollout import Simulator
+from sim2real.inference.least_squares import (
+    OUTLIER_SD,
+    Expansion,
+    cannot_win,
+    minimise,
+    robust_scale,
+    stacked,
+)
+from sim2real.inference.parameters import Parameter, column
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
+from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
+_CANDIDATES, _STARTS = 64, 4
+"""Number of servos drawn from the prior, and of the best ones, from which searches start."""
+_ROUNDS = 4
+"""Number of rounds, between which the scale of the residual is estimated again."""
+_FIRST_STEPS, _LATER_STEPS = 20, 10
+"""Largest number of steps of a search in the first and in later rounds."""
+_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
+"""Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones."""
+_DIFFERENCE = 1e-3
+"""Step of the derivatives, in units."""
+_SETTLED = 1e-3
+"""Expected gain in log-likelihood below which a search ends."""
+_LONGEST_SUBSTEP_S, _STEPS_PER_RADIAN = 0.002, 32.0
+"""Longest sub-step, and sub-steps per radian of the fastest mode."""
+_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
+
+
+@dataclass(frozen=True)
+class MotorProblem:
+    """Recordings of a motor, its prior, and which parameters are fitted.
+
+    Attributes:
+        traces: The recordings of one joint.
+        prior: Prior of the N parameters.
+        free: Indices of the F fitted ones.
+        substep_s: Longest sub-step of a rollout, s.
+        simulator: Simulator of these traces.
+    """
+
+    traces: Sequence[Trace]
+    prior: MotorPrior
+    free: tuple[int, ...]
+    substep_s: float
+    simulator: Simulator
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The free parameters."""
+        return tuple(self.prior.parameters[k] for k in self.free)
+
+    @property
+    def box(self) -> tuple[Array, Array, Array]:
+        """Smallest and largest values as searched, and units, of the free parameters."""
+        ends = [
+            (np.log(p.low), np.log(p.high)) if p.log else (p.low, p.high) for p in self.parameters
+        ]
+        low, high = np.array(ends).T
+        return low, high, column(self.parameters, "typical")
+
+    @property
+    def coarse(self) -> MotorProblem:
+        """This problem with longer sub-steps, see ``rollout.coarse_substep``."""
+        return replace(self, substep_s=float(coarse_substep(np.array(self.substep_s))))
+
+    def rows(self, x: Array) -> Array:
+        """Rows of the servo's parameters for those searched, (B, F) to (B, P).
+
+        The searched phase of a sampled loop is relative to the latency, so that a change of latency
+        shifts both and does not move a set-point to another sample.
+        """
+        rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
+        rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
+        period = rows[:, _PERIOD]
+        phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
+        rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
+        return rows
+
+    def residuals(self, x: Array) -> Array:
+        """Simulated minus measured angles of all traces, shape (B, n)."""
+        return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
+
+    def terms(self, x: Array) -> Array:
+        """The prior's residuals, which are 0 for fixed parameters."""
+        fixed = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
+        replaced = x.copy()
+        replaced[:, fixed] = [self.prior.parameters[k].nominal for k in fixed]
+        terms = self.prior.terms(replaced)
+        terms[:, fixed] = 0.0
+        if not {3, 4} <= set(self.free):
+            terms[:, -2:] = 0.0
+        return terms
+
+    def loss(self, x: Array, error: Array, scale: float, inflation: float) -> Array:
+        """Twice the negative log-posterior of ``x`` (B, F) with residuals (B, n), shape (B,)."""
+        size = OUTLIER_SD * scale
+        data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
+        return np.asarray(data + (self.terms(x) ** 2).sum(axis=1))
+
+    def inflation(self, error: Array) -> float:
+        """Number of samples of a residual (n,) per independent sample."""
+        parts = split_by_trace(error, self.traces)
+        times = [correlation_samples(part) for part in parts]
+        return float(np.average(times, weights=[part.size for part in parts]))
+
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
+        _, high, unit = self.box
+        ahead = x[list(self.free)] + _DIFFERENCE * unit
+        step = np.where(ahead > high, -_DIFFERENCE, _DIFFERENCE)
+        base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
+        return base, np.asarray((np.array(moved) - base).T / step)
+
+    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
+        base, *moved = self.terms(np.stack([x, *self._perturbed(x, np.full(len(self.free), 1e-5))]))
+        return base, np.asarray((np.array(moved) - base).T / 1e-5)
+
+    def _perturbed(self, x: Array, step: Array) -> Array:
+        """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
+        points = np.tile(x, (len(self.free), 1))
+        points[np.arange(len(self.free)), self.free] += step * self.box[2]
+        return points
 
 
 @dataclass(frozen=True)
@@ -33,20 +148,15 @@ class MotorFit:
 
     Attributes:
         fit: Parameters, residuals and derivatives.
-        loss: Twice the negative log-posterior for the scale and ``inflation`` of this fit; use
-            ``loss_at`` to compare fits.
         x: Parameters as searched.
         problem: The problem.
         inflation: Number of samples per independent sample.
-        rivals: Losses of the other starts relative to the smallest.
     """
 
     fit: Fit
-    loss: float
     x: Array
     problem: MotorProblem
     inflation: float
-    rivals: Array
 
     @property
     def with_gains(self) -> bool:
@@ -65,44 +175,30 @@ class MotorFit:
         At least twice the standard deviation of the prior, so that a parameter that only the prior
         determines does not count as undetermined.
         """
-        unit = self.problem.box[2]
-        prior_width = np.where(np.isfinite(self.prior_sd), 2 * self.prior_sd, 0.0)
-        unit = np.maximum(unit, prior_width)
-        return np.where(self.log, unit * self.fit.values, unit)
+        sd = column(self.fit.parameters, "prior_sd")
+        prior_width = np.where(np.isfinite(sd), 2 * sd, 0.0)
+        unit = np.maximum(column(self.fit.parameters, "typical"), prior_width)
+        return np.where(self.log_scale, unit * self.fit.values, unit)
 
     @property
-    def log(self) -> NDArray[np.bool_]:
+    def log_scale(self) -> NDArray[np.bool_]:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
-        return np.array([self.problem.prior.parameters[k].log for k in self.problem.free])
+        return np.array([p.log for p in self.fit.parameters])
 
-    @property
-    def prior_sd(self) -> Array:
-        """Prior standard deviation of the free parameters, as searched, shape (F,)."""
-        return np.array([self.problem.prior.parameters[k].sd for k in self.problem.free])
+    def losses(self, x: Array, *, coarse: bool = False) -> Array:
+        """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,).
 
-    @property
-    def moved(self) -> NDArray[np.bool_]:
-        """Which of the free parameters lie more than two prior standard deviations off, (F,)."""
-        parameters = [self.problem.prior.parameters[k] for k in self.problem.free]
-        middle = np.array([b.middle for b in parameters])
-        deviation = np.abs(self.x[list(self.problem.free)] - middle)
-        return np.asarray(deviation > 2 * self.prior_sd)
-
-    def losses(self, x: Array) -> Array:
-        """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,)."""
-        return self._losses(self.problem, x)
-
-    def rough_losses(self, x: Array) -> Array:
-        """Losses with longer sub-steps, for the choice of starting points, shape (B,)."""
-        return self._losses(self.problem.coarse, x)
-
-    def _losses(self, problem: MotorProblem, x: Array) -> Array:
-        return _loss(problem, x, problem.residuals(x), self.fit.scale_rad, self.inflation)
+        Args:
+            x: The parameters.
+            coarse: Whether longer sub-steps do, for the choice of starting points.
+        """
+        problem = self.problem.coarse if coarse else self.problem
+        return problem.loss(x, problem.residuals(x), self.fit.scale_rad, self.inflation)
 
     def loss_at(self, scale_rad: float, inflation: float) -> float:
-        """The loss for residuals of another scale and correlation."""
+        """The loss for residuals of another scale and correlation, to compare fits."""
         error = np.concatenate(self.fit.residuals)[None]
-        return float(_loss(self.problem, self.x[None], error, scale_rad, inflation)[0])
+        return float(self.problem.loss(self.x[None], error, scale_rad, inflation)[0])
 
 
 def fit_motor(
@@ -115,7 +211,6 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
-    search: MotorSearch = MOTOR_SEARCH,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; other parameters have no effect.
 
@@ -133,16 +228,15 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else those of the plain servo are kept.
-        search: Settings of the search.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(search.longest_substep_s, 1 / (search.steps_per_radian * fastest)))
-    problem = MotorProblem(traces, prior, free, substep, Simulator(traces), search)
-    x = _starts(problem, plain, rng, start) if starts is None else starts
+    substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
+    problem = MotorProblem(traces, prior, free, substep, Simulator(traces))
+    x = _candidates(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
@@ -150,38 +244,35 @@ def fit_motor(
         windowed = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[: search.starts]]
+        x = x[np.argsort(size)[:_STARTS]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
-    scale, inflation, loss = 1.0, 1.0, np.zeros(x.shape[0])
-    for number in range(search.rounds):
+    scale, inflation = 1.0, 1.0
+    for number in range(_ROUNDS):
         before = scale
-        scale, inflation = robust_scale(error), _inflation(error, traces)
+        scale, inflation = robust_scale(error), problem.inflation(error)
         if number:
-            x, loss = _search(problem, x, scale, inflation, search.later_steps)
+            x, loss = _search(problem, x, scale, inflation, _LATER_STEPS)
         else:
-            x, loss = _search(problem.coarse, x, scale, inflation, search.first_steps)
+            x, loss = _search(problem.coarse, x, scale, inflation, _FIRST_STEPS)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
         if number:
-            x, loss = x[loss < loss[0] + 30], loss[loss < loss[0] + 30]
+            x = x[loss < loss[0] + 30]
         if number and abs(scale / before - 1) < 0.05:
             break
-    return _result(problem, x[0], scale, inflation, loss)
+    return _result(problem, x[0], scale, inflation)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorFit]:
-    """Refit with a sampled loop from starts ``x`` (B, F) as searched, best fit first."""
-    steps = motor.problem.search.later_steps if steps is None else steps
+def refitted(motor: MotorFit, x: Array, steps: int = _LATER_STEPS) -> MotorFit:
+    """The best refit with a sampled loop from starts ``x`` (B, F) as searched."""
     period = motor.problem.prior.index(LOOP[0])
-    free = tuple(sorted({*motor.problem.free, period}))
-    problem = replace(motor.problem, free=free)
+    problem = replace(motor.problem, free=tuple(sorted({*motor.problem.free, period})))
     x, loss = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
-    order = np.argsort(loss)
-    inflation = [_inflation(error, problem.traces) for error in problem.residuals(x)]
-    scale = motor.fit.scale_rad
-    return [_result(problem, x[k], scale, inflation[k], loss[k : k + 1]) for k in order]
+    best = x[np.argsort(loss)[0]]
+    inflation = problem.inflation(problem.residuals(best[None])[0])
+    return _result(problem, best, motor.fit.scale_rad, inflation)
 
 
 def averaged(fits: Sequence[MotorFit]) -> MotorFit:
@@ -191,57 +282,41 @@ def averaged(fits: Sequence[MotorFit]) -> MotorFit:
     """
     first = fits[0]
     x = np.mean([fit.x for fit in fits], axis=0)
-    loss = first.losses(x[None])
-    return _result(first.problem, x, first.fit.scale_rad, first.inflation, loss)
+    return _result(first.problem, x, first.fit.scale_rad, first.inflation)
 
 
 def soft_starts(motor: MotorFit) -> Array:
     """Starts as searched (S, F) from a fit, with gradual friction."""
-    x = np.tile(motor.x, (len(motor.problem.search.soft_s), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = motor.problem.search.soft_s
+    x = np.tile(motor.x, (len(_SOFT_S), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
     return x
 
 
-def _inflation(error: Array, traces: Sequence[Trace]) -> float:
-    parts = np.split(error, np.cumsum([np.count_nonzero(t.used) for t in traces])[:-1])
-    times = [correlation_samples(part) for part in parts]
-    return float(np.average(times, weights=[part.size for part in parts]))
-
-
-def _loss(problem: MotorProblem, x: Array, error: Array, scale: float, inflation: float) -> Array:
-    size = OUTLIER_SD * scale
-    data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
-    return np.asarray(data + (problem.terms(x) ** 2).sum(axis=1))
-
-
-def _starts(
+def _candidates(
     problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
 ) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    N = problem.search.candidates
-    x = np.full((N, len(prior.parameters)), -np.inf)
+    x = np.full((_CANDIDATES, len(prior.parameters)), -np.inf)
     for k, parameter in enumerate(prior.parameters):
-        x[:, k] = 0.0 if not parameter.log else -np.inf
+        x[:, k] = -np.inf if parameter.log else 0.0
         if k not in problem.free:
             continue
-        width = parameter.sd if np.isfinite(parameter.sd) else 0.0
-        drawn = parameter.middle + width * rng.standard_normal(N)
-        x[:, k] = drawn if parameter.log or parameter.middle else 0.5 * np.abs(drawn)
-    damping = prior.parameters[3].middle - prior.parameters[4].middle
-    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, N)
-    x[:, 1] = damping + 0.3 * rng.standard_normal(N)
-    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), N)
-    half = N // 2
-    x[:half, :3] = np.log(kp), np.log(kd), latency
+        width = parameter.prior_sd if np.isfinite(parameter.prior_sd) else 0.0
+        drawn = parameter.nominal + width * rng.standard_normal(_CANDIDATES)
+        x[:, k] = drawn if parameter.log or parameter.nominal else 0.5 * np.abs(drawn)
+    damping = prior.parameters[3].nominal - prior.parameters[4].nominal
+    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, _CANDIDATES)
+    x[:, 1] = damping + 0.3 * rng.standard_normal(_CANDIDATES)
+    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), _CANDIDATES)
+    x[: _CANDIDATES // 2, :3] = np.log(kp), np.log(kd), latency
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
+        missing = [k for k in problem.free if np.isneginf(start[k])]
         x[0] = start
-        x[0, [k for k in problem.free if np.isneginf(start[k])]] = x[
-            1, [k for k in problem.free if np.isneginf(start[k])]
-        ]
+        x[0, missing] = x[1, missing]
     low, high, _ = problem.box
     x[:, problem.free] = np.clip(x[:, problem.free], low, high)
     return x
@@ -252,7 +327,7 @@ def _search(
 ) -> tuple[Array, Array]:
     """Searches from all of ``x`` (S, F), and their losses (S,)."""
     low, high, unit = problem.box
-    free, search = list(problem.free), problem.search
+    free = list(problem.free)
     latest: dict[int, Array] = {}
 
     def servos_at(points: Array, index: NDArray[np.intp]) -> Array:
@@ -264,24 +339,21 @@ def _search(
         servos = servos_at(points, index)
         error = problem.residuals(servos)
         latest.update(zip(index.tolist(), error, strict=True))
-        return 0.5 * _loss(problem, servos, error, scale, inflation)
+        return 0.5 * problem.loss(servos, error, scale, inflation)
 
     def expand(points: Array, index: NDArray[np.intp]) -> Expansion:
         if not set(index.tolist()) <= latest.keys():
             losses(points, index)
-        return stacked(
-            [
-                expansion_at(servo, latest[k])
-                for servo, k in zip(servos_at(points, index), index.tolist(), strict=True)
-            ]
-        )
+        servos = servos_at(points, index)
+        pairs = zip(servos, index, strict=True)
+        return stacked([expansion_at(servo, latest[k]) for servo, k in pairs])
 
     def expansion_at(servo: Array, error: Array) -> Expansion:
         _, slopes = problem.coarse.slopes(servo)
         prior, prior_slopes = problem.prior_slopes(servo)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
         weighted = slopes * weight[:, None]
-        loss = 0.5 * _loss(problem, servo[None], error[None], scale, inflation)
+        loss = 0.5 * problem.loss(servo[None], error[None], scale, inflation)
         slope = weighted.T @ error + prior_slopes.T @ prior
         curvature = slopes.T @ weighted + prior_slopes.T @ prior_slopes
         return Expansion(loss, slope[None], curvature[None], {})
@@ -292,41 +364,30 @@ def _search(
         np.tile(low / unit, (len(x), 1)),
         np.tile(high / unit, (len(x), 1)),
         evaluations=steps,
-        settled=search.settled,
-        hopeless=partial(
-            cannot_win, same=search.same, behind=search.behind, optimism=search.promise
-        ),
+        settled=_SETTLED,
+        hopeless=cannot_win,
         losses=losses,
         look_every=1,
     )
     return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
 
 
-def _result(
-    problem: MotorProblem, x: Array, scale: float, inflation: float, losses: Array
-) -> MotorFit:
+def _result(problem: MotorProblem, x: Array, scale: float, inflation: float) -> MotorFit:
     """The fit, in SI units of the parameters."""
-    prior, free = problem.prior, list(problem.free)
     error, slopes = problem.slopes(x)
-    values = prior.values(x)
-    factor = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
-    unit = problem.box[2]
-    _, prior_jacobian = problem.prior_slopes(x)
-    prior_slope = prior_jacobian / unit / factor
-    counts = np.cumsum([np.count_nonzero(t.used) for t in problem.traces])[:-1]
-    parameters = [prior.parameters[k] for k in free]
+    row, unit = problem.rows(x[None])[0], problem.box[2]
+    values = problem.prior.values(x)
+    factor = np.array([values[k] if problem.prior.parameters[k].log else 1.0 for k in problem.free])
+    prior_slope = problem.prior_slopes(x)[1] / unit / factor
     fit = Fit(
-        parameters=tuple(
-            Parameter(b.name, b.low, b.high, u, log=b.log)
-            for b, u in zip(parameters, unit * factor, strict=True)
-        ),
-        row=problem.rows(x[None])[0],
+        parameters=problem.parameters,
+        row=row,
         scale_rad=robust_scale(error),
-        residuals=tuple(np.split(error, counts)),
-        jacobians=tuple(np.split(slopes / unit / factor, counts)),
+        residuals=split_by_trace(error, problem.traces),
+        jacobians=split_by_trace(slopes / unit / factor, problem.traces),
         converged=True,
         inertia=problem.traces[0].load.inertia_kgm2,
         prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )
-    return MotorFit(fit, float(losses[0]), x, problem, inflation, losses[1:] - losses[0])
+    return MotorFit(fit, x, problem, inflation)

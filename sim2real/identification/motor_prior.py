@@ -8,12 +8,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LINE, LOOP
+from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
+
+_SHEET_SD = (0.35, 0.25)
+"""Standard deviations of the logarithms of stall torque and no-load speed about the data sheet."""
+_UNKNOWN_SD = 1.5
+"""Standard deviation of the logarithm of stall torque per unknown inertia."""
+_MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
+"""Time constant of small geared motors, rotor inertia times no-load speed over stall torque, and
+the standard deviation of its logarithm."""
+_BACK_EMF_SD = 0.3
+"""Scale of the logarithm of damping about that by the back-EMF, with long tails, as the controller
+may add damping."""
+_TICK_S = 2e-7
+"""Natural unit of a loop's period, which accumulates over thousands of samples."""
+_LOG_UNIT = 0.3
+"""Natural unit of a logarithm."""
 
 
 @dataclass(frozen=True)
@@ -31,58 +47,6 @@ class Spreads:
 
 
 SPREADS = Spreads()
-_FREE = np.inf
-
-
-@dataclass(frozen=True)
-class PriorSettings:
-    """Prior knowledge of any motor in addition to its data sheet.
-
-    Attributes:
-        sheet_sd: Standard deviations of the logarithms of stall torque and no-load speed about the
-            data sheet's.
-        unknown_sd: Standard deviation of the logarithm of stall torque per unknown inertia.
-        motor_time_s: Time constant of small geared motors, rotor inertia times no-load speed over
-            stall torque.
-        motor_time_sd: Standard deviation of its logarithm.
-        back_emf_sd: Scale of the logarithm of damping about that by the back-EMF, with long tails,
-            as the controller may add damping.
-        tick_s: Natural unit of a loop's period, which accumulates over thousands of samples.
-    """
-
-    sheet_sd: tuple[float, float] = (0.35, 0.25)
-    unknown_sd: float = 1.5
-    motor_time_s: float = 0.03
-    motor_time_sd: float = 0.8
-    back_emf_sd: float = 0.3
-    tick_s: float = 2e-7
-
-
-PRIOR_SETTINGS = PriorSettings()
-"""The defaults."""
-
-
-@dataclass(frozen=True)
-class ParameterPrior:
-    """Bounds and normal prior of one parameter.
-
-    Attributes:
-        name: Column of the law, see ``servo.parameters``.
-        log: Whether it is searched as a logarithm, to which ``middle`` and ``sd`` then refer.
-        middle: Most likely value.
-        sd: Standard deviation, infinite for a flat prior.
-        low: Smallest value, in SI units.
-        high: Largest value.
-        unit: Natural unit, as searched.
-    """
-
-    name: str
-    log: bool
-    middle: float
-    sd: float
-    low: float
-    high: float
-    unit: float
 
 
 @dataclass(frozen=True)
@@ -90,14 +54,12 @@ class MotorPrior:
     """Prior of all parameters of a motor, with relations between them.
 
     Attributes:
-        parameters: Prior of each, gains and latency first.
+        parameters: Prior of each column of the law (``servo.parameters``), gains and latency first.
         per_rad: Drive per radian of error that the servo reports, if it does.
-        back_emf_sd: Scale of the logarithm of damping about that by the back-EMF.
     """
 
-    parameters: tuple[ParameterPrior, ...]
+    parameters: tuple[Parameter, ...]
     per_rad: float | None
-    back_emf_sd: float = PRIOR_SETTINGS.back_emf_sd
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,11 +72,8 @@ class MotorPrior:
 
     def loosened(self, factor: float) -> MotorPrior:
         """The prior with the standard deviations of losses and friction multiplied by a factor."""
-        parameters = tuple(
-            b if b.log or not np.isfinite(b.sd) else replace(b, sd=factor * b.sd)
-            for b in self.parameters
-        )
-        return replace(self, parameters=parameters)
+        wider = [p if p.log else replace(p, prior_sd=factor * p.prior_sd) for p in self.parameters]
+        return replace(self, parameters=tuple(wider))
 
     def values(self, x: Array) -> Array:
         """Parameters in SI units from those searched, shape (..., F)."""
@@ -127,21 +86,17 @@ class MotorPrior:
         Args:
             x: Parameters as searched, shape (B, F).
         """
-        middle = np.array([b.middle if np.isfinite(b.sd) else 0.0 for b in self.parameters])
-        sd = np.array([parameter.sd for parameter in self.parameters])
-        normal_terms = (x - middle) / sd
+        parts = (x - column(self.parameters, "nominal")) / column(self.parameters, "prior_sd")
         kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        damping = (kd - stall + no_load_speed) / self.back_emf_sd
+        damping = (kd - stall + no_load_speed) / _BACK_EMF_SD
         damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
         drive = np.zeros_like(kp)
         if self.per_rad is not None:
             drive = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
-        return np.hstack([normal_terms, damping[:, None], drive[:, None]])
+        return np.hstack([parts, damping[:, None], drive[:, None]])
 
 
-def motor_prior(
-    servo: Servo, traces: Sequence[Trace], *, settings: PriorSettings = PRIOR_SETTINGS
-) -> MotorPrior:
+def motor_prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
     """The prior of a servo's law from its data sheet and, if it is reported, its drive.
 
     Torque and speed of the data sheet are those of the motor's line without friction, within the
@@ -149,39 +104,29 @@ def motor_prior(
     are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
     """
     stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
-    load_known = traces[0].load is not PER_INERTIA
-    torque_sd = settings.sheet_sd[0]
-    if not load_known:
-        stall, torque_sd = speed / settings.motor_time_s, settings.unknown_sd
-    damping = stall / speed
-    slopes = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
+    stall_sd, speed_sd = _SHEET_SD
+    if traces[0].load is PER_INERTIA:
+        stall, stall_sd = speed / _MOTOR_TIME_S, _UNKNOWN_SD
     inertia = traces[0].load.inertia_kgm2
+    rotor_inertia = _MOTOR_TIME_S * (stall / speed)
+    per_rad = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
 
-    def log(
-        name: str, middle: float, sd: float, room: float = 4.0, unit: float = 0.3
-    ) -> ParameterPrior:
+    def log(name: str, middle: float, sd: float, room: float = 4.0) -> Parameter:
         low, high = float(middle * np.exp(-room)), float(middle * np.exp(room))
-        return ParameterPrior(name, True, float(np.log(middle)), sd, low, high, unit)
+        return Parameter(name, low, high, _LOG_UNIT, float(np.log(middle)), sd, log=True)
 
-    def share(name: str, sd: float, high: float, unit: float) -> ParameterPrior:
-        return ParameterPrior(name, False, 0.0, SPREADS.losses * sd, 0.0, high, unit)
+    def share(name: str, sd: float, high: float, unit: float) -> Parameter:
+        return Parameter(name, 0.0, high, unit, 0.0, SPREADS.losses * sd)
 
     return MotorPrior(
         (
-            ParameterPrior("kp_Nm_per_rad", True, 0.0, _FREE, 1e-9 * inertia, 1.6e5 * inertia, 0.3),
-            ParameterPrior(
-                "kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3
-            ),
-            ParameterPrior("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
-            log(LINE[0], stall, torque_sd),
-            log(LINE[1], speed, settings.sheet_sd[1]),
+            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, _LOG_UNIT, log=True),
+            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, _LOG_UNIT, log=True),
+            Parameter("latency_s", 0.0, 0.5, 0.02),
+            log(LINE[0], stall, stall_sd),
+            log(LINE[1], speed, speed_sd),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
-            log(
-                "motor.rotor_inertia_kgm2",
-                settings.motor_time_s * damping,
-                settings.motor_time_sd,
-                8.0,
-            ),
+            log(ROTOR, rotor_inertia, _MOTOR_TIME_SD, 8.0),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
             share("motor.motor_friction", 0.4, 0.95, 0.2),
             share("motor.load_friction", 0.4, 2.0, 0.2),
@@ -190,8 +135,7 @@ def motor_prior(
             log("motor.stribeck_speed_rad_s", 0.05 * speed, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(ParameterPrior(name, False, 0.0, _FREE, 0.0, 0.05, settings.tick_s) for name in LOOP),
+            *(Parameter(name, 0.0, 0.05, _TICK_S) for name in LOOP),
         ),
-        float(np.median(slopes)) if slopes else None,
-        settings.back_emf_sd,
+        float(np.median(per_rad)) if per_rad else None,
     )

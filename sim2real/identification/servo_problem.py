@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,11 +60,9 @@ class Servos:
 
     def wide(self, width: int) -> Servos:
         """Add or remove places for free parameters at the end, to ``width`` places."""
-        columns, unit = _resized(self.columns, width), _resized(self.unit, width)
-        columns[:, self.columns.shape[1] :] = -1
-        unit[:, self.columns.shape[1] :] = 1.0
-        low, high = _resized(self.low, width), _resized(self.high, width)
-        return Servos(self.joint, self.theta, columns, unit, low, high)
+        fill = {"columns": -1, "unit": 1.0, "low": 0.0, "high": 0.0}
+        parts = {name: _resized(getattr(self, name), width, x) for name, x in fill.items()}
+        return replace(self, **parts)
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -87,12 +85,10 @@ class Servos:
         return replace(self, theta=theta)
 
 
-def _resized(values: NDArray[Any], width: int, axes: Sequence[int] = (1,)) -> NDArray[Any]:
-    """Pad with zeros, or truncate, to ``width`` places along some axes."""
-    for axis in axes:
-        widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
-        values = np.pad(values, widths).take(np.arange(width), axis)
-    return values
+def _resized(values: NDArray[Any], width: int, fill: float = 0.0, axis: int = 1) -> NDArray[Any]:
+    """Pad with a value, or truncate, to ``width`` places along an axis."""
+    widths = [(0, max(0, width - values.shape[axis]) * (k == axis)) for k in range(values.ndim)]
+    return np.pad(values, widths, constant_values=fill).take(np.arange(width), axis)
 
 
 def stacked(servos: Sequence[Servos]) -> Servos:
@@ -146,12 +142,14 @@ class Fits:
             shape (N, B, 1 + F, 1 + F), in rad2 and units.
         count: Number of samples whose innovations count, shape (N,).
         autoregression: The noise model, shape (N, lags).
+        converged: Whether each search ended at a minimum, shape (N,).
     """
 
     servos: Servos
     gram: Array
     count: Array
     autoregression: Array
+    converged: NDArray[np.bool_]
 
     @property
     def error2(self) -> Array:
@@ -165,8 +163,7 @@ class Fits:
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Fits:
         """A selection of the fits."""
-        rest = (self.gram, self.count, self.autoregression)
-        return Fits(self.servos[index], *(value[index] for value in rest))
+        return Fits(*(value[index] for value in vars(self).values()))
 
     def one(self, n: int) -> Fits:
         """A single fit, without places that hold no parameter."""
@@ -196,8 +193,8 @@ class Fits:
 
     def wide(self, width: int) -> Fits:
         """Change the number of places for free parameters, see ``Servos.wide``."""
-        gram = _resized(self.gram, 1 + width, (2, 3))
-        return Fits(self.servos.wide(width), gram, self.count, self.autoregression)
+        gram = _resized(_resized(self.gram, 1 + width, axis=2), 1 + width, axis=3)
+        return replace(self, servos=self.servos.wide(width), gram=gram)
 
 
 Hypothesis = selection.Hypothesis[Fits]
@@ -208,10 +205,9 @@ Tried = selection.Ledger[Fits]
 def joined(fits: Sequence[Fits]) -> Fits:
     """Concatenate fits with different numbers of parameters, padding to the largest."""
     width = max(fit.servos.columns.shape[1] for fit in fits)
-    rest = zip(
-        *((x.gram, x.count, x.autoregression) for x in (f.wide(width) for f in fits)), strict=True
-    )
-    return Fits(stacked([fit.servos for fit in fits]), *(np.concatenate(x) for x in rest))
+    parts = [list(vars(fit.wide(width)).values())[1:] for fit in fits]
+    arrays = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return Fits(stacked([fit.servos for fit in fits]), *arrays)
 
 
 def minimise(
@@ -221,24 +217,8 @@ def minimise(
     iterations: int,
     blocks: int = 1,
     white: bool = False,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Fits:
-    """The fits of ``descended``, without the mask of converged ones."""
-    return descended(
-        batch, servos, iterations=iterations, blocks=blocks, white=white, progress=progress
-    )[0]
-
-
-def descended(
-    batch: Batch,
-    servos: Servos,
-    *,
-    iterations: int,
-    blocks: int = 1,
-    white: bool = False,
     hopeless: least_squares.Hopeless | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> tuple[Fits, NDArray[np.bool_]]:
+) -> Fits:
     """Fit all servos simultaneously (``inference.least_squares``), with one launch per round.
 
     The noise model of each servo is refitted at every point, which makes the sum of squared
@@ -251,10 +231,6 @@ def descended(
         blocks: Number of blocks of each recording for ``Fits.gram``.
         white: Whether to assume white noise.
         hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
-        progress: Called with the completed share.
-
-    Returns:
-        The fits, and a mask of the converged ones, shape (N,).
     """
 
     def expand(x: Array, index: NDArray[np.intp]) -> Expansion:
@@ -277,11 +253,11 @@ def descended(
         free=servos.free,
         evaluations=iterations,
         hopeless=hopeless,
-        progress=progress,
     )
     aside = minimum.expansion.aside
-    fits = Fits(servos.at(minimum.x), aside["gram"], aside["count"], aside["noise"])
-    return fits, minimum.converged
+    return Fits(
+        servos.at(minimum.x), aside["gram"], aside["count"], aside["noise"], minimum.converged
+    )
 
 
 def variants(servos: Servos) -> Problems:

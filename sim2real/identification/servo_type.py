@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sim2real.errors import InputError
 from sim2real.identification.motor_fit import MotorFit
-from sim2real.identification.motor_prior import MotorPrior, ParameterPrior
+from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.output import write_json
 from sim2real.robot import Servo
@@ -59,24 +59,18 @@ class ServoType:
 
     def prior(self, generic: MotorPrior, *, per_inertia: bool) -> MotorPrior:
         """The generic prior, with the parameters of the type where they apply."""
-        applicable = {
-            name: parameter
-            for name, parameter in self.parameters.items()
-            if per_inertia == self.per_inertia or not name.endswith(("_Nm", "_kgm2"))
-        }
-        parameters = tuple(_informed(p, applicable.get(p.name)) for p in generic.parameters)
-        return replace(generic, parameters=parameters)
-
-
-def _informed(parameter: ParameterPrior, estimate: tuple[float, float] | None) -> ParameterPrior:
-    if estimate is None:
-        return parameter
-    middle, sd = estimate
-    low, high = parameter.low, parameter.high
-    if parameter.log:
-        low = min(low, float(np.exp(middle - 4 * sd)))
-        high = max(high, float(np.exp(middle + 4 * sd)))
-    return replace(parameter, middle=middle, sd=sd, low=low, high=high)
+        parameters = []
+        for p in generic.parameters:
+            applies = per_inertia == self.per_inertia or not p.name.endswith(("_Nm", "_kgm2"))
+            if applies and p.name in self.parameters:
+                middle, sd = self.parameters[p.name]
+                low, high = p.low, p.high
+                if p.log:
+                    low = min(low, float(np.exp(middle - 4 * sd)))
+                    high = max(high, float(np.exp(middle + 4 * sd)))
+                p = replace(p, nominal=middle, prior_sd=sd, low=low, high=high)
+            parameters.append(p)
+        return replace(generic, parameters=tuple(parameters))
 
 
 def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bool) -> ServoType:
@@ -92,14 +86,13 @@ def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bo
     for motor in motors:
         spread = uncertainty(motor.fit, motor.units).sd
         values = motor.fit.values
-        for k, place in enumerate(motor.problem.free):
-            parameter = motor.problem.prior.parameters[place]
-            if parameter.name in BASE or parameter.name in LOOP:
+        middles = motor.x[list(motor.problem.free)]
+        for k, p in enumerate(motor.fit.parameters):
+            if p.name in BASE or p.name in LOOP:
                 continue
-            sd = float(spread[k] / values[k] if parameter.log else spread[k])
-            sd = min(max(sd, 1e-6), parameter.sd)
-            row = float(motor.x[place]), sd, parameter.unit, parameter.log
-            by_name.setdefault(parameter.name, []).append(row)
+            sd = float(spread[k] / values[k] if p.log else spread[k])
+            row = float(middles[k]), min(max(sd, 1e-6), p.prior_sd), p.typical, p.log
+            by_name.setdefault(p.name, []).append(row)
     parameters = {name: _pooled(np.array(rows, dtype=np.float64)) for name, rows in by_name.items()}
     return ServoType(name, per_inertia, parameters, source)
 

@@ -1,4 +1,7 @@
-"""Uncertainty of a fit with correlated residuals and directions without information."""
+"""Uncertainty of a fit with correlated residuals, and 90 % intervals.
+
+Ends of intervals are infinite where the recordings set no bound.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from sim2real.identification.fit import Fit
+from sim2real.identification.fit import Fit, fit, gains
+from sim2real.identification.motor_fit import MotorFit
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -20,6 +26,12 @@ _OPEN_SD = 1.0
 """Standard deviation in natural units above which a direction is open: not determined."""
 _PART = 0.25
 """Share of an open direction from which a parameter counts as part of it."""
+_CHI2_90 = 6.251
+"""90 % quantile of chi-square with three degrees of freedom, as regions may be disconnected."""
+_LARGEST_SYMMETRIC = 0.15
+"""Half-width in natural units above which symmetric ends are not used."""
+_STEPS, _BISECTIONS = 24, 3
+"""Largest number of steps outwards, and of bisections, for an end by profile likelihood."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +52,13 @@ class Uncertainty:
     open_directions: tuple[tuple[int, ...], ...]
     inflation: float
 
+    @property
+    def undetermined(self) -> set[int]:
+        """Indices of the parameters in open directions."""
+        return {k for direction in self.open_directions for k in direction}
 
-def uncertainty(fit: Fit, units: Array) -> Uncertainty:
+
+def uncertainty(best: Fit, units: Array) -> Uncertainty:
     """Sandwich covariance of a robust fit whose residuals are correlated in time.
 
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
@@ -50,15 +67,15 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
     effective number of samples. The prior counts as an additional measurement.
 
     Args:
-        fit: The fit.
+        best: The fit.
         units: Natural units of the free parameters, shape (F,).
     """
-    size = OUTLIER_SD * fit.scale_rad
+    size = OUTLIER_SD * best.scale_rad
     curvature = np.zeros((units.size, units.size))
     plain = np.zeros_like(curvature)
     spread = np.zeros_like(curvature)
     squares, effective, spans = 0.0, 0.0, []
-    for error, slopes in zip(fit.residuals, fit.jacobians, strict=True):
+    for error, slopes in zip(best.residuals, best.jacobians, strict=True):
         slope = slopes * units
         z2 = (error / size) ** 2
         score = (error / np.sqrt(1 + z2))[:, None] * slope
@@ -71,15 +88,15 @@ def uncertainty(fit: Fit, units: Array) -> Uncertainty:
         squares += float(np.sum(error**2 / (1 + z2)))
         effective += error.size / time
     prior_precision = np.zeros_like(curvature)
-    if fit.prior is not None:
-        prior_precision = fit.tempering * fit.prior * np.outer(units, units)
+    if best.prior is not None:
+        prior_precision = best.tempering * best.prior * np.outer(units, units)
         curvature += prior_precision
-        spread += fit.tempering * prior_precision
-    samples = sum(error.size for error in fit.residuals)
+        spread += best.tempering * prior_precision
+    samples = sum(error.size for error in best.residuals)
     level, directions = np.linalg.eigh(curvature)
     least = 1e-12 * max(level[-1], 1e-300)
     level = np.maximum(level, least)
-    independent = (squares / samples) * plain + fit.tempering * prior_precision
+    independent = (squares / samples) * plain + best.tempering * prior_precision
     along = np.maximum(
         np.einsum("ik,ij,jk->k", directions, spread, directions),
         np.einsum("ik,ij,jk->k", directions, independent, directions),
@@ -114,3 +131,120 @@ def _raised_to(covariance: Array, least: Array) -> Array:
     """Scale a covariance up where its variances fall below those of independent residuals."""
     factor = np.sqrt(np.maximum(_ratio(np.diag(least), np.diag(covariance)), 1.0))
     return np.asarray(covariance * np.outer(factor, factor))
+
+
+def intervals(
+    best: Fit,
+    rivals: list[Fit],
+    spread: Uncertainty,
+    units: Array,
+    fitted: list[Trace],
+) -> dict[str, tuple[float, float]]:
+    """90 % intervals of gains, latency and, if it is free, inertia, by name.
+
+    Symmetric ends from the covariance if that is small and there is no rival outside; else by
+    profile likelihood. An upper end is infinite if the recordings do not determine it; ends are
+    within the bounds. An interval includes all rivals that fit the recordings equally well.
+
+    Args:
+        best: The fit.
+        rivals: Fits of very different gains.
+        spread: Covariance of the fit.
+        units: Natural unit of each fitted parameter, shape (F,).
+        fitted: The recordings.
+    """
+    equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
+    result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
+    for k, p in enumerate(best.parameters):
+        value, half = float(best.values[k]), float(spread.half_width[k])
+        ends = (max(value - half, p.low), min(value + half, p.high))
+        values = [float(rival.row[COLUMNS.index(p.name)]) for rival in (best, *equal)]
+        elsewhere = any(abs(other - value) > half for other in values)
+        if k in spread.undetermined or elsewhere or half > _LARGEST_SYMMETRIC * units[k]:
+            first = max(min(half, units[k]), 0.1 * units[k]) / 2
+            ends = (
+                _profiled(best, k, -first, p.low, fitted, spread.inflation),
+                _profiled(best, k, first, p.high, fitted, spread.inflation),
+            )
+        ends = (min(ends[0], *values), max(ends[1], *values))
+        result[p.name] = (ends[0], np.inf if ends[1] == p.high else ends[1])
+    return result
+
+
+def symmetric_intervals(
+    best: Fit, spread: Uncertainty, units: Array
+) -> dict[str, tuple[float, float]]:
+    """90 % intervals from the covariance, with infinite upper ends in open directions."""
+    result = {}
+    for k, (p, value) in enumerate(zip(best.parameters, best.values, strict=True)):
+        half = float(spread.half_width[k])
+        unbounded = k in spread.undetermined or half > units[k]
+        ends = (p.low, np.inf) if unbounded else (float(value) - half, float(value) + half)
+        result[p.name] = (max(ends[0], p.low), ends[1])
+    return result
+
+
+def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[float, float]]:
+    """90 % intervals of a motor's parameters, with their prior.
+
+    Symmetric in the searched variables: the logarithms of gains, torque and speed.
+    """
+    result = {}
+    for k, (p, fitted_value) in enumerate(zip(motor.fit.parameters, motor.fit.values, strict=True)):
+        value, half = float(fitted_value), float(spread.half_width[k])
+        ends = value - half, value + half
+        if p.log:
+            ends = value * float(np.exp(-half / value)), value * float(np.exp(half / value))
+        top = np.inf if ends[1] >= p.high else ends[1]
+        result[p.name] = (min(max(ends[0], p.low), value), max(top, value))
+    return result
+
+
+def _profiled(
+    best: Fit,
+    k: int,
+    first: float,
+    limit: float,
+    fitted: list[Trace],
+    inflation: float,
+) -> float:
+    """End of the interval of one parameter, or ``limit`` if the recordings do not determine it.
+
+    Profile likelihood: the parameter is moved by increasing steps, starting with ``first``, and the
+    others are refitted, until twice the decrease of the log-likelihood exceeds ``_CHI2_90``. The
+    proportional gain is moved by factors, the others by differences.
+    """
+    value, name = float(best.values[k]), best.names[k]
+    row = best.row.copy()
+
+    def moved(step: float) -> float:
+        trial = value * float(np.exp(step / value)) if name == COLUMNS[0] else value + step
+        return min(trial, limit) if first > 0 else max(trial, limit)
+
+    def accounts(trial: float) -> bool:
+        row[COLUMNS.index(name)] = trial
+        scaled = {p.name: p for p in gains(row, best.inertia)}
+        others = [scaled.get(p.name, p) for p in best.parameters if p.name != name]
+        profile = fit(fitted, row, others, rounds=1, evaluations=8)
+        if _excess(profile, best, inflation) > _CHI2_90:
+            return False
+        row[:] = profile.row
+        return True
+
+    inside, outside = 0.0, first
+    for _ in range(_STEPS):
+        if not accounts(moved(outside)):
+            break
+        if moved(outside) == limit:
+            return limit
+        inside, outside = outside, 2 * outside
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if accounts(moved(middle)) else (inside, middle)
+    return moved(0.5 * (inside + outside))
+
+
+def _excess(other: Fit, best: Fit, inflation: float) -> float:
+    """Twice the log-likelihood by which ``best`` exceeds ``other``, for correlated residuals."""
+    rise = other.loss(best.scale_rad) - best.loss(best.scale_rad)
+    return rise / best.scale_rad**2 / max(inflation, 1.0)

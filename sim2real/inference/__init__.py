@@ -6,11 +6,11 @@ Modules::
     correlated_noise  usable samples, whitening, autocorrelation times, slow drift (Wander)
     segments          intervals in which a residual exceeds the noise
     least_squares     minimise(expand, start, low, high): N problems at once; expand returns loss,
-                      gradient and curvature at points (M, F) of any of them
+                      gradient and curvature at points (M, F) of any of them; cannot_win stops
+                      searches that cannot reach the best minimum
     evidence          profile likelihood, Laplace approximation, probabilities of models
     selection         select(problem, ledgers): the candidates that a problem needs, refitting
                       every set
-    multi_start       stops searches that cannot reach the best minimum
     low_discrepancy   points that fill a cube evenly
 
 Example, a straight line through points::

@@ -8,7 +8,7 @@ with a loss that is robust to outliers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,18 @@ SETTLED = 0.02
 """Expected gain in log-likelihood below which a search ends."""
 OUTLIER_SD = 3.0
 """Residuals beyond this number of standard deviations are down-weighted."""
+_DAMPING = 1e-6, 1e6
+"""Smallest damping, and damping above which a search ends."""
+_LARGEST_STEP = 3.0
+"""Longest step of a parameter, in units."""
+_SAME_SCALE = 0.05
+"""Relative change of the scale below which robust rounds end."""
+_SAME = 0.1
+"""Distance in units below which two searches approach the same minimum."""
+_BEHIND = 30.0
+"""Largest difference to the best loss at which a search continues."""
+_OPTIMISM = 5.0
+"""Assumed remaining decrease of a loss as a multiple of that expected from the next step."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +51,11 @@ class Expansion:
     curvature: Array
     aside: dict[str, Array]
 
-    def replaced(self, rows: Index, by: Expansion, taken: Mask) -> Expansion:
-        """Replace the ``rows`` for which ``taken`` by those of another expansion, in place."""
-        for target, source in zip(self._arrays(), by._arrays(), strict=True):
-            target[rows[taken]] = source[taken]
-        return self
+    def replace(self, rows: Index, new: Expansion, chosen: Mask | slice = slice(None)) -> None:
+        """Replace the rows (M,), in place, by the M chosen rows of another expansion."""
+        pairs = zip(self._arrays(), new._arrays(), strict=True)
+        for target, source in pairs:
+            target[rows] = source[chosen]
 
     def _arrays(self) -> list[Array]:
         return [self.loss, self.slope, self.curvature, *self.aside.values()]
@@ -84,10 +96,7 @@ def minimise(
     settled: float = SETTLED,
     hopeless: Hopeless | None = None,
     losses: Callable[[Array, Index], Array] | None = None,
-    progress: Callable[[float], None] = lambda share: None,
     look_every: int = 4,
-    least_damping: float = 1e-6,
-    most_damping: float = 1e6,
 ) -> Minimum:
     """Minimise N problems by damped steps, with one joint evaluation per round.
 
@@ -105,10 +114,7 @@ def minimise(
         hopeless: Selects problems to stop, called every ``look_every`` evaluations.
         losses: Losses of points (M, F) of the problems ``index`` (M,), if they are cheaper than
             expansions; only points with a smaller loss are then expanded.
-        progress: Called with the completed share.
         look_every: Evaluations between calls of ``hopeless``.
-        least_damping: Smallest damping.
-        most_damping: Damping above which a search ends.
     """
     N = start.shape[0]
     free = np.ones(start.shape, dtype=bool) if free is None else free
@@ -122,18 +128,17 @@ def minimise(
         if count > 1 and losses is None:
             proposal = expand(trial[active], active)
             better = proposal.loss < current.loss[active]
-            current.replaced(active, proposal, better)
+            current.replace(active[better], proposal, better)
         elif count > 1 and losses is not None:
             better = losses(trial[active], active) < current.loss[active]
-            rows = active[better]
-            if rows.size:
-                current.replaced(rows, expand(trial[rows], rows), np.ones(rows.size, dtype=bool))
+            if better.any():
+                current.replace(active[better], expand(trial[active[better]], active[better]))
         accepted, rejected = active[better], active[~better]
         best[accepted] = trial[accepted]
-        damping[accepted] = np.maximum(damping[accepted] / 5, least_damping)
+        damping[accepted] = np.maximum(damping[accepted] / 5, _DAMPING[0])
         damping[rejected] *= 8
         step, gain = _step(current, best, (low, high), free, damping, active)
-        worth = (gain > settled) & (damping[active] < most_damping)
+        worth = (gain > settled) & (damping[active] < _DAMPING[1])
         converged[active] = ~worth
         trial[active] = best[active] + step
         active = active[worth]
@@ -141,7 +146,6 @@ def minimise(
             # Parameters with the same effect leave the curvature singular without damping.
             promised = _step(current, best, (low, high), free, np.full(N, 1e-12), active)[1]
             active = active[~hopeless(active, best, current.loss, promised)]
-        progress(count / evaluations)
         if not active.size:
             break
     return Minimum(best, current, converged)
@@ -154,8 +158,6 @@ def _step(
     free: Mask,
     damping: Array,
     rows: Index,
-    *,
-    largest_step: float = 3.0,
 ) -> tuple[Array, Array]:
     """Next step of each problem, shape (M, F), and its expected gain, shape (M,)."""
     x, low, high = best[rows], box[0][rows], box[1][rows]
@@ -173,11 +175,33 @@ def _step(
     np.einsum("nff->nf", matrix)[...] = size
     step = np.linalg.solve(matrix, np.where(moving, -slope, 0.0)[:, :, None])[:, :, 0]
     longest = np.abs(step).max(axis=1, initial=0.0, keepdims=True)
-    step *= np.minimum(1.0, largest_step / np.maximum(longest, 1e-300))
+    step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
     step = np.where(free[rows], np.clip(x + step, low, high) - x, 0.0)
     gain = -np.einsum("nf,nf->n", slope, step)
     gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
     return np.asarray(step), np.asarray(gain)
+
+
+def cannot_win(active: Index, points: Array, losses: Array, promised: Array) -> Mask:
+    """Searches that approach the minimum of a better one, or cannot reach the best loss.
+
+    For the argument ``hopeless`` of ``minimise``.
+
+    Args:
+        active: Indices of the M active ones of S searches.
+        points: Current points of all searches, in natural units, shape (S, F).
+        losses: Their losses, shape (S,).
+        promised: Decrease of the loss expected from the next step of each active search, (M,).
+
+    Returns:
+        Mask of the active searches to stop, shape (M,).
+    """
+    rank = np.empty(losses.size, dtype=np.intp)
+    rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
+    near = np.abs(points[active, None] - points).max(axis=2) < _SAME
+    follows = (near & (rank < rank[active, None])).any(axis=1)
+    reachable = losses[active] - _OPTIMISM * np.maximum(promised, 0.5)
+    return np.asarray(follows | (reachable > losses.min() + _BEHIND))
 
 
 def central(
@@ -220,7 +244,7 @@ def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
 
 
 def stacked(expansions: Sequence[Expansion]) -> Expansion:
-    """Concatenate expansions to one of N problems."""
+    """Concatenate expansions to one of N problems, without ``aside``."""
     loss, slope, curvature = (
         np.concatenate([getattr(e, name) for e in expansions])
         for name in ("loss", "slope", "curvature")
@@ -236,7 +260,6 @@ def minimise_robustly(
     *,
     rounds: int = 3,
     evaluations: int = 60,
-    same_scale: float = 0.05,
     settled: float = 1e-9,
 ) -> tuple[Array, bool]:
     """Least squares, then robust rounds (soft L1) in which the scale is estimated again.
@@ -248,7 +271,6 @@ def minimise_robustly(
         high: Largest values, likewise.
         rounds: Largest number of robust rounds after the first one.
         evaluations: Largest number of evaluations in one round.
-        same_scale: Relative change of the scale below which the rounds end.
         settled: Expected gain, relative to the scale, below which a search ends.
 
     Returns:
@@ -266,7 +288,7 @@ def minimise_robustly(
 
     for number in range(rounds + 1):
         before, scale = scale, robust_scale(evaluate(point)[0])
-        if number > 1 and abs(scale / before - 1) < same_scale:
+        if number > 1 and abs(scale / before - 1) < _SAME_SCALE:
             break
         limit = OUTLIER_SD if number else np.inf
 
@@ -274,14 +296,8 @@ def minimise_robustly(
             error, slope = evaluate(x[0])
             return expansion(error / scale, slope / scale, limit)
 
-        minimum = minimise(
-            expand,
-            point[None],
-            low[None],
-            high[None],
-            evaluations=evaluations,
-            settled=settled,
-        )
+        box = low[None], high[None]
+        minimum = minimise(expand, point[None], *box, evaluations=evaluations, settled=settled)
         point, converged = minimum.x[0], bool(minimum.converged[0])
     return point, converged
 
@@ -311,16 +327,3 @@ def robust_scale(error: Array) -> float:
         limited = np.minimum((error / scale) ** 2, OUTLIER_SD**2)
         scale = max(scale * float(np.sqrt(np.mean(limited) / 0.995)), 1e-9)
     return scale
-
-
-def added(expansions: list[Expansion]) -> Expansion:
-    """Sum of the expansions of independent terms about the same points."""
-    first, *rest = expansions
-    for other in rest:
-        first = replace(
-            first,
-            loss=first.loss + other.loss,
-            slope=first.slope + other.slope,
-            curvature=first.curvature + other.curvature,
-        )
-    return first

@@ -27,7 +27,8 @@ class Parameter:
         nominal: Value without further knowledge; 0 where an effect is absent.
         prior_sd: Standard deviation of its normal prior about ``nominal``; infinite for a uniform
             prior between the bounds.
-        log: Whether the uniform prior is that of the logarithm; ``low`` is then above 0.
+        log: Whether the prior is that of the logarithm; ``low`` is then above 0. A fit of a motor
+            searches the logarithm, to which its ``typical``, ``nominal`` and ``prior_sd`` refer.
         shared: Whether all recordings share one value; otherwise each has its own.
         unit: Its SI unit; by default from the ending of the name.
         starts: Starting values of fits, in typical values; empty for the default ones.

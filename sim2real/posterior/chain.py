@@ -1,10 +1,11 @@
-"""A Markov chain stored in a file: after an interruption it continues with identical results."""
+"""A Markov chain in a file, which continues with identical results, and how well it has mixed."""
 
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
+from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.output import write_whole
 
 Array = NDArray[np.float64]
@@ -23,6 +25,14 @@ FORMAT = "sim2real.chain/1"
 SMALLEST_BLOCK, BLOCK_SHARE = 100, 0.1
 """Smallest number of steps in a block, and share of the previous steps: the total cost of writing
 grows only in proportion to the length of the chain."""
+FREEDOM, SCALE = 5.0, 1.1
+"""Degrees of freedom and scale of the independent proposals, which have heavy tails."""
+SHARES = (0.6, 0.2, 0.2)
+"""Shares of steps with independent proposals, stretch moves and differential evolution."""
+LEAST_TIMES = 50
+"""Smallest length of a chain, in autocorrelation times, for its samples to be used."""
+BURN_IN_TIMES = 5
+_ROUND = 500
 
 
 def chain_file(out: Path, joint: str) -> Path:
@@ -66,10 +76,9 @@ def new_chain(
     """
     random = np.random.RandomState(seed)  # noqa: NPY002 - the generator that emcee requires
     start = random.normal(size=(walkers, free))
-    empty = np.empty((0, walkers))
     return Chain(
         coordinates=np.empty((0, walkers, free)),
-        log_density=empty,
+        log_density=np.empty((0, walkers)),
         accepted=np.zeros(walkers, dtype=np.int64),
         random=tuple(random.get_state(legacy=True)),
         origin={**origin, "start": start},
@@ -100,15 +109,13 @@ def run_chain(
 
     W, F = chain.coordinates.shape[1:]
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
-    blocks = [chain.coordinates], [chain.log_density]
     accepted = chain.accepted.copy()
-    completed = chain.steps
-    if completed:
+    if chain.steps:
         state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
     else:
         state = State(chain.origin["start"], random_state=chain.random)
-    while completed < steps:
-        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * completed)), steps - completed)
+    while chain.steps < steps:
+        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * chain.steps)), steps - chain.steps)
         coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
         before = state.coords.copy()
         for k, new in enumerate(sampler.sample(state, iterations=block, store=False)):
@@ -116,20 +123,16 @@ def run_chain(
             accepted += np.any(new.coords != before, axis=1)
             before = new.coords.copy()
             state = new
-        completed += block
-        blocks[0].append(coordinates)
-        blocks[1].append(log_posterior)
-        chain = Chain(
-            coordinates=np.concatenate(blocks[0]),
-            log_density=np.concatenate(blocks[1]),
+        chain = replace(
+            chain,
+            coordinates=np.concatenate([chain.coordinates, coordinates]),
+            log_density=np.concatenate([chain.log_density, log_posterior]),
             accepted=accepted.copy(),
             random=state.random_state,
-            origin=chain.origin,
-            fingerprint=chain.fingerprint,
         )
         if file is not None:
             write_chain(chain, file)
-        progress(completed)
+        progress(chain.steps)
     return chain
 
 
@@ -194,12 +197,6 @@ def read_chain(file: Path) -> Chain:
         raise InputError(file, "", f"no chain ({reason})", "a chain, or no such file") from None
 
 
-FREEDOM, SCALE = 5.0, 1.1
-"""Degrees of freedom and scale of the independent proposals, which have heavy tails."""
-SHARES = (0.6, 0.2, 0.2)
-"""Shares of steps with independent proposals, stretch moves and differential evolution."""
-
-
 def moves(free: int) -> list[tuple[Any, float]]:
     """Moves of ``emcee`` for F standardised coordinates, each with its share of the steps.
 
@@ -230,3 +227,70 @@ def independent(
 def _log_student(w: Array) -> Array:
     square = np.sum((w / SCALE) ** 2, axis=1)
     return np.asarray(-0.5 * (FREEDOM + w.shape[1]) * np.log1p(square / FREEDOM))
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How well a chain has mixed.
+
+    Attributes:
+        times: Integrated autocorrelation time of each parameter in steps, shape (F,).
+        steps: Number of completed steps.
+        accepted: Share of the moves that were accepted, all walkers together.
+    """
+
+    times: Array
+    steps: int
+    accepted: float
+
+    @property
+    def spans(self) -> float:
+        """Length of the chain in units of its longest autocorrelation time."""
+        return float(self.steps / self.times.max())
+
+    @property
+    def reached(self) -> bool:
+        """Whether the chain is long enough."""
+        return self.spans >= LEAST_TIMES
+
+    @property
+    def burn_in(self) -> int:
+        """Number of initial steps to discard."""
+        return min(math.ceil(BURN_IN_TIMES * float(self.times.max())), self.steps // 2)
+
+    @property
+    def thin(self) -> int:
+        """Number of steps between samples that are kept."""
+        return max(1, int(self.times.min() / 2))
+
+
+def convergence(chain: Chain) -> Convergence:
+    """Measure how well a chain has mixed."""
+    times = autocorrelation_times(chain.coordinates)
+    tries = max(chain.steps * chain.accepted.size, 1)
+    return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
+
+
+def require(convergence: Convergence, what: str, names: tuple[str, ...]) -> None:
+    """Check that a chain is long enough.
+
+    Raises:
+        InputError: If it spans less than 50 autocorrelation times, with the number of steps needed.
+    """
+    if convergence.reached:
+        return
+    slowest = names[int(convergence.times.argmax())]
+    needed = math.ceil(1.2 * LEAST_TIMES * convergence.times.max() / _ROUND) * _ROUND
+    needed = max(needed, convergence.steps + _ROUND)
+    raise InputError(
+        what,
+        slowest,
+        f"{convergence.steps} steps, {convergence.spans:.0f} of its autocorrelation times",
+        f"at least {LEAST_TIMES}; run again with --steps {needed}: the chain continues",
+    )
+
+
+def sample(chain: Chain, convergence: Convergence) -> Array:
+    """Thinned samples after the burn-in, standardised coordinates of shape (N, F)."""
+    kept = chain.coordinates[convergence.burn_in :: convergence.thin]
+    return np.asarray(kept.reshape(-1, kept.shape[2]))

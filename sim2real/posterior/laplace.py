@@ -10,40 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.identification.servo_problem import Servos, minimise
+from sim2real.inference.parameters import column
 from sim2real.posterior.likelihood import ServoData
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class LaplaceSettings:
-    """Settings of the search for the optimum and of the curvature there.
-
-    Attributes:
-        iterations: Iterations of the fit.
-        widest_sd: Largest standard deviation of a coordinate, used where the recordings do not
-            constrain it.
-        reach_sd: Step of the central differences, in standard deviations.
-        rounds: Largest number of steps of Newton's method.
-        longest_step_sd: Longest step, in standard deviations.
-        settled_sd: Length of a step below which the search ends, in standard deviations.
-        least_curvature: Lower limit of the curvature relative to the previous estimate, below which
-            it is attributed to noise of the differences.
-        largest_curvature: The corresponding upper limit.
-    """
-
-    iterations: int = 40
-    widest_sd: float = 2.0
-    reach_sd: float = 1.0
-    rounds: int = 8
-    longest_step_sd: float = 4.0
-    settled_sd: float = 0.1
-    least_curvature: float = 0.02
-    largest_curvature: float = 50.0
-
-
-LAPLACE = LaplaceSettings()
-"""The defaults."""
+_ITERATIONS = 40
+"""Iterations of the fit."""
+_WIDEST_SD = 2.0
+"""Largest standard deviation of a coordinate, where the recordings do not constrain it."""
+_REACH_SD = 1.0
+"""Step of the central differences, in standard deviations."""
+_ROUNDS = 8
+"""Largest number of steps of Newton's method."""
+_LONGEST_STEP_SD, _SETTLED_SD = 4.0, 0.1
+"""Longest step, and length below which the search ends, in standard deviations."""
+_CURVATURE = 0.02, 50.0
+"""Limits of the curvature relative to the previous estimate, beyond which it is attributed to noise
+of the differences."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +52,28 @@ class Laplace:
         return np.asarray(self.centre + w @ self.factor.T)
 
 
-def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
+def laplace(data: ServoData) -> Laplace:
     """Fit the joint and compute the curvature of its log-posterior at the optimum.
 
     The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
     Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
-
-    Args:
-        data: The joint's recordings and priors.
-        search: Settings of the search.
     """
     priors = data.priors
     start = priors.values(priors.coordinates(data.row[data.columns]))
-    low, high = (np.array([[getattr(p, end) for p in priors.each]]) for end in ("low", "high"))
+    low, high = (column(priors.each, end)[None] for end in ("low", "high"))
     unit = np.maximum(np.abs(start), 0.01 * np.minimum(high[0] - low[0], 1.0))[None]
     theta = data.theta(start[None])
     columns = np.array([data.columns], dtype=np.int32)
     servos = Servos(np.zeros(1, dtype=np.int32), theta, columns, unit, low, high)
-    fits = minimise(data.batch, servos, iterations=search.iterations)
+    fits = minimise(data.batch, servos, iterations=_ITERATIONS)
     gram = fits.gram[0].sum(axis=0)
     variance = gram[0, 0] / max(float(fits.count[0]) - fits.autoregression.shape[1], 1.0)
     centre = priors.coordinates(fits.servos.theta[0, data.columns])
     slope = priors.slope(centre) / unit[0]
-    share = 0.5 * (1 + np.tanh(0.5 * centre))
     information = gram[1:, 1:] / variance * np.outer(slope, slope)
-    information += np.diag(2 * share * (1 - share) + 1 / search.widest_sd**2)
+    information += np.diag(priors.curvature(centre) + 1 / _WIDEST_SD**2)
     level, directions = np.linalg.eigh(information)
-    covariance = (directions / np.maximum(level, 1 / search.widest_sd**2)) @ directions.T
+    covariance = (directions / np.maximum(level, 1 / _WIDEST_SD**2)) @ directions.T
     return Laplace(
         centre=centre,
         factor=np.linalg.cholesky(covariance),
@@ -102,9 +82,7 @@ def laplace(data: ServoData, *, search: LaplaceSettings = LAPLACE) -> Laplace:
     )
 
 
-def sharpened(
-    start: Laplace, log_posterior: Callable[[Array], Array], *, search: LaplaceSettings = LAPLACE
-) -> Laplace:
+def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplace:
     """Refine the optimum with the log-posterior that is sampled, and the curvature there.
 
     The rollouts of the fit have longer sub-steps than those of the sampler, so that the optimum of
@@ -114,18 +92,17 @@ def sharpened(
     Args:
         start: Result of the fit.
         log_posterior: Log-posterior of unbounded coordinates (B, F), shape (B,).
-        search: Settings of the search.
     """
     best, current = float(log_posterior(start.centre[None])[0]), start
-    for _ in range(search.rounds):
-        differences = _differences(current, log_posterior, search=search)
+    for _ in range(_ROUNDS):
+        differences = _differences(current, log_posterior)
         if differences is None:
             break
         slope, curvature = differences
         level, directions = np.linalg.eigh(curvature)
-        level = np.clip(level, search.least_curvature, search.largest_curvature)
+        level = np.clip(level, *_CURVATURE)
         step = directions @ ((directions.T @ slope) / level)
-        step *= min(1.0, search.longest_step_sd / max(float(np.linalg.norm(step)), 1e-12))
+        step *= min(1.0, _LONGEST_STEP_SD / max(float(np.linalg.norm(step)), 1e-12))
         centre = current.coordinates(step)
         value = float(log_posterior(centre[None])[0])
         covariance = current.factor @ (directions / level) @ directions.T @ current.factor.T
@@ -133,22 +110,19 @@ def sharpened(
         if not value > best:
             break
         best, current = value, replace(current, centre=centre)
-        if np.linalg.norm(step) < search.settled_sd:
+        if np.linalg.norm(step) < _SETTLED_SD:
             break
     return current
 
 
 def _differences(
-    at: Laplace,
-    log_posterior: Callable[[Array], Array],
-    *,
-    search: LaplaceSettings,
+    at: Laplace, log_posterior: Callable[[Array], Array]
 ) -> tuple[Array, Array] | None:
     """Slope (F,) of the log-posterior and minus its curvature (F, F), standardised.
 
     None where the log-posterior is not finite at all points of the differences.
     """
-    F, h = at.centre.size, search.reach_sd
+    F, h = at.centre.size, _REACH_SD
     unit, pairs = h * np.eye(F), list(combinations(range(F), 2))
     corners = [a * unit[i] + b * unit[j] for i, j in pairs for a in (1, -1) for b in (1, -1)]
     points = np.array([np.zeros(F), *unit, *-unit, *corners])

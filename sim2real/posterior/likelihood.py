@@ -138,3 +138,9 @@ class Likelihood:
         with np.errstate(divide="ignore", invalid="ignore"):
             value = -0.5 * self.freedom * np.log(self.servo.energy(self.data.theta(values)))
         return np.where(np.isfinite(value), value, -np.inf)
+
+    def log_posterior(self, z: Array) -> Array:
+        """Log-posterior of unbounded coordinates (B, F), up to a constant, shape (B,)."""
+        priors = self.data.priors
+        value = self(priors.values(z)) + priors.log_density(z)
+        return np.where(np.isfinite(value), value, -np.inf)

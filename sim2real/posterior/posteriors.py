@@ -1,21 +1,47 @@
-"""The posteriors of all servos of a robot."""
+"""The posteriors of all servos of a robot, their joint sample and its file ``posterior.npz``."""
 
 from __future__ import annotations
 
+import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
+from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
-from sim2real.posterior.sample import JointSample, joint_sample, to_inference_data
 from sim2real.posterior.servo import ServoPosterior
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+Array = NDArray[np.float64]
+
+FORMAT = "sim2real.posterior/1"
+MOST_DRAWS = 4000
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """Draws of all parameters of a robot's servos.
+
+    Attributes:
+        names: ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them.
+        units: Their units, SI.
+        values: The draws, shape (N, P), one per row.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
 
 
 @dataclass(frozen=True)
@@ -39,10 +65,30 @@ class Posteriors(NotebookDisplay):
     def to_arviz(self) -> Any:  # noqa: ANN401 - ArviZ is not a dependency
         """ArviZ's ``InferenceData``: variables ``J.PARAMETER``, one chain per walker.
 
+        Units are attributes of the variables. The last draws of each joint are used, as many as the
+        shortest chain has.
+
         Raises:
             ModuleNotFoundError: If the extra ``arviz`` is not installed.
+            ValueError: If the joints were sampled with different numbers of walkers.
         """
-        return to_inference_data(self.joints)
+        import arviz  # an extra: pip install sim2real[arviz]
+
+        columns, units = {}, {}
+        for joint, servo in self.joints.items():
+            values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
+            for k, prior in enumerate(servo.priors.each):
+                columns[f"{joint}.{prior.name}"] = values[:, :, k].T
+                units[f"{joint}.{prior.name}"] = prior.unit
+        if len({column.shape[0] for column in columns.values()}) > 1:
+            raise ValueError("the joints were sampled with different numbers of walkers")
+        draws = min(column.shape[1] for column in columns.values())
+        drawn = {name: column[:, -draws:] for name, column in columns.items()}
+        old = arviz.__version__.startswith("0.")
+        data = arviz.from_dict(posterior=drawn) if old else arviz.from_dict({"posterior": drawn})
+        for name, unit in units.items():
+            data.posterior[name].attrs["units"] = unit
+        return data
 
     def __str__(self) -> str:
         """Median and 90 % interval of each parameter."""
@@ -67,3 +113,52 @@ class Posteriors(NotebookDisplay):
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
         figure: Figure = from_report("corner_plot.corner_figure")(self.joints[name], name)
         return figure
+
+
+def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator) -> JointSample:
+    """Draws of all joints, in random order and as many as the shortest chain has, 4000 at most.
+
+    Posteriors of joints are independent; correlations within a joint are preserved.
+    """
+    count = min([MOST_DRAWS, *(servo.values.shape[0] for servo in servos.values())])
+    columns = [
+        servo.values[rng.permutation(servo.values.shape[0])[:count]] for servo in servos.values()
+    ]
+    return JointSample(
+        names=tuple(f"{joint}.{name}" for joint, servo in servos.items() for name in servo.names),
+        units=tuple(prior.unit for servo in servos.values() for prior in servo.priors.each),
+        values=np.concatenate(columns, axis=1),
+    )
+
+
+def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
+    """Write ``posterior.npz``: ``names``, ``units`` and ``sample``; without pickle.
+
+    Raises:
+        InputError: If the folder can't be written.
+    """
+    stream = io.BytesIO()
+    np.savez_compressed(
+        stream,
+        format=np.array(FORMAT),
+        names=np.array(sample.names),
+        units=np.array(sample.units),
+        sample=sample.values,
+    )
+    write_whole(path, stream.getvalue())
+
+
+def read_sample(path: str | os.PathLike[str]) -> JointSample:
+    """Read ``posterior.npz``.
+
+    Raises:
+        InputError: If it is not such a file.
+    """
+    try:
+        with np.load(Path(path), allow_pickle=False) as content:
+            if str(content["format"]) != FORMAT:
+                raise InputError(path, "format", str(content["format"]), FORMAT)
+            names, units = (tuple(str(x) for x in content[n]) for n in ("names", "units"))
+            return JointSample(names, units, content["sample"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None

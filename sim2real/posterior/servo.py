@@ -13,52 +13,23 @@ from numpy.typing import NDArray
 from sim2real.effects import SIGNATURE, named
 from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
-from sim2real.identification.initial_guess import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
+from sim2real.identification.fit import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     Chain,
-    LogDensity,
+    Convergence,
     clear_leftovers,
+    convergence,
     new_chain,
     read_chain,
     run_chain,
+    sample,
 )
-from sim2real.posterior.convergence import Convergence, convergence, sample
 from sim2real.posterior.laplace import Laplace, laplace, sharpened
 from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
 from sim2real.servo.trace import Trace
 from sim2real.units import unit_of
-
-
-def servo_priors(joint: JointModel) -> Priors:
-    """Wide priors of a servo's gains, latency and the effects that its model holds.
-
-    Gains are log-uniform over natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to
-    4, latency is uniform up to 0.3 s, and parameters of effects are uniform within the bounds of
-    the catalogue, scaled to this servo. Parameters that the model does not state are fixed.
-    """
-    inertia = joint.inertia_kgm2
-    (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
-    parameters = [
-        Parameter("kp_Nm_per_rad", slow**2 * inertia, fast**2 * inertia, joint.kp_Nm_per_rad,
-                  log=True,
-                  unit=unit_of("kp_Nm_per_rad", per_inertia=joint.per_inertia)),
-        Parameter("kd_Nms_per_rad", 2 * low * slow * inertia, 2 * high * fast * inertia,
-                  max(joint.kd_Nms_per_rad, 1e-9), log=True,
-                  unit=unit_of("kd_Nms_per_rad", per_inertia=joint.per_inertia)),
-        Parameter("latency_s", *LATENCY_S, 0.05),
-    ]  # fmt: skip
-    for fitted in joint.effects:
-        if fitted.effect in RANDOM_EFFECTS:
-            continue
-        for parameter in named(fitted.effect).parameters:
-            if parameter.name in fitted.parameters:
-                p = scaled(parameter, joint.kp_Nm_per_rad, inertia)
-                name = f"{fitted.effect}.{p.name}"
-                parameters.append(Parameter(name, p.low, p.high, p.typical))
-    return Priors(tuple(parameters))
-
 
 Array = NDArray[np.float64]
 
@@ -101,6 +72,37 @@ class ServoPosterior:
         return np.asarray(np.quantile(self.values, shares, axis=0))
 
 
+def servo_priors(joint: JointModel) -> Priors:
+    """Wide priors of a servo's gains, latency and the effects that its model holds.
+
+    Gains are log-uniform over natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to
+    4, latency is uniform up to 0.3 s, and parameters of effects are uniform within the bounds of
+    the catalogue, scaled to this servo. Parameters that the model does not state are fixed.
+    """
+    inertia = joint.inertia_kgm2
+    (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
+
+    def gain(name: str, low: float, high: float, typical: float) -> Parameter:
+        unit = unit_of(name, per_inertia=joint.per_inertia)
+        return Parameter(name, low * inertia, high * inertia, typical, log=True, unit=unit)
+
+    kp, kd = joint.kp_Nm_per_rad, max(joint.kd_Nms_per_rad, 1e-9)
+    parameters = [
+        gain("kp_Nm_per_rad", slow**2, fast**2, kp),
+        gain("kd_Nms_per_rad", 2 * low * slow, 2 * high * fast, kd),
+        Parameter("latency_s", *LATENCY_S, 0.05),
+    ]
+    for fitted in joint.effects:
+        if fitted.effect in RANDOM_EFFECTS:
+            continue
+        for parameter in named(fitted.effect).parameters:
+            if parameter.name in fitted.parameters:
+                p = scaled(parameter, joint.kp_Nm_per_rad, inertia)
+                name = f"{fitted.effect}.{p.name}"
+                parameters.append(Parameter(name, p.low, p.high, p.typical))
+    return Priors(tuple(parameters))
+
+
 def sample_servo(
     traces: Sequence[Trace],
     joint: JointModel,
@@ -141,9 +143,10 @@ def sample_servo(
         origin["centre"], origin["factor"], origin["autoregression"], float(origin["noise_sd"])
     )
     likelihood = Likelihood(data, start.autoregression)
-    log_posterior = _log_posterior(likelihood)
     progress(chain.steps)
-    chain = run_chain(chain, lambda w: log_posterior(start.coordinates(w)), steps, file, progress)
+    chain = run_chain(
+        chain, lambda w: likelihood.log_posterior(start.coordinates(w)), steps, file, progress
+    )
     mixing = convergence(chain)
     return ServoPosterior(
         priors=data.priors,
@@ -158,17 +161,6 @@ def sample_servo(
     )
 
 
-def _log_posterior(likelihood: Likelihood) -> LogDensity:
-    """Log-posterior of unbounded coordinates (B, F), up to a constant."""
-    priors = likelihood.data.priors
-
-    def log_posterior(z: Array) -> Array:
-        log_density = likelihood(priors.values(z)) + priors.log_density(z)
-        return np.where(np.isfinite(log_density), log_density, -np.inf)
-
-    return log_posterior
-
-
 def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
     fingerprint = _fingerprint(data, seed, walkers)
@@ -181,7 +173,7 @@ def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None)
             raise InputError(file, "", found, "that of this call; remove the file to start again")
         return chain
     start = laplace(data)
-    start = sharpened(start, _log_posterior(Likelihood(data, start.autoregression)))
+    start = sharpened(start, Likelihood(data, start.autoregression).log_posterior)
     origin = {name: np.asarray(value) for name, value in vars(start).items()}
     return new_chain(walkers, len(data.priors.each), seed, origin, fingerprint)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +16,10 @@ from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
-from sim2real.posterior.convergence import require
+from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
-from sim2real.ranges.episodes import labelled, listed
 from sim2real.ranges.latency import Latencies, Spread, latencies, spread
 from sim2real.ranges.sources import (
     body_ranges,
@@ -28,6 +28,8 @@ from sim2real.ranges.sources import (
     from_model,
     from_posterior,
     joint_noise,
+    labelled,
+    listed,
     shared_ranges,
 )
 from sim2real.recording import Recording
@@ -126,8 +128,8 @@ def gather(
     labels = labelled(recordings)
     entries = _latency_ranges(fits, scatter, model)
     entries += camera_noise(recordings)
-    noise_ranges = [joint_noise(recordings, joint) for joint in model.joints]
-    entries += [noise for noise in noise_ranges if noise is not None]
+    noise = {joint: joint_noise(recordings, joint) for joint in model.joints}
+    entries += [noise_range for noise_range in noise.values() if noise_range is not None]
     for joint, servo in model.joints.items():
         sampled: list[Range] = []
         if joint in posteriors:
@@ -136,7 +138,7 @@ def gather(
         entries += sampled + from_model(joint, servo, [entry.parameter for entry in sampled])
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
-    notes = _notes(recordings, model, posteriors, checks, fits, scatter)
+    notes = _notes(recordings, posteriors, checks, fits, scatter, noise)
     return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
 
 
@@ -176,7 +178,7 @@ def sample_joints(
             steps=sampling.steps,
             walkers=sampling.walkers,
             file=sampling.file(joint),
-            progress=lambda steps, joint=joint: sampling.progress(joint, steps),  # type: ignore[misc]
+            progress=partial(sampling.progress, joint),
         )
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
@@ -214,39 +216,32 @@ def _latency_ranges(fits: Latencies | None, scatter: Spread | None, model: Model
     return out
 
 
-def _on_check(joint: str, check: PredictiveCheck, noise: Range | None) -> list[str]:
-    """Notes on a joint whose ranges the held-out recording contradicts."""
-    where = f"{joint}: {check.recording}, held out,"
-    if not check.holds:
-        share = 100 * check.covered[0.95]
-        return [
-            f"{where} lies within the 95 % band of predictions only {share:.0f} % of the time: "
-            "ranges are too narrow; diagnose first"
-        ]
-    if noise is not None and check.rmse > ABOVE_NOISE * noise.second:
-        times = check.rmse / noise.second
-        return [
-            f"{where} is off by {times:.1f} times its noise: physics is missing from the model, "
-            "and these ranges imitate it; diagnose first"
-        ]
-    return []
-
-
 def _notes(
     recordings: Sequence[Recording],
-    model: Model,
     posteriors: Mapping[str, ServoPosterior],
     checks: Mapping[str, PredictiveCheck],
     fits: Latencies | None,
     scatter: Spread | None,
+    noise: Mapping[str, Range | None],
 ) -> tuple[str, ...]:
     """Notes on the limitations of these ranges."""
     notes = []
-    missing = [joint for joint in model.joints if joint not in posteriors]
+    missing = [joint for joint in noise if joint not in posteriors]
     if missing:
         notes.append(f"no bench recording moves {', '.join(missing)}: gains are those of the model")
     for joint, check in checks.items():
-        notes += _on_check(joint, check, joint_noise(recordings, joint))
+        where, of_joint = f"{joint}: {check.recording}, held out,", noise[joint]
+        if not check.holds:
+            notes.append(
+                f"{where} lies within the 95 % band of predictions only "
+                f"{100 * check.covered[0.95]:.0f} % of the time: ranges are too narrow; diagnose "
+                "first"
+            )
+        elif of_joint is not None and check.rmse > ABOVE_NOISE * of_joint.second:
+            notes.append(
+                f"{where} is off by {check.rmse / of_joint.second:.1f} times its noise: physics is "
+                "missing from the model, and these ranges imitate it; diagnose first"
+            )
     if fits is not None and fits.windows:
         notes.append(
             "latency was fitted to windows of few recordings: it may differ more between days"

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
 from sim2real.model import JointModel, Model
 from sim2real.posterior.likelihood import loaded
-from sim2real.ranges.episodes import labelled
+from sim2real.ranges.sources import labelled
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
@@ -21,96 +21,60 @@ from sim2real.servo.trace import Trace, traces
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class LatencySettings:
-    """Settings of the fits of latencies, and of their selection.
-
-    Attributes:
-        gain_sd: Relative standard deviation of the gains of one episode about the shared gains.
-        iterations: Iterations of a fit.
-        rounds: Number of steps of the shared gains.
-        largest_change: Largest relative change of a gain in one step.
-        smallest_spread_s: Smallest half-width of the distribution of latencies that is resolved.
-        law_sd_s: Smallest standard deviation of a latency, due to errors of the servo's law.
-        enough_recordings: With fewer recordings, windows of them count as episodes, as latency may
-            drift within a recording.
-        window_s: Length of such a window.
-        least_samples: Smallest number of samples in a window for a fit of gains, latency and noise.
-        largest_sd_s: Latencies with a larger standard deviation are not used.
-    """
-
-    gain_sd: float = 0.02
-    iterations: int = 30
-    rounds: int = 3
-    largest_change: float = 0.5
-    smallest_spread_s: float = 1e-4
-    law_sd_s: float = 2e-4
-    enough_recordings: int = 5
-    window_s: float = 6.0
-    least_samples: int = 100
-    largest_sd_s: float = 0.01
-
-
-LATENCY_SETTINGS = LatencySettings()
-"""The defaults."""
+_GAIN_SD = 0.02
+"""Relative standard deviation of the gains of one episode about the shared gains."""
+_ITERATIONS, _ROUNDS = 30, 3
+"""Iterations of a fit, and number of steps of the shared gains."""
+_LARGEST_CHANGE = 0.5
+"""Largest relative change of a gain in one step."""
+_SMALLEST_SPREAD_S = 1e-4
+"""Smallest half-width of the distribution of latencies that is resolved."""
+_LAW_SD_S, _LARGEST_SD_S = 2e-4, 0.01
+"""Smallest standard deviation of a latency, due to errors of the servo's law, and the largest one
+with which a latency is used."""
+_ENOUGH_RECORDINGS = 5
+"""With fewer, windows of them count as episodes, as latency may drift within a recording."""
+_WINDOW_S, _LEAST_SAMPLES = 6.0, 100
+"""Length of such a window, and its smallest number of samples for a fit."""
 
 
 def episode_latencies(
-    traces: Sequence[Trace],
-    joints: Sequence[JointModel],
-    group: NDArray[np.intp],
-    *,
-    settings: LatencySettings = LATENCY_SETTINGS,
+    traces: Sequence[Trace], joints: Sequence[JointModel], group: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """Latency of each trace and its standard deviation in s, each of shape (N,).
 
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
     shared by the traces of a group and fitted together with one latency per trace, by Gauss-Newton
     steps from which the latencies are eliminated (Golub and Pereyra, SIAM Journal on Numerical
-    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``gain_sd``.
+    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``_GAIN_SD``.
 
     Args:
         traces: The traces.
         joints: Models of their joints, from which the search starts; effects are fixed.
         group: Index of the group of each trace that shares gains, shape (N,).
-        settings: Settings of the fit.
     """
     batch = Batch([[trace] for trace in traces])
     rows = np.array([joint_row(joint, x.load) for x, joint in zip(traces, joints, strict=True)])
     inertia = np.array([trace.load.inertia_kgm2 for trace in traces])
     servos = plain_servos(np.arange(len(traces)), rows, inertia, batch.period)
-    single_fits = minimise(batch, servos, iterations=settings.iterations)
+    single_fits = minimise(batch, servos, iterations=_ITERATIONS)
     gains = _pooled(single_fits, _weights(single_fits, batch.lags), group)
-    for _ in range(settings.rounds):
-        fits = _with_gains(batch, servos, single_fits, gains, settings=settings)
-        gains = gains * (
-            1
-            + _step(
-                fits,
-                _weights(fits, batch.lags),
-                group,
-                gains / servos.unit[:, :2],
-                settings=settings,
-            )
-        )
-    fits = _with_gains(batch, servos, single_fits, gains, settings=settings)
-    return fits.servos.theta[:, 2], _errors(
-        fits, _weights(fits, batch.lags), settings=settings
-    ) * servos.unit[:, 2]
+    for _ in range(_ROUNDS):
+        fits = _with_gains(batch, servos, single_fits, gains)
+        change = _step(_weights(fits, batch.lags), group, gains / servos.unit[:, :2])
+        gains = gains * (1 + change)
+    fits = _with_gains(batch, servos, single_fits, gains)
+    sd = _errors(fits, _weights(fits, batch.lags)[1])
+    return fits.servos.theta[:, 2], sd * servos.unit[:, 2]
 
 
-def _with_gains(
-    batch: Batch, servos: Servos, start: Fits, gains: Array, *, settings: LatencySettings
-) -> Fits:
+def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array) -> Fits:
     """Latencies fitted with fixed gains (N, 2), and the curvature by all three parameters."""
     x = start.servos.values()
     x[:, :2] = gains / servos.unit[:, :2]
     fixed = servos.at(x)
-    latency_only = Servos(
-        fixed.joint, fixed.theta, fixed.columns[:, 2:], fixed.unit[:, 2:], fixed.low[:, 2:],
-        fixed.high[:, 2:],
-    )  # fmt: skip
-    latency_fits = minimise(batch, latency_only, iterations=settings.iterations)
+    free = {name: getattr(fixed, name)[:, 2:] for name in ("columns", "unit", "low", "high")}
+    latency_fits = minimise(batch, replace(fixed, **free), iterations=_ITERATIONS)
     x[:, 2] = latency_fits.servos.values()[:, 0]
     return minimise(batch, servos.at(x), iterations=1)
 
@@ -144,14 +108,7 @@ def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -
     return np.asarray(np.maximum(out, 1e-3) * unit)
 
 
-def _step(
-    fits: Fits,
-    weights: tuple[Array, Array],
-    group: NDArray[np.intp],
-    gains: Array,
-    *,
-    settings: LatencySettings,
-) -> Array:
+def _step(weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -> Array:
     """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
     slope, inner = _eliminated(weights)
     out = np.empty_like(slope)
@@ -159,15 +116,14 @@ def _step(
         members = group == g
         change = np.linalg.lstsq(inner[members].sum(axis=0), -slope[members].sum(axis=0))[0]
         out[members] = change / gains[members]
-    return np.clip(out, -settings.largest_change, settings.largest_change)
+    return np.clip(out, -_LARGEST_CHANGE, _LARGEST_CHANGE)
 
 
-def _errors(fits: Fits, weights: tuple[Array, Array], *, settings: LatencySettings) -> Array:
-    """Standard deviation of each latency in units, for gains with ``gain_sd``."""
-    _, curvature = weights
+def _errors(fits: Fits, curvature: Array) -> Array:
+    """Standard deviation of each latency in units, for gains with ``_GAIN_SD``."""
     penalised = curvature.copy()
     gains = np.maximum(fits.servos.values()[:, :2], 1e-9)
-    penalised[:, [0, 1], [0, 1]] += 1 / (settings.gain_sd * gains) ** 2
+    penalised[:, [0, 1], [0, 1]] += 1 / (_GAIN_SD * gains) ** 2
     return np.asarray(np.sqrt(np.linalg.inv(penalised)[:, 2, 2]))
 
 
@@ -186,7 +142,7 @@ class Spread:
     half_width_90: tuple[float, float]
 
 
-def spread(seconds: Array, sd: Array, *, settings: LatencySettings = LATENCY_SETTINGS) -> Spread:
+def spread(seconds: Array, sd: Array) -> Spread:
     """Estimate the uniform distribution of latencies with known standard deviations.
 
     Posterior medians of centre and half-width, on a grid, under a prior that is flat in the centre
@@ -196,14 +152,13 @@ def spread(seconds: Array, sd: Array, *, settings: LatencySettings = LATENCY_SET
     Args:
         seconds: Latencies in s, shape (E,).
         sd: Their standard deviations in s, shape (E,).
-        settings: Settings of the fit.
     """
-    reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * settings.smallest_spread_s
-    half = np.geomspace(settings.smallest_spread_s, 3 * reach, 160)
+    reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * _SMALLEST_SPREAD_S
+    half = np.geomspace(_SMALLEST_SPREAD_S, 3 * reach, 160)
     middle = 0.5 * float(seconds.max() + seconds.min())
     centre = middle + np.linspace(-1.0, 1.0, 201) * reach
     log_density = np.zeros((half.size, centre.size))  # the prior is uniform on the grid
-    for value, error in zip(seconds, np.maximum(sd, settings.law_sd_s), strict=True):
+    for value, error in zip(seconds, np.maximum(sd, _LAW_SD_S), strict=True):
         above = ndtr((centre[None] + half[:, None] - value) / error)
         below = ndtr((centre[None] - half[:, None] - value) / error)
         log_density += np.log(np.maximum(above - below, 1e-300)) - np.log(2 * half[:, None])
@@ -239,9 +194,7 @@ class Latencies:
     dropped: int
 
 
-def latencies(
-    recordings: Sequence[Recording], model: Model, *, settings: LatencySettings = LATENCY_SETTINGS
-) -> Latencies | None:
+def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None:
     """Fit the latency of every episode; None where no joint of the model moves.
 
     Gains are fitted as well and shared by all episodes of a joint with the same load and medium, as
@@ -250,7 +203,6 @@ def latencies(
     Args:
         recordings: Recordings of any kind with commands and measured angles.
         model: The fitted servos.
-        settings: Settings of the fit.
     """
     labels = labelled(recordings)
     episodes = [
@@ -259,47 +211,37 @@ def latencies(
         for joint in model.joints
         for trace in traces([recording], joint)
     ]
-    windows = len({name for _, name, _, _ in episodes}) < settings.enough_recordings
+    windows = len({name for _, name, _, _ in episodes}) < _ENOUGH_RECORDINGS
     if windows:
         episodes = [
-            (r, n, j, part)
-            for r, name, j, trace in episodes
-            for n, part in _windows(name, trace, settings=settings)
+            (r, n, j, part) for r, name, j, trace in episodes for n, part in _windows(name, trace)
         ]
     if not episodes:
         return None
     conditions = [(joint, r.kind, r.medium, trace.load) for r, _, joint, trace in episodes]
     group = np.array([conditions.index(condition) for condition in conditions])
     models = [model.joints[joint] for _, _, joint, _ in episodes]
-    value, sd = episode_latencies([x for *_, x in episodes], models, group, settings=settings)
-    used = sd < settings.largest_sd_s
+    value, sd = episode_latencies([x for *_, x in episodes], models, group)
+    used = sd < _LARGEST_SD_S
     if not used.any():
         return None
     kept = [(n, j) for (_, n, j, _), good in zip(episodes, used, strict=True) if good]
-    return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)), settings=settings)
+    return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)))
 
 
-def _windows(name: str, whole: Trace, *, settings: LatencySettings) -> list[tuple[str, Trace]]:
+def _windows(name: str, whole: Trace) -> list[tuple[str, Trace]]:
     """Windows of one recording, simulated from its start but scored separately."""
     windows = []
-    for start in np.arange(whole.t[0], whole.t[-1], settings.window_s):
-        inside = whole.used & (whole.t >= start) & (whole.t < start + settings.window_s)
-        moves = (
-            np.ptp(whole.command[(whole.t >= start) & (whole.t < start + settings.window_s)]) > 0
-        )
-        if inside.sum() >= settings.least_samples and moves:
+    for start in np.arange(whole.t[0], whole.t[-1], _WINDOW_S):
+        within = (whole.t >= start) & (whole.t < start + _WINDOW_S)
+        inside = whole.used & within
+        if inside.sum() >= _LEAST_SAMPLES and np.ptp(whole.command[within]) > 0:
             windows.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
     return windows
 
 
 def _combined(
-    kept: Sequence[tuple[str, str]],
-    value: Array,
-    sd: Array,
-    windows: bool,
-    dropped: int,
-    *,
-    settings: LatencySettings,
+    kept: Sequence[tuple[str, str]], value: Array, sd: Array, windows: bool, dropped: int
 ) -> Latencies:
     """Split latencies into a part that all joints of an episode share and one for each joint.
 
@@ -313,7 +255,7 @@ def _combined(
     for k, (name, joint) in enumerate(kept):
         design[k, episodes.index(name)] = 1.0
         design[k, E + joints.index(joint)] = 1.0
-    weight = 1 / np.maximum(sd, settings.law_sd_s)
+    weight = 1 / np.maximum(sd, _LAW_SD_S)
     tie = np.concatenate([np.zeros(E), np.full(J, weight.max() * 1e3)])
     matrix = np.vstack([design * weight[:, None], tie])
     target = np.append(value * weight, 0.0)

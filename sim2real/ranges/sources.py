@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,32 @@ from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Range, normal, uniform
-from sim2real.ranges.episodes import labelled, listed
 from sim2real.recording import Recording
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 
+Array = NDArray[np.float64]
+
 LOW, HIGH = 0.05, 0.95
 """Quantiles between which a parameter is randomized."""
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
+_FEWEST = 60
+"""Smallest number of samples for an estimate of the noise."""
+_METHOD = "difference-based noise of each, root mean square"
+
+
+def labelled(recordings: Sequence[Recording]) -> dict[str, str]:
+    """A label for each file: the recording's name, or its path where several have that name."""
+    names = [recording.name for recording in recordings]
+    return {r.file: r.name if names.count(r.name) == 1 else r.file for r in recordings}
+
+
+def listed(labels: Iterable[str], most: int = 4) -> str:
+    """Labels separated by commas; more than ``most`` are abbreviated."""
+    names = list(labels)
+    if len(names) > most:
+        return f"{names[0]} to {names[-1]} ({len(names)} recordings)"
+    return ", ".join(names)
 
 
 def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> list[Range]:
@@ -109,13 +127,6 @@ def shared_ranges(model: Model) -> list[Range]:
 def _body_unit(name: str) -> str:
     effect, *_, parameter = name.split(".")
     return next(p.unit for p in body_effect(effect).parameters if p.name == parameter)
-
-
-Array = NDArray[np.float64]
-
-_FEWEST = 60
-"""Smallest number of samples for an estimate of the noise."""
-_METHOD = "difference-based noise of each, root mean square"
 
 
 def joint_noise(recordings: Sequence[Recording], joint: str) -> Range | None:

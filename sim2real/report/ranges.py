@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim2real.posterior.convergence import LEAST_TIMES
+from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.predictive_check import LEVELS
 from sim2real.ranges.gather import Gathered
 from sim2real.report.corner_plot import corner_figure

@@ -6,6 +6,7 @@ from scipy.optimize import least_squares
 
 from sim2real.inference.least_squares import (
     Expansion,
+    cannot_win,
     central,
     expansion,
     minimise,
@@ -14,7 +15,6 @@ from sim2real.inference.least_squares import (
     robust_loss,
     robust_scale,
 )
-from sim2real.inference.multi_start import cannot_win
 
 T = np.linspace(0, 3, 300)
 TRUTH = np.array([[2.0, 1.5], [1.0, 0.4], [3.0, 2.5]])
@@ -179,10 +179,10 @@ def test_searches_that_follow_a_better_one_or_stay_behind_cannot_win():
     points = np.array([[0.0, 0.0], [0.05, 0.0], [3.0, 0.0], [5.0, 0.0]])
     losses = np.array([10.0, 11.0, 35.0, 80.0])
     active = np.arange(4)
-    few = cannot_win(active, points, losses, np.zeros(4), behind=30.0, optimism=5.0)
+    few = cannot_win(active, points, losses, np.zeros(4))
     np.testing.assert_array_equal(few, [False, True, False, True])
     promised = np.array([0.0, 0.0, 0.0, 10.0])  # the last may still come within reach
-    more = cannot_win(active, points, losses, promised, behind=30.0, optimism=5.0)
+    more = cannot_win(active, points, losses, promised)
     np.testing.assert_array_equal(more, [False, True, False, False])
 
 

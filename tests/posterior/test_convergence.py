@@ -5,7 +5,7 @@ import pytest
 from test_chain import begun
 
 from sim2real.errors import InputError
-from sim2real.posterior.convergence import convergence, require, sample
+from sim2real.posterior.chain import convergence, require, sample
 
 NAMES = ("kp_Nm_per_rad", "latency_s")
 

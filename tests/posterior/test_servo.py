@@ -11,8 +11,8 @@ from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
 from sim2real.posterior.laplace import laplace
 from sim2real.posterior.likelihood import LONGEST_SUBSTEP_S, Likelihood
+from sim2real.posterior.posteriors import Posteriors, joint_sample, read_sample, write_sample
 from sim2real.posterior.predictive_check import predictive_check
-from sim2real.posterior.sample import joint_sample, read_sample, to_inference_data, write_sample
 from sim2real.posterior.servo import sample_servo
 from sim2real.recording import Load
 
@@ -136,6 +136,6 @@ def test_a_file_that_is_no_sample(tmp_path):
 
 def test_for_arviz(found):
     pytest.importorskip("arviz")
-    posterior = to_inference_data({"j1": found}).posterior
+    posterior = Posteriors({"j1": found}, {}).to_arviz().posterior
     assert dict(posterior.sizes)["chain"] == 32
     assert float(posterior["j1.latency_s"].mean()) == pytest.approx(TRUTH[2], rel=0.01)

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import simulated
 
-from sim2real.ranges.episodes import labelled, listed
-from sim2real.ranges.sources import camera_noise, joint_noise
+from sim2real.ranges.sources import camera_noise, joint_noise, labelled, listed
 
 
 def filmed(seed, place=0.05, direction=0.05, **columns):

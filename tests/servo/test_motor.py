@@ -325,9 +325,8 @@ def test_a_loosened_prior_is_wider_for_losses_only():
     made = Recording("a", "servo", ("j1",), T, command, command, {"j1": Load(INERTIA)})
     prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), [trace(made, "j1")])
     for before, after in zip(prior.parameters, prior.loosened(2.0).parameters, strict=True):
-        share = not before.log and np.isfinite(before.sd)
-        assert after.sd == (2 * before.sd if share else before.sd)
-        assert after.middle == before.middle
+        assert after.prior_sd == (before.prior_sd if before.log else 2 * before.prior_sd)
+        assert after.nominal == before.nominal
 
 
 def test_an_average_of_fits_lies_between_them():

@@ -15,8 +15,7 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
-from sim2real.identification.fit import best_of, gains
-from sim2real.identification.initial_guess import first_guess
+from sim2real.identification.fit import best_of, first_guess, gains
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.servo_problem import Hypothesis, minimise
 from sim2real.model import JointModel, Model

@@ -164,14 +164,14 @@ def _derivatives(
     """Derivatives of angles by the gains and the motor's parameters, in spreads or units."""
     prior = motor_prior(servo, traces)
     parameters = [b for b in prior.parameters if b.name in _GAINS or row[COLUMNS.index(b.name)] > 0]
-    size = np.array([b.unit for b in parameters])
+    size = np.array([p.typical for p in parameters])
     rows = np.tile(row, (1 + len(parameters), 1))
     for k, parameter in enumerate(parameters):
-        column, step = COLUMNS.index(parameter.name), _DIFFERENCE * parameter.unit
+        column, step = COLUMNS.index(parameter.name), _DIFFERENCE * parameter.typical
         now = rows[1 + k, column]
         rows[1 + k, column] = now * np.exp(step) if parameter.log else now + step
     slopes = [(a[1:] - a[:1]).T / _DIFFERENCE for a in simulated(traces, rows, row)]
-    sd = np.array([parameter.sd for parameter in parameters])
+    sd = np.array([p.prior_sd for p in parameters])
     return tuple(slopes), np.diag((size / sd) ** 2)
 
 

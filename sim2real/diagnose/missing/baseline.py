@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
-from sim2real.identification.initial_guess import servos_at
+from sim2real.identification.fit import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Servos,

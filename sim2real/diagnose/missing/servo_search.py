@@ -16,8 +16,8 @@ from sim2real.identification.servo_problem import (
     Hypothesis,
     Set,
     Tried,
-    descended,
     joined,
+    minimise,
     stacked,
 )
 from sim2real.inference.evidence import occam_factor
@@ -180,14 +180,14 @@ class ServoSearch:
             )
             for one, members, theta in jobs
         ]
-        rough, settled = descended(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
+        rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
         best: dict[tuple[int, Set], int] = {}
         for k, (ledger, members, _) in enumerate(jobs):
             key = (ledger.case, members)
             if key not in best or rough.error2[k] < rough.error2[best[key]]:
                 best[key] = k
         fits = {key: rough.one(k) for key, k in best.items()}
-        keys = [key for key, k in best.items() if not settled[k]]
+        keys = [key for key, k in best.items() if not rough.converged[k]]
         goal = self._goals(jobs, fits)
         promised = {key: _promised(fits[key]) for key in keys}
         keys = [
@@ -205,7 +205,7 @@ class ServoSearch:
                 reachable = self.limits.promise * promised - losses[places]
                 return np.asarray(reachable < goals[places])
 
-            fine, _ = descended(
+            fine = minimise(
                 self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
             )
             fits.update((key, fine.one(n)) for n, key in enumerate(keys))
