@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.changed.change import what_changed
-from sim2real.diagnose.changed.regression import way_of
+from sim2real.diagnose.changed.explained import way_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
@@ -23,6 +24,9 @@ from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -231,19 +235,23 @@ def link_data(
 ) -> LinkData:
     """What fits leave of a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
-    left = []
-    for j, residual in zip(robot, residuals, strict=True):
-        kp, kd, latency = (float(x) for x in fits[j].fit.servos.theta[0, :3])
-        left.append(
-            tuple(
-                Residual(
-                    t.t, t.command, t.used, residual[r, : t.t.size], kp, kd, latency,
-                    t.load.inertia_kgm2, t.load.gravity_Nm,
-                )
-                for r, t in enumerate(joints[j].traces)
-            )
-        )  # fmt: skip
-    return LinkData(tuple(left), batch.lags, batch.least_gain, noticed)
+    left = tuple(
+        tuple(
+            link_residual(t, t.used, residual[r, : t.t.size], fits[j].fit.servos.theta[0])
+            for r, t in enumerate(joints[j].traces)
+        )
+        for j, residual in zip(robot, residuals, strict=True)
+    )
+    return LinkData(left, batch.lags, batch.least_gain, noticed)
+
+
+def link_residual(trace: Trace, used: NDArray[np.bool_], residual: Array, row: Array) -> Residual:
+    """Residual (T,) of a servo with parameters ``row`` (P,), as the analysis of the link has it."""
+    kp, kd, latency = (float(x) for x in row[:3])
+    load = trace.load
+    return Residual(
+        trace.t, trace.command, used, residual, kp, kd, latency, load.inertia_kgm2, load.gravity_Nm
+    )
 
 
 def _pass(
