@@ -136,7 +136,7 @@ class JointFindings:
 
         A law is wrong by a share of its own effect, which no recording tells: ``law_error``.
         """
-        link, step = self.finding.link, self.finding.step_rad
+        link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:
             ends = max(link.value - Z90 * link.sd, 0.0), link.value + Z90 * link.sd

@@ -25,7 +25,7 @@ def search(
     noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
     best: Sequence[Hypothesis] | None = None,
-    known: Sequence[bool] = (),
+    needed: bool = True,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -39,7 +39,7 @@ def search(
             taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
         best: What explained each joint best before; looked for where None.
-        known: Which joints are compared with references, and so not searched.
+        needed: Whether to search at all; joints that are compared with references need no search.
         progress: Called with the share that is done.
 
     Returns:
@@ -47,7 +47,7 @@ def search(
     """
     ledgers = ledgers_of(plain, bases)
     problem = ServoSearch(batch, level, rng)
-    if known and all(known):
+    if not needed:
         return ledgers, problem
     if noise is not None:
         large = [DECISION.nuisance_finding_size * sd for sd in noise]

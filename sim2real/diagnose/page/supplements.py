@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, gate
+from sim2real.check import all_findings, check
+from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
@@ -30,9 +31,14 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         case: The robot.
         joints: What is known of its joints.
     """
+    checks = (
+        f"{recording.name}: {sentence}"
+        for recording in case.recordings
+        for sentence in all_findings(check(recording, case.robot, identifiable=False))
+    )
     return replace(
         found,
-        gate=gate(case),
+        gate=tuple(dict.fromkeys(checks)),
         evidence=tuple(e for one in joints for e in _evidence(one)),
         detection_limits=tuple(limit for one in joints for limit in _limits(one)),
         ladders={one.signal: x for one in joints if (x := _ladder(one)) is not None},
