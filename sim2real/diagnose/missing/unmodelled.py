@@ -14,7 +14,7 @@ from sim2real.diagnose.missing.smooth_function import (
     JointMotion,
     ServoMotion,
     Smooth,
-    smooth_function_of,
+    smooth_function,
 )
 from sim2real.identification.servo_problem import Fits, minimise, residual_angles
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
@@ -24,6 +24,7 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
 Array = NDArray[np.float64]
+Windows = tuple[tuple[Window, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Unmodelled:
 
     excess: float
     smooth: Smooth
-    windows: tuple[tuple[Window, ...], ...] | None
+    windows: Windows | None
     windows_evidence: float
 
 
@@ -64,14 +65,28 @@ def unmodelled(
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.noise_like_excess]
     separate = intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    given = [
-        (_motions(batch, joints, residuals, j, siblings[j]), _servo(batch, plain, j), j in suspects)
-        for j in range(len(joints))
-    ]
-    smooth = shared(smooth_function_of, given)
-    nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
+    servos = []
+    for j in range(len(joints)):
+        first = batch.first_signal[j]
+        load = batch.load[first : first + batch.recordings[j]]
+        kp, kd, latency = (float(x) for x in plain.servos.theta[j, :3])
+        servos.append(
+            ServoMotion(
+                _motions(batch, joints, residuals, j, siblings[j]),
+                kp,
+                kd,
+                latency,
+                load[:, 0],
+                load[:, 1],
+                batch.least_gain,
+                batch.lags,
+                thorough=j in suspects,
+            )
+        )
+    nowhere: tuple[Windows | None, float] = (None, -np.inf)
     return [
-        Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
+        Unmodelled(excesses[j], smooth, *separate.get(j, nowhere))
+        for j, smooth in enumerate(shared(smooth_function, servos))
     ]
 
 
@@ -110,9 +125,9 @@ def intermittent(
     suspects: Sequence[int],
     *,
     rounds: int = 3,
-) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
+) -> dict[int, tuple[Windows, float]]:
     """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
-    found: dict[int, tuple[tuple[Window, ...], ...]] = {}
+    found: dict[int, Windows] = {}
     now = {j: residuals[j] for j in suspects}
     scores: dict[int, float] = {}
     for _ in range(rounds):
@@ -152,9 +167,7 @@ def intermittent(
     return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
 
 
-def _windows(
-    residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
-) -> tuple[tuple[Window, ...], ...]:
+def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -> Windows:
     rows = measured_only(residual, traces)
     masks = [
         inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
@@ -169,8 +182,8 @@ def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
     return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
 
 
-def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
-    wider = tuple((a - 0.1, b + 0.3) for a, b in given)
+def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:
+    wider = tuple((a - 0.1, b + 0.3) for a, b in segments)
     return replace(trace, used=trace.used & ~inside(trace.t, wider))
 
 
@@ -181,22 +194,23 @@ def _motions(
     joint: int,
     siblings: Sequence[int],
 ) -> list[JointMotion]:
+    """The recordings of a joint, with the simulated angles of its siblings."""
     motions = []
     for r, trace in enumerate(joints[joint]):
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            _angle(residuals[i], joints[i], k)
+            _angle(residuals[i, k], other)
             for i in siblings
-            for k, same in enumerate(joints[i])
-            if same.file == trace.file and same.t.size == trace.t.size
+            for k, other in enumerate(joints[i])
+            if other.file == trace.file and other.t.size == trace.t.size
         ]
         motions.append(
             JointMotion(
                 trace.t,
                 trace.command,
-                _angle(residuals[joint], joints[joint], r),
-                residuals[joint][r, : trace.t.size],
+                _angle(residuals[joint, r], trace),
+                residuals[joint, r, : trace.t.size],
                 counts,
                 np.array(others).reshape(len(others), trace.t.size),
             )
@@ -204,16 +218,8 @@ def _motions(
     return motions
 
 
-def _angle(residual: Array, traces: Sequence[Trace], r: int) -> Array:
+def _angle(residual: Array, trace: Trace) -> Array:
     """Simulated angles of a recording; where none was measured, between its neighbours."""
-    trace = traces[r]
     used = np.flatnonzero(trace.used)
-    angle = residual[r, used] + trace.position[used]
+    angle = residual[used] + trace.position[used]
     return np.asarray(np.interp(trace.t, trace.t[used], angle))
-
-
-def _servo(batch: Batch, plain: Fits, joint: int) -> ServoMotion:
-    kp, kd, latency = (float(x) for x in plain.servos.theta[joint, :3])
-    first = batch.first_signal[joint]
-    load = batch.load[first : first + batch.recordings[joint]]
-    return ServoMotion(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)

@@ -69,7 +69,10 @@ def diagnosis(
         effect
         for effect, one in zip(effects, said, strict=True)
         if not case.references  # what has changed since is worth saying, whatever its size
-        and all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
+        and all(
+            results[joint].finding.changes(results[joint].unseen, effect.effect) < negligible
+            for joint in one.joints
+        )
     )
     large = tuple(effect for effect in effects if effect not in small)
     if any(one.finding.mismatch and one.finding.left for one in joints):
