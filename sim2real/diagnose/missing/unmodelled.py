@@ -63,7 +63,7 @@ def unmodelled(
     """
     residuals, excesses = beyond_noise(batch, joints, plain)
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.noise_like_excess]
-    separate = intermittent(batch, joints, plain, residuals, suspects)
+    separate = _intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
     servos = []
     for j in range(len(joints)):
@@ -117,7 +117,7 @@ def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: fl
     return energy / count / scale
 
 
-def intermittent(
+def _intermittent(
     batch: Batch,
     joints: Sequence[Sequence[Trace]],
     plain: Fits,
@@ -127,47 +127,47 @@ def intermittent(
     rounds: int = 3,
 ) -> dict[int, tuple[Windows, float]]:
     """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
-    found: dict[int, Windows] = {}
-    now = {j: residuals[j] for j in suspects}
-    scores: dict[int, float] = {}
+    segments: dict[int, Windows] = {}
+    remaining = {j: residuals[j] for j in suspects}
+    gains: dict[int, float] = {}
     for _ in range(rounds):
-        found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
-        length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
-        inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
-        short = {j for j in found if inside_s[j] < DECISION.segments_share * length[j]}
-        found = {j: w for j, w in found.items() if any(w) and j in short}
-        if not found:
+        segments = {
+            j: w
+            for j, residual in remaining.items()
+            if any(w := _windows(residual, joints[j], segments.get(j)))
+            and sum(b - a for of_trace in w for a, b in of_trace)
+            < DECISION.segments_share * sum(float(t.t[-1] - t.t[0]) for t in joints[j])
+        }
+        if not segments:
             return {}
-        order = list(found)
+        order = list(segments)
         outside = Batch(
-            [[_without(t, w) for t, w in zip(joints[j], found[j], strict=True)] for j in order],
+            [[_without(t, w) for t, w in zip(joints[j], segments[j], strict=True)] for j in order],
             batch.device,
             batch.threads,
         )
         start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
-        fits = minimise(
-            outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
-        )
-        # Windows that leave too few samples outside them explain nothing.
-        found = {j: found[j] for k, j in enumerate(order) if fits.count[k] > outside.lags}
+        white = minimise(outside, start, iterations=8, white=True)
+        fits = minimise(outside, white.servos, iterations=8)
+        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
         square = fits.error2 / np.maximum(fits.count, 1)
         level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
-        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
-        seen = residual_angles(batch, whole)
-        now = {j: seen[k] for k, j in enumerate(order) if j in found}
-        before = plain.loglikelihood
-        scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
-        if not found:
-            return {}
+        for k, (j, residual) in enumerate(zip(order, residual_angles(batch, whole), strict=True)):
+            remaining[j] = residual
+            gains[j] = float(level[k] * plain.count[j] - plain.loglikelihood[j])
+            if fits.count[k] <= outside.lags:  # too few samples outside explain nothing
+                del segments[j]
+        remaining = {j: remaining[j] for j in segments}
     # Each segment must earn as much as is never left to chance, and so must each second of it.
     costs = {
-        j: DECISION.decisive_gain * sum(1 + b - a for some in w for a, b in some)
-        for j, w in found.items()
+        j: DECISION.decisive_gain * sum(1 + b - a for of_trace in w for a, b in of_trace)
+        for j, w in segments.items()
     }
-    return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
+    return {j: (w, gains[j] - costs[j]) for j, w in segments.items()}
 
 
 def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -> Windows:
+    """Segments of a residual (R, T) beyond the spread outside those of before."""
     rows = measured_only(residual, traces)
     masks = [
         inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
