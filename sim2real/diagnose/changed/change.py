@@ -40,6 +40,7 @@ from sim2real.diagnose.link.link_effect import LinkData, link
 from sim2real.diagnose.link.lost_packets import Uneven
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.missing.investigate import link_residual
+from sim2real.diagnose.missing.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
@@ -48,7 +49,6 @@ from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
-Windows = tuple[tuple[Window, ...], ...]
 
 _MOST = 10
 """Changes that are fitted to the case; those of them that a second one is looked for beside."""

@@ -13,8 +13,6 @@ from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
 from sim2real.inference import selection
 from sim2real.servo.batch import Batch
 
-BREADTH = selection.Breadth()
-
 
 def search(
     batch: Batch,
@@ -49,38 +47,36 @@ def search(
     problem = ServoSearch(batch, level, rng)
     if not needed:
         return ledgers, problem
+    large = [DECISION.nuisance_finding_size * sd for sd in noise or ()]
     if noise is not None:
-        large = [DECISION.nuisance_finding_size * sd for sd in noise]
         if best is None:
             first_look(problem, ledgers, large)
-        before = best or [one.best for one in ledgers]
+        before = best or [ledger.best for ledger in ledgers]
         ledgers = with_nuisances(problem, ledgers, large, before)
         jobs = [
-            (one, one.base | h.members, h.fit.servos.theta[0])
-            for one, h in zip(ledgers, before, strict=True)
-            if not h.members <= one.base
+            (ledger, ledger.base | h.members, h.fit.servos.theta[0])
+            for ledger, h in zip(ledgers, before, strict=True)
+            if not h.members <= ledger.base
         ]
-        for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-            one.keep(found)
+        for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
+            ledger.keep(hypothesis)
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
-    again = problem.rebased(ledgers)
-    if again:
-        selection.select(problem, again, selection.Breadth(most=1))
+    rebased = problem.rebased(ledgers)
+    if rebased:
+        selection.select(problem, rebased, selection.Breadth(most=1))
     problem.singles = False
     selection.select(
         problem,
         ledgers,
-        BREADTH,
-        lambda share: progress(0.4 + 0.5 * share),
+        progress=lambda share: progress(0.4 + 0.5 * share),
         exhausted=problem.exhausted,
     )
     if noise is not None:
-        going = [k for k, one in enumerate(ledgers) if not problem.exhausted(one)]
-        again = beside_rivals(
-            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.decisive_gain
-        )
-        selection.select(problem, again, BREADTH, exhausted=problem.exhausted)
+        going = [k for k, ledger in enumerate(ledgers) if not problem.exhausted(ledger)]
+        some, angles = [ledgers[k] for k in going], [large[k] for k in going]
+        changed = beside_rivals(problem, some, angles, DECISION.decisive_gain)
+        selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem
