@@ -152,7 +152,7 @@ def _read(kind: type[T], values: Fields, group: str = "") -> T:
     """The numbers of a dataclass; those of a group are stored as ``group.name``."""
     numbers: dict[str, Any] = {
         name: _read(kind_of, values, f"{name}.")
-        if is_dataclass(kind_of)
+        if isinstance(kind_of, type) and is_dataclass(kind_of)
         else kind_of(values.table(group + name).number("value"))
         for name, kind_of in get_type_hints(kind).items()
     }
