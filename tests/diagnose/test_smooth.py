@@ -8,16 +8,16 @@ from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
 from sim2real.diagnose.missing.smooth_function import JointMotion, ServoMotion, smooth_function
+from sim2real.recording import Load
 from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import Trace
 
 LAGS = 25
 T = PERIOD * np.arange(600)
 
 
 def servo(motions, **options):
-    return ServoMotion(
-        motions, KP, KD, LATENCY, np.full(2, INERTIA), np.zeros(2), 0.02, LAGS, **options
-    )
+    return ServoMotion(motions, KP, KD, LATENCY, 0.02, LAGS, **options)
 
 
 def plain(seed):
@@ -26,7 +26,9 @@ def plain(seed):
     command = steps(T, rng)
     angle = rollout(row()[None], T, command[:, None])[0, :, 0]
     noise = rng.normal(0, NOISE, T.size)
-    return JointMotion(T, command, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
+    used = np.ones(T.size, dtype=bool)
+    trace = Trace("plain", "plain", T, command, angle + noise, Load(INERTIA), used)
+    return JointMotion(trace, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
 
 
 def pushed(torque, seed):
@@ -108,7 +110,7 @@ def test_a_wrong_gain_is_no_state():
     """What kp, kd and latency take up is not physics that is missing."""
 
     def stiffer(motion):
-        return 0.02 * (np.interp(T - LATENCY, T, motion.command) - motion.angle)
+        return 0.02 * (np.interp(T - LATENCY, T, motion.trace.command) - motion.angle)
 
     assert strange(stiffer).evidence(1100.0) < 0
 

@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 from sim2real.inference.correlated_noise import autoregression, lag_products, whitened
 from sim2real.inference.evidence import chance_gain
 from sim2real.servo.linearised import gain_torques, through, torque_filter
+from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -27,16 +28,14 @@ class JointMotion:
     """One joint of one recording as a fitted servo sees it.
 
     Attributes:
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
+        trace: The recording, of T samples.
         angle: Simulated angle in rad, shape (T,).
         residual: Simulated minus measured angle in rad, 0 where none was measured, shape (T,).
         counts: Samples whose innovation counts, shape (T,).
         others: Simulated angles of the other joints in rad, shape (K, T).
     """
 
-    t: Array
-    command: Array
+    trace: Trace
     angle: Array
     residual: Array
     counts: NDArray[np.bool_]
@@ -48,12 +47,10 @@ class ServoMotion:
     """A plain servo, its recordings, and what its noise may be.
 
     Attributes:
-        motions: Its R recordings.
+        motions: Its recordings.
         kp: Proportional gain, N m/rad.
         kd: Derivative gain, N m s/rad.
         latency: Latency, s.
-        inertia: Inertia of the load in each recording, kg m2, shape (R,).
-        gravity: Stiffness of the load in each recording, N m/rad, shape (R,).
         least_gain: Smallest gain of the noise's whitening filter.
         lags: Samples that the noise remembers.
         thorough: Whether to look for shaking and for jumps as well, which takes longest.
@@ -63,8 +60,6 @@ class ServoMotion:
     kp: float
     kd: float
     latency: float
-    inertia: Array
-    gravity: Array
     least_gain: float
     lags: int
     thorough: bool = True
@@ -125,15 +120,15 @@ class _Regression:
 
     def __init__(self, servo: ServoMotion) -> None:
         self.servo, self.motions = servo, servo.motions
-        self.cuts = np.cumsum([m.t.size for m in self.motions])[:-1]
+        self.cuts = np.cumsum([m.residual.size for m in self.motions])[:-1]
         self.residual = np.concatenate([m.residual for m in self.motions])
-        loads = zip(self.motions, servo.inertia, servo.gravity, strict=True)
-        self.filters = [
-            torque_filter(float(i), servo.kd, servo.kp + float(g), float(np.median(np.diff(m.t))))
-            for m, i, g in loads
-        ]
-        gains = servo.kp, servo.latency
-        self.torques = [gain_torques(m.t, m.command, m.angle, gains) for m in self.motions]
+        self.filters, self.torques = [], []
+        for m in self.motions:
+            load, step = m.trace.load, float(np.median(np.diff(m.trace.t)))
+            stiffness = servo.kp + load.gravity_Nm
+            self.filters.append(torque_filter(load.inertia_kgm2, servo.kd, stiffness, step))
+            gains = servo.kp, servo.latency
+            self.torques.append(gain_torques(m.trace.t, m.trace.command, m.angle, gains))
         self.gains = self.angles(self.torques)
 
     def angles(self, torques: Sequence[Array]) -> Array:
@@ -182,20 +177,21 @@ def _families(problem: _Regression) -> Iterator[tuple[str, Array]]:
     """Names of states, and the angles that smooth functions of each make, shape (N, K)."""
     motions = problem.motions
     position = _splines([m.angle for m in motions])
-    speed = [np.gradient(m.angle, m.t) for m in motions]
+    speed = [np.gradient(m.angle, m.trace.t) for m in motions]
     signs = [np.tanh(v / 0.02)[:, None] for v in speed]
     yield "position", problem.angles(position)
     yield "speed", problem.angles([np.hstack(x) for x in zip(_splines(speed), signs, strict=True)])
-    yield "error", problem.angles(_splines([m.command - m.angle for m in motions]))
+    yield "error", problem.angles(_splines([m.trace.command - m.angle for m in motions]))
     yield "sensor", np.vstack(position)
     drifting = []  # gains and latency that change with time, to the second order
     for motion, torques in zip(motions, problem.torques, strict=True):
-        passed = ((motion.t - motion.t[0]) / (motion.t[-1] - motion.t[0]))[:, None]
+        t = motion.trace.t
+        passed = ((t - t[0]) / (t[-1] - t[0]))[:, None]
         drifting.append(np.hstack([passed * torques, passed**2 * torques]))
     yield "time", problem.angles(drifting)
     if len({len(m.others) for m in motions}) == 1 and motions[0].others.size:
         accelerations = [
-            np.stack([np.gradient(np.gradient(q, m.t), m.t) for q in m.others], axis=1)
+            np.stack([np.gradient(np.gradient(q, m.trace.t), m.trace.t) for q in m.others], axis=1)
             for m in motions
         ]
         yield "other_joint", problem.angles(accelerations)
@@ -225,11 +221,11 @@ def _shaking(
     power: Array = np.zeros(transform_length // 2 + 1)
     for part in np.split(left, ends):
         power += np.abs(np.fft.rfft(part, transform_length)) ** 2
-    hertz = np.fft.rfftfreq(transform_length, float(np.median(np.diff(motions[0].t))))
+    hertz = np.fft.rfftfreq(transform_length, float(np.median(np.diff(motions[0].trace.t))))
     power[(hertz < shaken_Hz[0]) | (hertz > shaken_Hz[1])] = 0.0
     blocks = []
     for motion, filtered in zip(motions, problem.filters, strict=True):
-        phase = 2 * np.pi * float(hertz[power.argmax()]) * motion.t
+        phase = 2 * np.pi * float(hertz[power.argmax()]) * motion.trace.t
         blocks.append(through(np.stack([np.sin(phase), np.cos(phase)], axis=1), filtered))
     return block_diag(*blocks)
 
@@ -243,10 +239,11 @@ def _jumps(
     edges = [0, *problem.cuts, size]
     steps, instants = [], []
     for r, motion in enumerate(problem.motions):
-        edge = min(1.0, 0.1 * float(motion.t[-1] - motion.t[0]))
-        times = np.arange(motion.t[0] + edge, motion.t[-1] - edge, spacing_s)
+        t = motion.trace.t
+        edge = min(1.0, 0.1 * float(t[-1] - t[0]))
+        times = np.arange(t[0] + edge, t[-1] - edge, spacing_s)
         tried = np.zeros((size, times.size))
-        tried[edges[r] : edges[r + 1]] = motion.t[:, None] >= times
+        tried[edges[r] : edges[r + 1]] = t[:, None] >= times
         seen = problem.whitened(tried, model)
         seen -= basis @ (basis.T @ seen)
         best = int(((seen.T @ left) ** 2 / ((seen**2).sum(axis=0) + 1e-30)).argmax())

@@ -66,23 +66,10 @@ def unmodelled(
     separate = _intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
     servos = []
-    for j in range(len(joints)):
-        first = batch.first_signal[j]
-        load = batch.load[first : first + batch.recordings[j]]
-        kp, kd, latency = (float(x) for x in plain.servos.theta[j, :3])
-        servos.append(
-            ServoMotion(
-                _motions(batch, joints, residuals, j, siblings[j]),
-                kp,
-                kd,
-                latency,
-                load[:, 0],
-                load[:, 1],
-                batch.least_gain,
-                batch.lags,
-                thorough=j in suspects,
-            )
-        )
+    for j, (kp, kd, latency) in enumerate(plain.servos.theta[:, :3].tolist()):
+        motions = _motions(batch, joints, residuals, j, siblings[j])
+        noise = batch.least_gain, batch.lags
+        servos.append(ServoMotion(motions, kp, kd, latency, *noise, thorough=j in suspects))
     nowhere: tuple[Windows | None, float] = (None, -np.inf)
     return [
         Unmodelled(excesses[j], smooth, *separate.get(j, nowhere))
@@ -207,8 +194,7 @@ def _motions(
         ]
         motions.append(
             JointMotion(
-                trace.t,
-                trace.command,
+                trace,
                 _angle(residuals[joint, r], trace),
                 residuals[joint, r, : trace.t.size],
                 counts,
