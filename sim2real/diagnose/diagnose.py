@@ -17,25 +17,16 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
-from sim2real.diagnose.missing.calibrated_odds import judged
 from sim2real.diagnose.missing.investigate import investigate, placed
 from sim2real.diagnose.missing.nuisances import first_look
-from sim2real.diagnose.missing.offer import (
-    add_errors,
-    enriched,
-    offer,
-    sets_to_score,
-    simpler,
-    with_named,
-)
+from sim2real.diagnose.missing.offer import judged_and_offered
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
-from sim2real.identification.held_out import Unseen
-from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
+from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
@@ -187,37 +178,14 @@ def _joint_results(
         progress=lambda share: progress(0.8 * share),
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
-    errors: list[dict[Set, Unseen]] = [{} for _ in joints]
-    add_errors(errors, joints, findings, [sets_to_score(f) for f in findings], device)
-    searched = [j for j, joint in enumerate(joints) if not joint.before]
-    for j in searched:
-        findings[j] = judged(findings[j], errors[j])
-    rich = [with_named(finding) for finding in findings]
-    add_errors(errors, joints, findings, [[servo.members] for servo in rich], device)
-    for j in searched:
-        rich[j] = enriched(findings[j], rich[j], errors[j])
-    fewer = [simpler(*of_joint) for of_joint in zip(findings, rich, errors, strict=True)]
-    add_errors(errors, joints, findings, [[members] for members in fewer], device)
-    offered = list(rich)
-    for j in searched:
-        offered[j] = offer(findings[j], rich[j], fewer[j], errors[j])
+    findings, rich, offered, errors = judged_and_offered(joints, findings, device)
     plain = [finding.tried.plain for finding in findings]
     before, after = (
         residual_angles(batch, joined([h.fit for h in servos])) for servos in (plain, offered)
     )
-    results = [
-        JointFindings(
-            joint,
-            findings[j],
-            rich[j],
-            offered[j],
-            before[j],
-            after[j],
-            _least_squares(recorded[j], plain[j]),
-            errors[j],
-        )
-        for j, joint in enumerate(joints)
-    ]
+    fitted = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
+    of_joints = zip(joints, findings, rich, offered, before, after, fitted, errors, strict=True)
+    results = [JointFindings(*of_joint) for of_joint in of_joints]
     return [[results[j] for j in robot] for robot in robots]
 
 

@@ -6,13 +6,42 @@ from collections.abc import Mapping, Sequence
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.calibrated_odds import judged
 from sim2real.diagnose.missing.investigate import Finding
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
 from sim2real.identification.servo_problem import Hypothesis, Set
 
 
-def add_errors(
+def judged_and_offered(
+    joints: Sequence[JointCase], findings: Sequence[Finding], device: str
+) -> tuple[list[Finding], list[Hypothesis], list[Hypothesis], list[dict[Set, Unseen]]]:
+    """Judge findings by errors on held-out data, and choose the servo of the enriched model.
+
+    Findings against references are judged already: they are offered as they are named.
+
+    Returns:
+        For each joint the finding, the servo with what was found, the one that is offered, and the
+        errors on held-out data by set of effects.
+    """
+    judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
+    searched = [j for j, joint in enumerate(joints) if not joint.before]
+    _add_errors(errors, joints, findings, [_sets_to_score(f) for f in findings], device)
+    for j in searched:
+        judgements[j] = judged(findings[j], errors[j])
+    rich = [_with_named(finding) for finding in judgements]
+    _add_errors(errors, joints, judgements, [[servo.members] for servo in rich], device)
+    for j in searched:
+        rich[j] = _enriched(judgements[j], rich[j], errors[j])
+    fewer = [simpler(*of_joint) for of_joint in zip(judgements, rich, errors, strict=True)]
+    _add_errors(errors, joints, judgements, [[members] for members in fewer], device)
+    offered = list(rich)
+    for j in searched:
+        offered[j] = offer(judgements[j], rich[j], fewer[j], errors[j])
+    return judgements, rich, offered, errors
+
+
+def _add_errors(
     errors: Sequence[dict[Set, Unseen]],
     joints: Sequence[JointCase],
     findings: Sequence[Finding],
@@ -41,14 +70,14 @@ def add_errors(
                 errors[j][members] = score
 
 
-def sets_to_score(finding: Finding) -> list[Set]:
+def _sets_to_score(finding: Finding) -> list[Set]:
     """The sets whose errors on held-out data say what each effect is worth."""
     best, base, tried = finding.best.members, finding.tried.base, finding.tried.tried
     fewer = (best - {effect} for effect in best - base)
     return [base, best, *(members for members in fewer if members in tried)]
 
 
-def with_named(finding: Finding) -> Hypothesis:
+def _with_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
@@ -58,7 +87,7 @@ def with_named(finding: Finding) -> Hypothesis:
     return tried.tried.get(tried.base | wanted, best if heads else tried.plain)
 
 
-def enriched(finding: Finding, fewer: Hypothesis, unseen: Mapping[Set, Unseen]) -> Hypothesis:
+def _enriched(finding: Finding, fewer: Hypothesis, unseen: Mapping[Set, Unseen]) -> Hypothesis:
     """The servo that predicts better: with what is named, or with all of the likeliest set.
 
     What is too unsure to be named may well be there, or stand in for what is.
