@@ -18,11 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.changed.change import BANK
-from sim2real.diagnose.changed.position_jumps import Steps
+from sim2real.diagnose.changed.change import largest_jump
+from sim2real.diagnose.changed.contrast import BANK, directions, first_look, unit
+from sim2real.diagnose.changed.explained import Explained, explained
 from sim2real.diagnose.changed.references import law_of
-from sim2real.diagnose.changed.regression import Explained, directions, explained, first_look
-from sim2real.diagnose.changed.repeated_commands import unit
 from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
@@ -46,7 +45,8 @@ def main() -> None:
             effect: max(float(g) for g, n in zip(shares, by.names, strict=True) if n == effect)
             for effect in dict.fromkeys(by.names)
         }
-        ratio = Steps(of).ratio()
+        usual = largest_jump(of, range(of.references))
+        ratio = largest_jump(of, of.case) / usual if usual > 0 else 0.0
         found[of.way].append((null, ratio))
         largest = max(null.values())
         print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {largest:.2f}")

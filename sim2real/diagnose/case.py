@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from sim2real.check import all_findings, check
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.errors import InputError
@@ -70,8 +68,9 @@ class JointCase:
     @property
     def stall_Nm(self) -> float | None:
         """Torque that its data sheet states; None where its load is unknown."""
-        known = self.servo is not None and self.traces[0].load is not PER_INERTIA
-        return self.servo.max_torque_Nm if self.servo is not None and known else None
+        if self.servo is None or self.traces[0].load is PER_INERTIA:
+            return None
+        return self.servo.max_torque_Nm
 
     @property
     def base(self) -> Set:
@@ -91,18 +90,17 @@ def prepared(case: Case) -> list[JointCase]:
             raise InputError(recording.file, "header", found, expected)
     joints = []
     for joint in case.robot.joints:
-        given = traces(case.recordings, joint.name)
-        if given:
-            check_runs(given, joint.name)
-            noise = sensor_noise(given)
-            step = coarse_step(given, joint.servo.position_step_rad)
+        data = traces(case.recordings, joint.name)
+        if data:
+            check_runs(data, joint.name)
+            noise = sensor_noise(data)
+            step = coarse_step(data, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             before = traces(case.references, joint.name)
-            joints.append(JointCase(joint.name, given, noise, step, model, before, joint.servo))
+            joints.append(JointCase(joint.name, data, noise, step, model, before, joint.servo))
     if not joints:
-        recording = case.recordings[0]
-        found, expected = "no motion", "commands and angles that change"
-        raise InputError(recording.file, "", found, expected)
+        file = case.recordings[0].file
+        raise InputError(file, "", "no motion", "commands and angles that change")
     return joints
 
 
@@ -111,21 +109,19 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
 
     One with references keeps what it knows, and a joint a given model that is no plain servo.
     """
-    found, known = {}, case.model or Model(joints={})
+    known = dict(case.model.joints) if case.model else {}
+    lines = {}
     for joint in case.robot.joints if not case.references else ():
-        before = known.joints.get(joint.name)
-        if before is not None and (before.law != "pd" or before.effects):
+        model, data = known.get(joint.name), traces(case.recordings, joint.name)
+        if not data or (model is not None and (model.law != "pd" or model.effects)):
             continue
-        given = traces(case.recordings, joint.name)
-        line = (
-            on_its_line(given, joint.servo, rng, room=1 / DECISION.data_sheet_share)
-            if given
-            else None
-        )
+        line = on_its_line(data, joint.servo, rng, room=1 / DECISION.data_sheet_share)
         # What changes the error by less, nobody would miss.
         if line is not None and line[1] < 1 - DECISION.negligible:
-            found[joint.name] = line[0]
-    return replace(case, model=replace(known, joints={**known.joints, **found})) if found else case
+            lines[joint.name] = line[0]
+    if not lines:
+        return case
+    return replace(case, model=replace(case.model or Model(joints={}), joints=known | lines))
 
 
 def lines_beside(
@@ -140,40 +136,24 @@ def lines_beside(
         joints: The joints of the batch.
         best: What explains each best at first sight.
     """
-    found = {}
-    for j, (joint, one) in enumerate(zip(joints, best, strict=True)):
-        row = one.fit.servos.theta[0].copy()
+    models = {}
+    for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
+        row = servo.fit.servos.theta[0].copy()
         if joint.before or joint.base or joint.stall_Nm is None or row[_LINE].any():
             continue
         assert joint.servo is not None
         row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
         # A limit at the data sheet's is the line by another name.
         named_so = row[_LIMIT] > DECISION.data_sheet_share * joint.stall_Nm
-        other: Set = one.members & {_SATURATION} if named_so else frozenset()
+        other: Set = servo.members & {_SATURATION} if named_so else frozenset()
         inertia = batch.load[batch.first_signal[j], :1]
         plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
-        start = with_effects(plain, one.members - other, row, float(row[0]), float(inertia[0]))
+        start = with_effects(plain, servo.members - other, row, float(row[0]), float(inertia[0]))
         fit = minimise(batch, start, iterations=15)
-        more = float(fit.loglikelihood[0] - one.fit.loglikelihood[0])
+        more = float(fit.loglikelihood[0] - servo.fit.loglikelihood[0])
         if more > (0.0 if other else DECISION.decisive_gain):
-            found[j] = stated(fit.servos.theta[0], joint.traces[0].load)
-    return found
-
-
-def by_robot(robots: Sequence[Sequence[JointCase]]) -> list[list[int]]:
-    """Which of all joints are each robot's, where they stand one after the other."""
-    ends = np.cumsum([0, *(len(joints) for joints in robots)])
-    return [list(range(a, b)) for a, b in pairwise(ends)]
-
-
-def gate(case: Case) -> tuple[str, ...]:
-    """What the data gate found, a sentence each."""
-    told = (
-        f"{recording.name}: {sentence}"
-        for recording in case.recordings
-        for sentence in all_findings(check(recording, case.robot, identifiable=False))
-    )
-    return tuple(dict.fromkeys(told))
+            models[j] = stated(fit.servos.theta[0], joint.traces[0].load)
+    return models
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
@@ -184,7 +164,6 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
         stated_rad: ``position_step_rad`` of the data sheet.
     """
     steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in traces]
-    found = min(steps)
-    if found <= DECISION.coarse_step_ratio * stated_rad or max(steps) > 1.1 * found:
-        return None
-    return found
+    step = min(steps)
+    coarse = step > DECISION.coarse_step_ratio * stated_rad and max(steps) <= 1.1 * step
+    return step if coarse else None

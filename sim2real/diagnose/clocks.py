@@ -39,7 +39,7 @@ def on_one_clock(
         robots: Which of them were recorded together.
         best: What explains each best as yet.
     """
-    found = list(joints)
+    corrected = list(joints)
     for robot in robots:
         files = sorted({trace.file for j in robot for trace in joints[j].traces})
         information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
@@ -52,17 +52,16 @@ def on_one_clock(
         sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
         if (np.abs(inverse @ slope) > DECISION.clock_tolerance + 2 * sd).any():
             continue
-        likely = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
-        drift = dict(zip(files, np.linalg.solve(information + likely, slope), strict=True))
+        prior = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
+        drift = dict(zip(files, np.linalg.solve(information + prior, slope), strict=True))
         for j in robot:
-            theta = best[j].fit.servos.theta
             moved = []
             for trace in joints[j].traces:
-                angle = simulated(trace, theta)[0]
+                angle = simulated(trace, best[j].fit.servos.theta)[0]
                 late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
                 moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
-            found[j] = replace(joints[j], traces=moved)
-    return found
+            corrected[j] = replace(joints[j], traces=moved)
+    return corrected
 
 
 def _known(
@@ -75,17 +74,16 @@ def _known(
     """
     servos = best.fit.servos
     own = variants(servos)
-    free = np.flatnonzero(servos.columns[0] != _DRIFT)
-    theta = np.concatenate([own.theta[:, :1], own.theta[:, 1 + free], own.theta[:, :1]], axis=1)
+    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != _DRIFT)), 0]
+    theta, scale = own.theta[:, kept], own.scale[:, kept]
     theta[0, -1, _DRIFT] += step
-    scale = np.concatenate([own.scale[:, :1], own.scale[:, 1 + free], [[1 / step]]], axis=1)
-    given = best.fit.autoregression
-    gram = batch.evaluate(Problems(servos.joint, theta, scale), autoregression=given).gram[0]
+    scale[0, -1] = 1 / step
+    problem = Problems(servos.joint, theta, scale)
+    gram = batch.evaluate(problem, autoregression=best.fit.autoregression).gram[0]
     gram = gram[:recordings] * float(best.fit.count[0] / best.fit.error2[0])
     shared = gram[:, 1:-1, 1:-1].sum(axis=0)
     across = gram[:, 1:-1, -1].T  # shape (F, R)
     taken = across.T @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
     information = np.diag(gram[:, -1, -1]) - taken @ across
     slope = -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))
-    already = best.fit.servos.theta[0, _DRIFT]
-    return information, slope + information.sum(axis=1) * already
+    return information, slope + information.sum(axis=1) * servos.theta[0, _DRIFT]

@@ -150,12 +150,12 @@ def read_decision(path: Path = FILE) -> Decision:
 
 def _read(kind: type[T], values: Fields, group: str = "") -> T:
     """The numbers of a dataclass; those of a group are stored as ``group.name``."""
-    numbers: dict[str, Any] = {}
-    for name, its in get_type_hints(kind).items():
-        if isinstance(its, type) and is_dataclass(its):
-            numbers[name] = _read(its, values, f"{name}.")
-        else:
-            numbers[name] = its(values.table(group + name).number("value"))
+    numbers: dict[str, Any] = {
+        name: _read(kind_of, values, f"{name}.")
+        if isinstance(kind_of, type) and is_dataclass(kind_of)
+        else kind_of(values.table(group + name).number("value"))
+        for name, kind_of in get_type_hints(kind).items()
+    }
     return kind(**numbers)
 
 
@@ -166,11 +166,11 @@ def read_odds(path: Path = FILE) -> dict[str, Odds]:
         InputError: If a weight is no number.
     """
     table = Fields(path, "", read_json(path, SCHEMA)).table("odds")
-    curves = {name: table.table(name) for name in CURVES}
-    return {
-        name: Odds({feature: weights.number(feature) for feature in weights.content})
-        for name, weights in curves.items()
-    }
+    curves = {}
+    for name in CURVES:
+        weights = table.table(name)
+        curves[name] = Odds({feature: weights.number(feature) for feature in weights.content})
+    return curves
 
 
 DECISION = read_decision()

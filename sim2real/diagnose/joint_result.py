@@ -65,34 +65,23 @@ class JointFindings:
         return f"{self.name}.position_rad"
 
     @property
-    def richer(self) -> bool:
-        """Whether the offered servo has anything beyond the plain one."""
-        return self.offered.members != self.finding.tried.base
-
-    @property
-    def unseen_plain(self) -> Unseen | None:
-        """Errors of the plain servo on held-out data."""
-        return self.unseen.get(self.finding.tried.base)
-
-    @property
     def error(self) -> float:
         """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
-        return self.unseen_plain.rmse if self.unseen_plain else self._train(self.before)
+        unseen = self.unseen.get(self.finding.tried.base)
+        return unseen.rmse if unseen else self._train(self.before)
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
         """Errors on fitted and on held-out data, rad."""
-        members = self.offered.members if enriched else self.finding.tried.base
-        unseen = self.unseen.get(members)
+        unseen = self.unseen.get(self.offered.members if enriched else self.finding.tried.base)
         train = self._train(self.after if enriched else self.before)
         return {"train": train, "heldout": None if unseen is None else unseen.rmse}
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
-        plain, rich = self.unseen_plain, self.unseen.get(self.rich.members)
+        plain, rich = (self.unseen.get(s) for s in (self.finding.tried.base, self.rich.members))
         if plain is None or rich is None:
             return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
-        noise = min(self.floor, plain.rmse)
-        removable = plain.rmse - noise
+        removable = plain.rmse - min(self.floor, plain.rmse)
         removed = (plain.rmse - rich.rmse) / removable if removable > 0 else 0.0
         return {
             "rmse_before": plain.rmse,
@@ -119,66 +108,63 @@ class JointFindings:
         unseen = 0.0 if heldout is None else (heldout / self.floor) ** 2
         return max(self.finding.excess, unseen) > DECISION.structured_excess
 
-    def changes(self, effect: str) -> float:
-        """Share by which an effect changes the held-out error, see ``Finding.changes``."""
-        return self.finding.changes(self.unseen, effect)
-
     def model(self, *, enriched: bool) -> JointModel:
         """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
-        rich = enriched and self.richer
-        theta = self.offered.fit.servos.theta[0] if rich else self.least_squares
+        servo, theta = self.finding.tried.plain, self.least_squares
+        if enriched and self.offered.members != self.finding.tried.base:
+            servo, theta = self.offered, self.offered.fit.servos.theta[0]
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
-        return servo(self.joint, theta, self.offered if rich else self.finding.tried.plain)
+        effects = fitted_effects(servo, self.joint.step_rad)
+        return stated(theta, self.joint.traces[0].load, effects)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
 
         A law is wrong by a share of its own effect, which no recording tells: ``law_error``.
         """
-        link, step = self.finding.link, self.finding.step_rad
+        link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
         if link is not None and link.effect == effect:
             ends = max(link.value - Z90 * link.sd, 0.0), link.value + Z90 * link.sd
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
-        servos = self.rich.fit.servos
-        columns = [COLUMNS[k] for k in servos.columns[0]]
-        variance = _spread2(self.rich)
-        found = {}
-        for k, name in enumerate(columns):
-            if not name.startswith(f"{effect}."):
+        servos, variance = self.rich.fit.servos, _spread2(self.rich)
+        estimates = {}
+        for k, column in enumerate(servos.columns[0]):
+            owner, _, name = COLUMNS[column].partition(".")
+            if owner != effect:
                 continue
-            mean = float(servos.theta[0, servos.columns[0, k]])
+            mean = float(servos.theta[0, column])
             law = 0.0 if name.endswith("phase_rad") else DECISION.law_error * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
-            low, high = mean - Z90 * sd, mean + Z90 * sd
-            low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
-            found[name.partition(".")[2]] = Estimate(mean, sd, min(low, mean), max(high, mean))
-        return found
+            low = max(mean - Z90 * sd, float(servos.low[0, k]))
+            high = min(mean + Z90 * sd, float(servos.high[0, k]))
+            estimates[name] = Estimate(mean, sd, min(low, mean), max(high, mean))
+        return estimates
 
     def _train(self, residual: Array) -> float:
         pairs = zip(residual, self.joint.traces, strict=False)
         return rms([row[: t.t.size][t.used] for row, t in pairs])
 
 
-def _spread2(found: Hypothesis) -> Array:
+def _spread2(servo: Hypothesis) -> Array:
     """Variances of a fit's free parameters, in units, shape (F,).
 
     Of independent innovations, or of blocks of them where these agree less: the sandwich of White,
     Econometrica 50 (1982) 1-25, with blocks as clusters.
     """
-    gram = found.fit.gram[0]
+    gram = servo.fit.gram[0]
     gram = gram[gram[:, 0, 0] > 0]
     inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
-    independent = np.diag(inverse) * float(found.fit.error2[0] / found.fit.count[0])
+    independent = np.diag(inverse) * float(servo.fit.error2[0] / servo.fit.count[0])
     by_block = gram[:, 1:, 0] @ inverse
     freedom = len(gram) / max(len(gram) - len(inverse), 1)
     return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
 
 
-def includes_zero(found: Hypothesis, effect: str) -> bool:
+def includes_zero(servo: Hypothesis, effect: str) -> bool:
     """Whether the 90 % interval of an effect's size includes 0, where the effect is absent.
 
     The size is the effect's first parameter, or the larger one of two that ascend. Limits are
@@ -188,32 +174,21 @@ def includes_zero(found: Hypothesis, effect: str) -> bool:
     name = known.ascending[1] if known.ascending else known.parameters[0].name
     size = next(p for p in known.parameters if p.name == name)
     column = COLUMNS.index(f"{effect}.{name}")
-    servos = found.fit.servos
+    servos = servo.fit.servos
     free = np.flatnonzero(servos.columns[0] == column)
     if is_limit(size) or not free.size:
         return False
-    sd = float(np.sqrt(_spread2(found)[free[0]]) * servos.unit[0, free[0]])
+    sd = float(np.sqrt(_spread2(servo)[free[0]]) * servos.unit[0, free[0]])
     return abs(float(servos.theta[0, column])) <= Z90 * sd
 
 
-def servo(joint: JointCase, theta: Array, hypothesis: Hypothesis) -> JointModel:
-    """A fitted joint as a model states it.
-
-    Args:
-        joint: The joint.
-        theta: Its parameters, shape (P,); what it has of a motor included.
-        hypothesis: The effects that it has.
-    """
-    return stated(theta, joint.traces[0].load, fitted_effects(hypothesis, joint.step_rad))
-
-
-def fitted_effects(model: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
+def fitted_effects(servo: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
     """Effects of an enriched servo as a model states them."""
-    values = dict(zip(COLUMNS, model.fit.servos.theta[0].tolist(), strict=True))
-    listed = [
+    values = dict(zip(COLUMNS, servo.fit.servos.theta[0].tolist(), strict=True))
+    effects = [
         FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
-        for name in sorted(model.members)
+        for name in sorted(servo.members)
     ]
     if step_rad is not None:
-        listed.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
-    return tuple(listed)
+        effects.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
+    return tuple(effects)

@@ -319,8 +319,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: s
 
 
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
-    plan = diagnosis.next_experiment
-    told = vars(plan) if plan else {}
+    plan = vars(diagnosis.next_experiment) if diagnosis.next_experiment else {}
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -332,7 +331,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
-        "next_experiment": {k: x for k, x in told.items() if k not in ("t", "signal")} or None,
+        "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
         "gate": list(diagnosis.gate),
         "search": {
             "complete": not diagnosis.unfinished,

@@ -7,25 +7,27 @@ import pytest
 from simulated import INERTIA, NOISE, column, recording, robot, row, steps, traced
 
 from sim2real.diagnose.case import Case
-from sim2real.diagnose.changed.change import BANKS, changed, what_changed
-from sim2real.diagnose.changed.contrast import Contrast
-from sim2real.diagnose.changed.misstated_load import misstated
-from sim2real.diagnose.changed.position_jumps import Steps
-from sim2real.diagnose.changed.references import law_of, with_known_servos
-from sim2real.diagnose.changed.regression import (
+from sim2real.diagnose.changed.change import changed, jump_windows, what_changed
+from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
+from sim2real.diagnose.changed.contrast import (
+    BANKS,
+    Contrast,
     Directions,
-    Explained,
+    at_any_time,
     directions,
-    energy,
-    explained,
     first_look,
     first_pairs,
+)
+from sim2real.diagnose.changed.explained import (
+    Explained,
+    energy,
+    explained,
     loss,
+    misstated,
     settled,
     way_of,
 )
-from sim2real.diagnose.changed.repeated_commands import alignment, at_any_time, freed_of_the_common
-from sim2real.diagnose.changed.slow_sampling import beside_rest
+from sim2real.diagnose.changed.references import law_of, with_known_servos
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.errors import InputError
@@ -98,7 +100,7 @@ def test_what_would_be_left_had_nothing_changed():
     y = np.concatenate(of.left)
     rest = y - table * (table @ y) / (table @ table)
     assert loss(of) == pytest.approx(rest @ rest)
-    assert energy(settled(of), of.case) == pytest.approx(np.mean(rest[KNOWN * COUNT :] ** 2))
+    assert energy(settled(of)) == pytest.approx(np.mean(rest[KNOWN * COUNT :] ** 2))
 
 
 def test_noise_at_any_time_takes_its_power_at_a_direction():
@@ -128,8 +130,8 @@ def contrast_of(gone, null, known=4.0):
     left, nothing = gone.max() - gone, np.zeros(N)
     null = np.array(null)
     known = (known, known)
-    rows, law_error = np.zeros((N, 1)), DECISION.change.law_error
-    return Contrast(NAMES[:N], gone, left, nothing, rows, null, nothing, known, 1.0, law_error)
+    rows = np.zeros((N, 1))
+    return Contrast(NAMES[:N], gone, left, nothing, rows, null, nothing, known, 1.0)
 
 
 def test_what_looks_as_large_where_nothing_changed_is_no_change():
@@ -254,10 +256,10 @@ def test_a_horn_that_slips_is_a_jump_to_the_end():
     a, b, case = repeats()
     slip = np.where(case.t > 5, 0.05, 0.0)
     of = explained([a, b], [replace(case, position=case.position + slip)], row(), servo())
-    ((window,),) = Steps(of).windows(BANKS["repeat"].jump)
+    ((window,),) = jump_windows(of)
     assert window == pytest.approx((5.0, case.t[-1]), abs=0.05)
     assert changed(of).nameless > 0.5
-    assert Steps(explained([a, b], [case], row(), servo())).windows(25.0) is None
+    assert jump_windows(explained([a, b], [case], row(), servo())) is None
 
 
 def test_what_was_sent_in_a_gap_is_not_held_against_the_servo():
@@ -352,10 +354,11 @@ def test_a_load_that_is_stated_wrong_is_told_from_one_that_changed(right):
     before, stated = Load(INERTIA), Load(2 * INERTIA)
     references = [traced(k, f"ref_{k}", seconds=8.0, load=before) for k in (1, 2)]
     moved = traced(3, "a", seconds=8.0, load=stated if right else before)
-    found = misstated(explained(references, [replace(moved, load=stated)], row(), servo()))
-    assert found.effects == ("unmodelled_inertia",)
-    assert found.gain < -50 if right else found.gain > 50
-    assert found.row[column("unmodelled_inertia.inertia_kgm2")] == pytest.approx(-INERTIA)
+    of = explained(references, [replace(moved, load=stated)], row(), servo())
+    effects, with_known, gain = misstated(of)
+    assert effects == ("unmodelled_inertia",)
+    assert gain < -50 if right else gain > 50
+    assert with_known[column("unmodelled_inertia.inertia_kgm2")] == pytest.approx(-INERTIA)
     same = explained(references, [replace(moved, load=before)], row(), servo())
     assert misstated(same) is None
 

@@ -10,10 +10,11 @@ from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing import servo_search as searching
 from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.effect_search import BREADTH, search
+from sim2real.diagnose.missing.effect_search import search
 from sim2real.diagnose.missing.screening import FITTED, candidate
 from sim2real.effects import named
 from sim2real.identification.servo_problem import joined
+from sim2real.inference.selection import Breadth
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.batch import Batch
 
@@ -47,7 +48,7 @@ def test_no_set_has_two_effects_of_one_family(case, request):
     for effects in request.getfixturevalue(case).tried.tried:
         families = [named(name).family for name in effects if named(name).family]
         assert len(set(families)) == len(families)
-        assert len(effects) <= BREADTH.most
+        assert len(effects) <= Breadth().most
 
 
 def test_what_explains_most_at_first_sight_is_tried_by_itself(rubbing):

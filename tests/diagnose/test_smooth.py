@@ -7,17 +7,17 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
-from sim2real.diagnose.missing.smooth_function import (
-    JointMotion,
-    ServoMotion,
-    smooth_function,
-    smooth_function_of,
-)
+from sim2real.diagnose.missing.smooth_function import JointMotion, ServoMotion, smooth_function
+from sim2real.recording import Load
 from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import Trace
 
 LAGS = 25
-SERVO = ServoMotion(KP, KD, LATENCY, np.full(2, INERTIA), np.zeros(2), 0.02, LAGS)
 T = PERIOD * np.arange(600)
+
+
+def servo(motions, **options):
+    return ServoMotion(motions, KP, KD, LATENCY, 0.02, LAGS, **options)
 
 
 def plain(seed):
@@ -26,7 +26,9 @@ def plain(seed):
     command = steps(T, rng)
     angle = rollout(row()[None], T, command)[0]
     noise = rng.normal(0, NOISE, T.size)
-    return JointMotion(T, command, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
+    used = np.ones(T.size, dtype=bool)
+    trace = Trace("plain", "plain", T, command, angle + noise, Load(INERTIA), used)
+    return JointMotion(trace, angle, -noise, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
 
 
 def pushed(torque, seed):
@@ -37,7 +39,7 @@ def pushed(torque, seed):
 
 
 def strange(torque):
-    return smooth_function([pushed(torque, seed) for seed in (1, 2)], SERVO)
+    return smooth_function(servo([pushed(torque, seed) for seed in (1, 2)]))
 
 
 def best(found):
@@ -46,7 +48,7 @@ def best(found):
 
 @pytest.fixture(scope="module")
 def noise_only():
-    return smooth_function([plain(1), plain(2)], SERVO)
+    return smooth_function(servo([plain(1), plain(2)]))
 
 
 def test_noise_is_driven_by_nothing(noise_only):
@@ -88,7 +90,7 @@ def test_a_jump_is_found_when_it_happens(seed):
         replace(m, residual=m.residual - 0.01 * (at <= T))
         for m, at in zip((plain(1), plain(2)), instants, strict=True)
     ]
-    found = smooth_function(motions, SERVO)
+    found = smooth_function(servo(motions))
     assert found.state == "jump"
     np.testing.assert_allclose(found.jumps_s, instants, atol=0.3)
 
@@ -100,7 +102,7 @@ def test_another_joint_is_recognised():
         neighbour = plain(seed + 10).angle
         pull = 1e-4 * np.gradient(np.gradient(neighbour, T), T)
         motions.append(replace(pushed(lambda m, x=pull: x, seed), others=neighbour[None]))
-    found = smooth_function(motions, SERVO)
+    found = smooth_function(servo(motions))
     assert best(found) == "other_joint"
 
 
@@ -108,13 +110,13 @@ def test_a_wrong_gain_is_no_state():
     """What kp, kd and latency take up is not physics that is missing."""
 
     def stiffer(motion):
-        return 0.02 * (np.interp(T - LATENCY, T, motion.command) - motion.angle)
+        return 0.02 * (np.interp(T - LATENCY, T, motion.trace.command) - motion.angle)
 
     assert strange(stiffer).evidence(1100.0) < 0
 
 
 def test_shaking_and_jumps_only_where_asked_for(noise_only):
-    quick = smooth_function_of(([plain(1), plain(2)], SERVO, False))
+    quick = smooth_function(servo([plain(1), plain(2)], thorough=False))
     assert {"shaking", "jump"} <= set(noise_only.shares)
     assert not {"shaking", "jump"} & set(quick.shares)
     assert quick.jumps_s == ()

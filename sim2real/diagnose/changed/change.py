@@ -3,7 +3,7 @@
 Every servo lacks some physics, and what it lacks looks different in each recording: an effect that
 is freed in one reference alone explains something there, though nothing has changed. How large each
 effect looks in unchanged recordings is its *null size*: the mean square of the angles that it takes
-away, over what the references leave. It is read off a bank of unchanged recordings of other servos
+away, over the references' residual. It is read off a bank of unchanged recordings of other servos
 (``unchanged.json``) and off the case's own references, and the case is judged by it with Student's
 tails, references being few.
 """
@@ -12,73 +12,45 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sim2real.diagnose.changed.contrast import Contrast, Unchanged, contrast
-from sim2real.diagnose.changed.misstated_load import misstated
-from sim2real.diagnose.changed.position_jumps import Steps
-from sim2real.diagnose.changed.regression import (
+from sim2real.diagnose.changed.contrast import (
+    BANKS,
+    Contrast,
     Directions,
-    Explained,
+    contrast,
     directions,
-    energy,
-    explained,
     first_pairs,
     fitted,
+    straight,
+)
+from sim2real.diagnose.changed.explained import (
+    Explained,
+    energy,
+    explained,
     loss,
+    misstated,
     settled,
 )
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, link
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
+from sim2real.diagnose.missing.investigate import link_residual
+from sim2real.diagnose.missing.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
 from sim2real.robot import Servo
-from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
-from sim2real.structured import Fields, read_json
 
 Array = NDArray[np.float64]
 
-BANK = Path(__file__).with_name("unchanged.json")
-_SCHEMA = "sim2real.unchanged/1"
 _MOST = 10
-"""Changes that are fitted for good; those of them that a second one is looked for beside."""
-
-
-def read_bank(path: Path = BANK) -> dict[str, Unchanged]:
-    """The bank of a file, made by ``benchmarks/unchanged_bank.py``.
-
-    Raises:
-        InputError: If an entry is missing or no number.
-    """
-    ways = Fields(path, "", read_json(path, _SCHEMA)).table("ways")
-    found = {}
-    for way in ways.content:
-        one = ways.table(way)
-        null = one.table("null")
-        sizes = {name: null.number(name) for name in null.content}
-        found[way] = Unchanged(one.number("known"), sizes, one.number("jump"))
-    return found
-
-
-BANKS = read_bank()
-"""What ships."""
-
-
-def _contrast(of: Explained, by: Directions, bank: Mapping[str, Unchanged] = BANKS) -> Contrast:
-    return contrast(of, by, bank[of.way], _straight(of), DECISION.change.law_error)
-
-
-def _straight(of: Explained) -> float:
-    """How many times as far as its start a change goes along a straight line."""
-    return DECISION.change.max_extrapolation if of.way == "law" else 1.0
+"""Changes that are fitted to the case; those of them that a second one is looked for beside."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +71,8 @@ class Change:
     groups: tuple[Group, ...]
     probability: Mapping[str, float]
     row: Array
-    nameless: float
-    windows: tuple[tuple[Window, ...], ...] | None = None
+    nameless: float = 0.0
+    windows: Windows | None = None
     link: Uneven | None = None
 
     def posterior(self, base: Set) -> EffectPosterior:
@@ -110,236 +82,6 @@ class Change:
         sets = (base, *(base | {n} for n in order))
         probability = np.array([1 - sum(effects.values()), *(effects[n] for n in order)])
         return EffectPosterior(sets, probability, probability)
-
-
-def refined(of: Explained, found: Contrast, by: Directions) -> Contrast:
-    """The contrast of its likeliest changes, each fitted to the case for good."""
-    order = _likeliest(found)
-    rows = [fitted(of, [found.effects[k]], _starts(found, by, int(k)))[0] for k in order]
-    rests = [_without(of, row) for row in rows]
-    count = sum(int(np.count_nonzero(of.seen(r))) for r in of.case)
-    gone = (loss(of) - np.array([loss(rest) for rest in rests])) / max(count, 1)
-    left = np.array([energy(settled(rest), of.case) for rest in rests])
-    # Near its start, what a change does to first order is as good.
-    linear = (np.abs(found.size[order]) < _straight(of)) & (found.gone[order] > gone)
-    return replace(
-        found,
-        effects=tuple(found.effects[k] for k in order),
-        gone=np.maximum(np.where(linear, found.gone[order], gone), 0.0),
-        left=np.where(linear, found.left[order], left),
-        size=found.size[order],
-        rows=np.where(linear[:, None], found.rows[order], rows),
-        usual=found.usual[order],
-        before=found.before[order],
-    )
-
-
-def _likeliest(found: Contrast) -> NDArray[np.intp]:
-    """Places of those that are fitted: at least one effect, and whatever may be set anew."""
-    order = [int(k) for k in np.argsort(-found.gone)]
-    first = next(k for k in order if found.effects[k] not in BASE)
-    anew = [k for k in order[_MOST:] if found.effects[k] in BASE]
-    return np.array([first, *(k for k in order[:_MOST] if k != first), *anew])
-
-
-def _starts(found: Contrast, by: Directions, k: int) -> list[Array]:
-    every = [row for row, name in zip(by.rows, by.names, strict=True) if name == found.effects[k]]
-    return [found.rows[k], every[0], every[-1]]
-
-
-def changed(of: Explained, step_rad: float = 0.0, bank: Mapping[str, Unchanged] = BANKS) -> Change:
-    """What has changed in the case: each effect alone, two where a repeat shows two, or nothing.
-
-    Args:
-        of: The recordings, explained.
-        step_rad: Step of the case's sensor, which is no jump.
-        bank: How large changes look where there are none.
-    """
-    by = directions(of)
-    first = _contrast(of, by, bank)
-    found = first
-    if first.evidence.max() > DECISION.change.min_evidence:
-        found = refined(of, first, by)
-    one = _alone(of, found)
-    if of.way == "repeat" and found is not first and _leaves_more(of, found):
-        one = _two(of, found, by) or one
-    told = one.groups[0].probability >= DECISION.named
-    rest = _without(of, one.row) if told else of
-    wrong = max(_largest_step(of.left[r] - rest.left[r]) for r in of.case)
-    usual = max(step_rad, DECISION.change.law_error * wrong)
-    if of.way == "rest":  # what is left may be nothing but a step of the sensor
-        usual = max(usual, float(np.sqrt(12 * of.scale2)))
-    windows = Steps(rest, usual).windows(bank[of.way].jump)
-    law = of.way == "law" and not told
-    alien = law and energy(settled(of), of.case) > DECISION.change.foreign_misfit * of.scale2
-    likely = of.way == "repeat" and not told and (windows is None or _lasting(of, windows))
-    late = _uneven(of, bank[of.way].known) if likely else None
-    if late is not None or (windows is None and not alien):
-        return late or one
-    less = {n: (1 - DECISION.uncatalogued_probability) * p for n, p in one.probability.items()}
-    groups = tuple(
-        replace(g, probability=(1 - DECISION.uncatalogued_probability) * g.probability)
-        for g in one.groups
-    )
-    return replace(
-        one,
-        groups=groups,
-        probability=less,
-        nameless=DECISION.uncatalogued_probability,
-        windows=windows,
-    )
-
-
-def _lasting(of: Explained, windows: tuple[tuple[Window, ...], ...]) -> bool:
-    """Whether windows cover more than half of the case, as what a link does never stops."""
-    covered = sum(last - first for some in windows for first, last in some)
-    return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
-
-
-def _uneven(
-    of: Explained, known: float, *, lags: int = 2, least_gain: float = 1.0
-) -> Change | None:
-    """Jitter of the link that no repeat has, or None; ``known`` unchanged recordings in a bank.
-
-    The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
-    1, so that it takes nothing for itself that repeats may have from the link, too.
-    """
-    period = float(np.median(np.diff(of.traces[0].t)))
-    found = [
-        link(LinkData(((_residual(of, r),),), lags, least_gain)) for r in range(len(of.traces))
-    ]
-    late = [u.value if u.effect == "latency_jitter" else 0.0 for u in found]
-    worst = max(of.case, key=lambda r: late[r])
-    if late[worst] > period / 2:  # set-points would overtake each other
-        return None
-    null2 = max(DECISION.change.jitter_min_share * period, *late[: of.references]) ** 2
-    odds = student(late[worst] ** 2 / null2, known + of.references) + LOG_PRIOR
-    sure = min(float(expit(odds)), DECISION.most_certain)
-    if sure < DECISION.named:
-        return None
-    group = Group((found[worst].effect,), sure, sure)
-    return Change((group,), {found[worst].effect: sure}, of.row, 0.0, link=found[worst])
-
-
-def _residual(of: Explained, r: int) -> Residual:
-    one, left = of.traces[r], np.nan_to_num(of.left[r])
-    kp, kd, latency = (float(x) for x in of.row[:3])
-    return Residual(
-        one.t, one.command, of.seen(r), -left, kp, kd, latency,
-        one.load.inertia_kgm2, one.load.gravity_Nm,
-    )  # fmt: skip
-
-
-def _largest_step(values: Array) -> float:
-    return float(np.nanmax(np.abs(np.diff(values)), initial=0.0))
-
-
-def _without(of: Explained, row: Array) -> Explained:
-    """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
-    angles = of.simulated(np.array([of.row, row]), of.case)
-    case = (left - (a[1] - a[0]) for left, a in zip(of.left[of.references :], angles, strict=True))
-    return replace(of, left=(*of.left[: of.references], *case))
-
-
-def _alone(of: Explained, found: Contrast) -> Change:
-    """One change, or none, or one that has no name."""
-    weight = found.evidence - found.misfit
-    best = int(np.argmax(weight))
-    sure = float(expit(found.evidence[best] + LOG_PRIOR))
-    strange = 0.0
-    if of.way != "law":
-        excess = max(float(found.gone[best] + found.left[best]) - found.scale2, 0.0)
-        beyond = max(float(found.left[best]) - found.scale2, 0.0)
-        if beyond > (1 - DECISION.change.explained_share) * excess and beyond > found.scale2:
-            strange = DECISION.uncatalogued_probability
-    share = np.exp(weight - weight[best])
-    share *= [np.exp(DECISION.change.retuned_log_odds) if n in BASE else 1.0 for n in found.effects]
-    share *= sure * (1 - strange) / share.sum()
-    probability = {n: float(p) for n, p in zip(found.effects, share, strict=True)}
-    group = _group(probability)
-    foreign = of.way == "law" and found.left[best] > DECISION.change.misfit_ratio * of.scale2
-    foreign = foreign or (of.way == "repeat" and _leaves_more(of, found))
-    anew = any(n in BASE for n in group.members)
-    if of.way == "rest" or foreign or anew:
-        most = min(group.probability, DECISION.change.most_certain)
-        group = replace(group, probability=most, stability=most)
-    row = found.rows[found.effects.index(group.members[0])]
-    # A change, and no effect, unless it may well be one.
-    retuned = sum(p for n, p in probability.items() if n in BASE and n not in group.members)
-    return Change((group,), probability, row, sure * strange + retuned)
-
-
-def _group(probability: Mapping[str, float]) -> Group:
-    """Effects that cannot be told apart, and what of the plain servo may be set anew instead.
-
-    The likeliest is an effect; where a parameter is so much likelier that it can be told from it,
-    none stands beside it.
-    """
-    order = sorted(probability, key=lambda n: -probability[n])
-    first = next(n for n in order if n not in BASE)
-    near = probability[first] >= DECISION.group_share * probability[order[0]]
-    least = DECISION.group_share * probability[first]
-    effects = [n for n in order if n not in BASE and probability[n] >= least]
-    plain = [n for n in order if n in BASE and probability[n] >= least and near]
-    members = (*effects, *plain)
-    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
-    return Group(members, sure, sure)
-
-
-def _leaves_more(of: Explained, found: Contrast) -> bool:
-    """Whether the best change leaves more than repeats do and than the error of its law."""
-    best = int(np.argmin(found.left))
-    wrong = DECISION.change.law_error**2 * found.gone[best]
-    return bool(found.left[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
-
-
-def _two(of: Explained, found: Contrast, by: Directions, *, partners: int = 2) -> Change | None:
-    """Two changes together, where they explain far more than any does alone."""
-    fits: dict[Set, tuple[Array, float]] = {}
-
-    def fit(starts: Mapping[Set, Array]) -> Set:
-        """Fit pairs from these servos; the best of all so far."""
-        for pair, row in starts.items():
-            if pair not in fits:
-                for_good = fitted(of, sorted(pair), [row])
-                straight = at_sight.get(pair, for_good)
-                fits[pair] = min(for_good, straight, key=lambda fit: fit[1])
-        return min(fits, key=lambda pair: fits[pair][1])
-
-    at_sight = first_pairs(of, by)
-    fit({pair: row for pair, (row, _) in list(at_sight.items())[:_MOST]})
-    order = [int(k) for k in np.argsort(found.left) if found.effects[k] not in BASE]
-    for k in order[:partners]:
-        head, row = found.effects[k], found.rows[k]
-        beside = _contrast(_without(of, row), by)
-        ranked = (int(p) for p in np.argsort(-beside.gone))
-        likely = [p for p in ranked if beside.effects[p] not in (*BASE, head)][: _MOST // 2]
-        fit({frozenset((head, beside.effects[p])): row + beside.rows[p] - of.row for p in likely})
-    best = fit({})
-    for one in sorted(best):  # its rivals beside the other one
-        with_it = {pair: row for pair, (row, _) in at_sight.items() if one in pair}
-        fit(dict(list(with_it.items())[: _MOST // 2]))
-    best = fit({})
-    row, left = fits[best]
-    whole = energy(of, of.case)
-    beyond = max(left - of.scale2, 0.0)
-    strange = beyond > (1 - DECISION.change.explained_share) * whole and beyond > of.scale2
-    if strange or DECISION.change.misfit_ratio * left > float(found.left.min()):
-        return None
-    probability: dict[str, float] = {}
-    groups = []
-    for head in sorted(best):
-        (other,) = best - {head}
-        rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
-        # As wrong as a law may be of what this one explains beside the other.
-        alone = {e: m for e, m in zip(found.effects, found.left, strict=True)}.get(other, whole)
-        blurred = of.scale2 + DECISION.change.law_error**2 * max(alone - left, 0.0)
-        weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
-        total = sum(weight.values())
-        mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
-        groups.append(_group(mine))
-        probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
-    return Change(tuple(groups), probability, row, 0.0)
 
 
 def what_changed(
@@ -361,8 +103,273 @@ def what_changed(
     of = explained(before, case, row, servo)
     load = misstated(of)
     if load is not None:
-        sure = min(float(expit(load.gain)), DECISION.most_certain)
+        effects, with_load, gain = load
+        sure = min(float(expit(gain)), DECISION.most_certain)
         if sure >= DECISION.named:  # a change seen through a wrong load is none
-            groups = tuple(Group((effect,), sure, sure) for effect in load.effects)
-            return Change(groups, dict.fromkeys(load.effects, sure), load.row, 0.0)
+            groups = tuple(Group((effect,), sure, sure) for effect in effects)
+            return Change(groups, dict.fromkeys(effects, sure), with_load)
     return changed(of, step_rad)
+
+
+def changed(of: Explained, step_rad: float = 0.0) -> Change:
+    """What has changed in the case: each effect alone, two where a repeat shows two, or nothing.
+
+    Args:
+        of: The recordings, explained.
+        step_rad: Step of the case's sensor, which is no jump.
+    """
+    by = directions(of)
+    effects = first = contrast(of, by)
+    if first.evidence.max() > DECISION.change.min_evidence:
+        effects = _refined(of, first, by)
+    change = _single(of, effects)
+    if of.way == "repeat" and effects is not first and _leaves_more(of, effects):
+        change = _pair(of, effects, by) or change
+    named = change.groups[0].probability >= DECISION.named
+    remaining = _without(of, change.row) if named else of
+    steps = [np.diff(of.left[r] - remaining.left[r]) for r in of.case]
+    explained_rad = max(float(np.nanmax(np.abs(x), initial=0.0)) for x in steps)
+    usual = max(step_rad, DECISION.change.law_error * explained_rad)
+    if of.way == "rest":  # the residual may be nothing but a step of the sensor
+        usual = max(usual, float(np.sqrt(12 * of.scale2)))
+    windows = jump_windows(remaining, usual)
+    limit = DECISION.change.foreign_misfit * of.scale2
+    foreign = of.way == "law" and not named and energy(settled(of)) > limit
+    if of.way == "repeat" and not named and (windows is None or _lasting(of, windows)):
+        late = _uneven(of)
+        if late is not None:
+            return late
+    if windows is None and not foreign:
+        return change
+    known = 1 - DECISION.uncatalogued_probability
+    return replace(
+        change,
+        groups=tuple(replace(g, probability=known * g.probability) for g in change.groups),
+        probability={n: known * p for n, p in change.probability.items()},
+        nameless=DECISION.uncatalogued_probability,
+        windows=windows,
+    )
+
+
+def _refined(of: Explained, effects: Contrast, by: Directions) -> Contrast:
+    """The contrast of its likeliest changes, each fitted to the case.
+
+    At least one effect is among them, and every parameter of the plain servo.
+    """
+    ranked = [int(k) for k in np.argsort(-effects.gone)]
+    first = next(k for k in ranked if effects.effects[k] not in BASE)
+    parameters = [k for k in ranked[_MOST:] if effects.effects[k] in BASE]
+    order = np.array([first, *(k for k in ranked[:_MOST] if k != first), *parameters])
+    rows = []
+    for k in order:
+        name = effects.effects[k]
+        own = [row for row, n in zip(by.rows, by.names, strict=True) if n == name]
+        rows.append(fitted(of, [name], [effects.rows[k], own[0], own[-1]])[0])
+    others = [_without(of, row) for row in rows]
+    gone = (loss(of) - np.array([loss(x) for x in others])) / max(of.count(of.case), 1)
+    left = np.array([energy(settled(x)) for x in others])
+    # Near its start, what a change does to first order is as good.
+    linear = (np.abs(effects.size[order]) < straight(of)) & (effects.gone[order] > gone)
+    return replace(
+        effects,
+        effects=tuple(effects.effects[k] for k in order),
+        gone=np.maximum(np.where(linear, effects.gone[order], gone), 0.0),
+        left=np.where(linear, effects.left[order], left),
+        size=effects.size[order],
+        rows=np.where(linear[:, None], effects.rows[order], rows),
+        usual=effects.usual[order],
+        before=effects.before[order],
+    )
+
+
+def _without(of: Explained, row: Array) -> Explained:
+    """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
+    angles = of.simulated(np.array([of.row, row]), of.case)
+    case = (left - (a[1] - a[0]) for left, a in zip(of.left[of.references :], angles, strict=True))
+    return replace(of, left=(*of.left[: of.references], *case))
+
+
+def _single(of: Explained, effects: Contrast) -> Change:
+    """One change, or none, or one that has no name."""
+    weight = effects.evidence - effects.misfit
+    best = int(np.argmax(weight))
+    sure = float(expit(effects.evidence[best] + LOG_PRIOR))
+    strange = 0.0
+    if of.way != "law":
+        excess = max(float(effects.gone[best] + effects.left[best]) - effects.scale2, 0.0)
+        beyond = max(float(effects.left[best]) - effects.scale2, 0.0)
+        if beyond > (1 - DECISION.change.explained_share) * excess and beyond > effects.scale2:
+            strange = DECISION.uncatalogued_probability
+    retuned = np.exp(DECISION.change.retuned_log_odds)
+    share = np.exp(weight - weight[best])
+    share *= [retuned if n in BASE else 1.0 for n in effects.effects]
+    share *= sure * (1 - strange) / share.sum()
+    probability = {n: float(p) for n, p in zip(effects.effects, share, strict=True)}
+    group = _group(probability)
+    foreign = of.way == "law" and effects.left[best] > DECISION.change.misfit_ratio * of.scale2
+    foreign = foreign or (of.way == "repeat" and _leaves_more(of, effects))
+    if of.way == "rest" or foreign or any(n in BASE for n in group.members):
+        most = min(group.probability, DECISION.change.most_certain)
+        group = replace(group, probability=most, stability=most)
+    row = effects.rows[effects.effects.index(group.members[0])]
+    # A change, and no effect, unless it may well be one.
+    anew = sum(p for n, p in probability.items() if n in BASE and n not in group.members)
+    return Change((group,), probability, row, sure * strange + anew)
+
+
+def _group(probability: Mapping[str, float]) -> Group:
+    """Effects that cannot be told apart, and what of the plain servo may be set anew instead.
+
+    The likeliest is an effect; where a parameter is so much likelier that it can be told from it,
+    none stands beside it.
+    """
+    order = sorted(probability, key=lambda n: -probability[n])
+    first = next(n for n in order if n not in BASE)
+    near = probability[first] >= DECISION.group_share * probability[order[0]]
+    least = DECISION.group_share * probability[first]
+    effects = [n for n in order if n not in BASE and probability[n] >= least]
+    plain = [n for n in order if n in BASE and probability[n] >= least and near]
+    members = (*effects, *plain)
+    sure = min(sum(probability[n] for n in members), DECISION.most_certain)
+    return Group(members, sure, sure)
+
+
+def _leaves_more(of: Explained, effects: Contrast) -> bool:
+    """Whether the best change leaves more than repeats do and than the error of its law."""
+    best = int(np.argmin(effects.left))
+    wrong = DECISION.change.law_error**2 * effects.gone[best]
+    return bool(effects.left[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
+
+
+def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2) -> Change | None:
+    """Two changes together, where they explain far more than any does alone."""
+    linear = first_pairs(of, by)
+    fits: dict[Set, tuple[Array, float]] = {}
+
+    def fit(starts: Mapping[Set, Array]) -> Set:
+        """Fit pairs from these servos; the best of all so far."""
+        for pair, row in starts.items():
+            if pair not in fits:
+                fit = fitted(of, sorted(pair), [row])
+                fits[pair] = min(fit, linear.get(pair, fit), key=lambda fit: fit[1])
+        return min(fits, key=lambda pair: fits[pair][1])
+
+    fit({pair: row for pair, (row, _) in list(linear.items())[:_MOST]})
+    order = [int(k) for k in np.argsort(effects.left) if effects.effects[k] not in BASE]
+    for k in order[:partners]:
+        head, row = effects.effects[k], effects.rows[k]
+        second = contrast(_without(of, row), by)
+        ranked = (int(p) for p in np.argsort(-second.gone))
+        likely = [p for p in ranked if second.effects[p] not in (*BASE, head)][: _MOST // 2]
+        fit({frozenset((head, second.effects[p])): row + second.rows[p] - of.row for p in likely})
+    best = fit({})
+    for name in sorted(best):  # its rivals beside the other one
+        with_it = {pair: row for pair, (row, _) in linear.items() if name in pair}
+        fit(dict(list(with_it.items())[: _MOST // 2]))
+    best = fit({})
+    row, left = fits[best]
+    whole = energy(of)
+    beyond = max(left - of.scale2, 0.0)
+    strange = beyond > (1 - DECISION.change.explained_share) * whole and beyond > of.scale2
+    if strange or DECISION.change.misfit_ratio * left > float(effects.left.min()):
+        return None
+    probability: dict[str, float] = {}
+    groups = []
+    left_by = dict(zip(effects.effects, effects.left, strict=True))
+    for head in sorted(best):
+        (other,) = best - {head}
+        rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
+        # As wrong as a law may be of what this one explains beside the other.
+        error2 = DECISION.change.law_error**2 * max(left_by.get(other, whole) - left, 0.0)
+        blurred = of.scale2 + error2
+        weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
+        total = sum(weight.values())
+        mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
+        groups.append(_group(mine))
+        probability |= {n: 0.5 * p for n, p in mine.items() if p > probability.get(n, 0.0)}
+    return Change(tuple(groups), probability, row)
+
+
+def jumps(of: Explained, r: int) -> tuple[Array, Array]:
+    """Times and sizes of the residual's steps between samples that follow each other.
+
+    What acts on a shaft moves it smoothly. A residual jumps where the sensor, the clock or the horn
+    does something of its own.
+    """
+    t, left = of.traces[r].t, of.left[r]
+    apart, size = np.diff(t), np.abs(np.diff(left))
+    good = (apart < 1.5 * float(np.median(apart))) & np.isfinite(size)
+    return t[1:][good], size[good]
+
+
+def largest_jump(of: Explained, places: Sequence[int]) -> float:
+    """Largest step of the residual in some recordings, rad; 0 where there is none."""
+    return max((float(jumps(of, r)[1].max(initial=0.0)) for r in places), default=0.0)
+
+
+def jump_windows(of: Explained, step_rad: float = 0.0) -> Windows | None:
+    """From the first to the last jump that no reference has, in each recording of the case.
+
+    To the recording's end where there is but one jump, or where the residual stays far larger than
+    before. None where there are none.
+
+    Args:
+        of: The recordings, explained.
+        step_rad: Step of the case's sensor, which is no jump.
+    """
+    usual = max(largest_jump(of, range(of.references)), step_rad)
+    if usual <= 0:
+        return None
+    windows: list[tuple[Window, ...]] = []
+    for r in of.case:
+        at, size = jumps(of, r)
+        when = at[size > BANKS[of.way].jump * usual]
+        if not when.size:
+            windows.append(())
+            continue
+        first, last = float(when[0]), float(when[-1])
+        if when.size == 1 or _stays(of, r, first, last):
+            last = float(of.traces[r].t[-1])
+        windows.append(((first, last),))
+    return tuple(windows) if any(windows) else None
+
+
+def _stays(of: Explained, r: int, first: float, last: float) -> bool:
+    """Whether a recording is far off after the last jump, and was not before the first."""
+    t, left2 = of.traces[r].t, of.left[r] ** 2
+    seen = of.seen(r)
+    before, after = left2[seen & (t < first)], left2[seen & (t > last)]
+    if before.size == 0 or after.size == 0:
+        return False
+    usual = max(float(np.mean(before)), of.scale2)
+    return float(np.mean(after)) > DECISION.change.lasting_ratio**2 * usual
+
+
+def _lasting(of: Explained, windows: Windows) -> bool:
+    """Whether windows cover more than half of the case, as what a link does never stops."""
+    covered = sum(last - first for pieces in windows for first, last in pieces)
+    return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
+
+
+def _uneven(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
+    """Jitter of the link that no repeat has, or None.
+
+    The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
+    1, so that it takes nothing for itself that repeats may have from the link, too.
+    """
+    period = float(np.median(np.diff(of.traces[0].t)))
+    links = []
+    for r, trace in enumerate(of.traces):
+        residual = link_residual(trace, of.seen(r), -np.nan_to_num(of.left[r]), of.row)
+        links.append(link(LinkData(((residual,),), lags, least_gain)))
+    late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
+    worst = max(of.case, key=lambda r: late[r])
+    if late[worst] > period / 2:  # set-points would overtake each other
+        return None
+    null2 = max(DECISION.change.jitter_min_share * period, *late[: of.references]) ** 2
+    odds = student(late[worst] ** 2 / null2, BANKS[of.way].known + of.references) + LOG_PRIOR
+    sure = min(float(expit(odds)), DECISION.most_certain)
+    if sure < DECISION.named:
+        return None
+    effect = links[worst].effect
+    return Change((Group((effect,), sure, sure),), {effect: sure}, of.row, link=links[worst])

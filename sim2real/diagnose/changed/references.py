@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.changed.change import what_changed
-from sim2real.diagnose.changed.regression import way_of
+from sim2real.diagnose.changed.explained import way_of
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
@@ -38,24 +38,22 @@ def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[C
     """
     known = list(cases)
     for k, case in enumerate(cases):
-        if case.references:
-            prepared(replace(case, recordings=case.references, references=()))
-            if case.model is None:
-                known[k] = replace(case, model=_law_of_references(case, rng))
+        if not case.references:
+            continue
+        prepared(replace(case, recordings=case.references, references=()))
+        if case.model is None:
+            joints = {}
+            for joint in case.robot.joints:
+                before = traces(case.references, joint.name)
+                now = traces(case.recordings, joint.name)
+                if before and now:
+                    joints[joint.name] = law_of(before, now, joint.servo, rng)
+            known[k] = replace(case, model=Model(joints=joints))
     return known
 
 
-def _law_of_references(case: Case, rng: np.random.Generator) -> Model:
-    found = {}
-    for joint in case.robot.joints:
-        before, now = (traces(some, joint.name) for some in (case.references, case.recordings))
-        if before and now:
-            found[joint.name] = law_of(before, now, joint.servo, rng)
-    return Model(joints=found)
-
-
 def law_of(
-    references: Sequence[Trace], case: Sequence[Trace], servo: Servo, rng: np.random.Generator
+    references: list[Trace], case: Sequence[Trace], servo: Servo, rng: np.random.Generator
 ) -> JointModel:
     """The law of the servo that made the references.
 
@@ -67,15 +65,14 @@ def law_of(
         servo: Its data sheet.
         rng: For the scan for a start.
     """
-    given = list(references)
-    start, others = first_guess(given, rng)
-    names = [p.name for p in gains(start, given[0].load.inertia_kgm2)]
-    plain, _ = best_of(given, [start, *others], names)
-    row = plain.row
+    load = references[0].load
+    start, others = first_guess(references, rng)
+    names = [p.name for p in gains(start, load.inertia_kgm2)]
+    servo_fit, _ = best_of(references, [start, *others], names)
     if way_of(references, case) == "law":
-        noise = sensor_noise(given)
-        row = choose_motor(given, plain, servo, noise, rng).fit.row
-    return stated(row, given[0].load)
+        noise = sensor_noise(references)
+        servo_fit = choose_motor(references, servo_fit, servo, noise, rng).fit
+    return stated(servo_fit.row, load)
 
 
 def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
@@ -89,49 +86,50 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
     before = joint.before
     if not before or joint.given is None or joint.servo is None:
         return finding
-    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in before)
-    coarser = _coarser(joint, grid)
     row = joint_row(joint.given, before[0].load, joint.name)
-    found = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    change = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
-    named = [group for group in found.groups if group.probability >= DECISION.named]
-    link = found.link.effect if found.link is not None else ""
+    named = [group for group in change.groups if group.probability >= DECISION.named]
+    link = change.link.effect if change.link is not None else ""
     rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
         kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
-        one = replace(with_effects(plain, rich, found.row, kp, inertia), theta=found.row[None])
-        fit = minimise(batch, one, iterations=1, blocks=BLOCKS)
+        servos = with_effects(plain, rich, change.row, kp, inertia)
+        servos = replace(servos, theta=change.row[None])
+        fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
+    coarser = _coarser(joint)
     coarse = tuple(
         replace(g, probability=min(g.probability, coarser))
         for g in finding.groups
         if g.members == (ROUNDING,) and coarser >= DECISION.named
     )
-    nameless = found.nameless > DECISION.named
+    nameless = change.nameless > DECISION.named
     return replace(
         finding,
         mismatch=bool(named or nameless or coarse),
         best=tried.tried.get(rich, tried.plain),
-        posterior=found.posterior(tried.base),
-        groups=(*coarse, *found.groups),
+        posterior=change.posterior(tried.base),
+        groups=(*coarse, *change.groups),
         left=nameless,
-        unknown=found.nameless,
-        unmodelled=replace(finding.unmodelled, windows=found.windows),
-        link=found.link,
+        unknown=change.nameless,
+        unmodelled=replace(finding.unmodelled, windows=change.windows),
+        link=change.link,
         place=0,
     )
 
 
-def _coarser(joint: JointCase, grid: float) -> float:
-    """Probability that a joint's sensor is coarser than a grid of that step in rad by no chance.
+def _coarser(joint: JointCase) -> float:
+    """Probability that a joint's sensor is coarser than the references', and that is no chance.
 
     Of all angles on a finer grid one in so many lies on the coarser one.
     """
+    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in joint.before)
     if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0
     levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
-    gaps = sum(max(one.size - 1, 0) for one in levels)
+    gaps = sum(max(values.size - 1, 0) for values in levels)
     return float(expit(gaps * np.log(joint.step_rad / max(grid, 1e-12)) + LOG_PRIOR))
 
 
@@ -142,18 +140,18 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
     """
     for joint in joints:
         if joint.before and way_of(joint.before, joint.traces) == "law":
-            one = max(joint.traces, key=Trace.activity)
+            trace = max(joint.traces, key=Trace.activity)
             return Experiment(
                 component=joint.name,
                 separates=(),
-                command=f"the command of {one.name}",
+                command=f"the command of {trace.name}",
                 context="none",
                 separation=0.0,
-                duration_s=float(one.t[-1] - one.t[0]),
-                statement=f"Repeat the command of {one.name} on {joint.name} in the state of the "
+                duration_s=float(trace.t[-1] - trace.t[0]),
+                statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
                 "references: beside a repeat what the model lacks cancels, and far smaller "
                 "changes show.",
-                t=one.t - one.t[0],
-                signal=one.command,
+                t=trace.t - trace.t[0],
+                signal=trace.command,
             )
     return None

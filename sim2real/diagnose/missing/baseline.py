@@ -52,19 +52,15 @@ def baselines(
         candidates: Servos that are simulated to find where fits start.
         refined: Fits that are refined with the noise's autoregression.
     """
-    J = batch.recordings.size
-    points = kronecker(candidates, 3, np.random.default_rng(0))
+    J, K = batch.recordings.size, candidates
     inertia = batch.load[batch.first_signal, 0]
-    theta = np.zeros((J, candidates, len(COLUMNS)))
-    theta[:, :, :3] = servos_at(points, inertia[:, None])
-    joint = np.repeat(np.arange(J, dtype=np.int32), candidates)
-    rows = theta.reshape(-1, 1, len(COLUMNS))
-    white = np.zeros((joint.size, batch.lags))
-    seen = batch.evaluate(
-        Problems(joint, rows, np.zeros(rows.shape[:2])), autoregression=white, rough=True
-    )
-    error2 = seen.square[:, 0].reshape(J, candidates)
-    best = np.argsort(error2, axis=1)[:, :6]
+    theta = np.zeros((J, K, len(COLUMNS)))
+    theta[:, :, :3] = servos_at(kronecker(K, 3, np.random.default_rng(0)), inertia[:, None])
+    joint = np.repeat(np.arange(J, dtype=np.int32), K)
+    problems = Problems(joint, theta.reshape(J * K, 1, -1), np.zeros((J * K, 1)))
+    white = np.zeros((J * K, batch.lags))
+    rough_looks = batch.evaluate(problems, autoregression=white, rough=True)
+    best = np.argsort(rough_looks.square[:, 0].reshape(J, K), axis=1)[:, :6]
     starts = np.take_along_axis(theta, best[:, :, None], axis=1)
     if any(given):
         known = starts[:, :1].copy()
@@ -74,10 +70,9 @@ def baselines(
         starts = np.concatenate([starts, known], axis=1)
         starts[:, :, len(BASE) :] = known[:, :, len(BASE) :]
     K = starts.shape[1]
-    starting = np.repeat(np.arange(J), K)
-    begin = starts.reshape(J * K, -1)
-    many = plain_servos(starting, begin, inertia[starting], batch.period, free_line=True)
-    rough = minimise(batch, many, iterations=12, white=True)
+    joint, rows = np.repeat(np.arange(J), K), starts.reshape(J * K, -1)
+    servos = plain_servos(joint, rows, inertia[joint], batch.period, free_line=True)
+    rough = minimise(batch, servos, iterations=12, white=True)
     order = np.argsort(rough.error2.reshape(J, K), axis=1)[:, :refined]
     pick = (np.arange(J)[:, None] * K + order).ravel()
     fine = minimise(batch, rough[pick].servos, iterations=12, blocks=BLOCKS)
@@ -94,11 +89,12 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
         bases: Effects that each joint's given model has.
     """
     servos = []
-    for j, (one, base) in enumerate(zip(known, bases, strict=True)):
-        theta = one.plain.fit.servos.theta[0]
+    for j, (tried, base) in enumerate(zip(known, bases, strict=True)):
+        plain = tried.plain.fit.servos
         inertia = float(batch.load[batch.first_signal[j], 0])
-        plain = with_effects(one.plain.fit.servos, base, theta, float(theta[0]), inertia, base)
-        servos.append(replace(plain, joint=np.array([j], dtype=np.int32)))
+        kp = float(plain.theta[0, 0])
+        servo = with_effects(plain, base, plain.theta[0], kp, inertia, base)
+        servos.append(replace(servo, joint=np.array([j], dtype=np.int32)))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 
 
@@ -120,15 +116,15 @@ def with_effects(
         inertia: Inertia that they are scaled to, kg m2.
         held: Those of the effects that stay as they are in ``theta``.
     """
-    given = [candidate(named(name), kp, inertia) for name in sorted(effects) if named(name).fitted]
+    options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
     row = np.zeros_like(theta)
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
-    for option in given:
+    for option in options:
         row[option.columns] = theta[option.columns]
-    given = [option for option in given if option.effect.name not in held]
+    added = [option for option in options if option.effect.name not in held]
     own = own_parameters(plain)
     free = (
-        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in given)])[None]
+        np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in added)])[None]
         for field in ("columns", "unit", "low", "high")
     )
     return Servos(plain.joint, row[None], *free)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import fitted_effects
@@ -25,8 +24,6 @@ from sim2real.model import JointModel
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import Trace, traces
-
-Array = NDArray[np.float64]
 
 BEFORE = 0.7
 """Share of the time that a diagnosis takes before it comes to this."""
@@ -51,70 +48,76 @@ def predicting(
         seed: Seed of the bootstraps of the search.
         progress: Called with the share that is done, the diagnosis included.
     """
-    if found.verdict not in ("partly_explained", "unexplained") or _had_effects(found):
+    plain = found.baseline.joints.values() if found.baseline else ()
+    had_effects = any(e.effect != ROUNDING for joint in plain for e in joint.effects)
+    if found.verdict not in ("partly_explained", "unexplained") or had_effects:
         progress(1.0)
         return found
     differing = {entry.signal.partition(".")[0] for entry in found.mismatch}
     names = [name for name in found.model.joints if name in differing]
-    given = [traces(recordings, name) for name in names]
-    batch = Batch(given, bounded=False, white=True)
-    rng = np.random.default_rng(seed)
-    tried, problem = search(
+    data = [traces(recordings, name) for name in names]
+    batch = Batch(data, bounded=False, white=True)
+    ledgers, problem = search(
         batch,
         baselines(batch),
         level=DECISION.predictor.search_level,
-        rng=rng,
+        rng=np.random.default_rng(seed),
         progress=lambda share: progress(BEFORE + 0.8 * (1 - BEFORE) * share),
     )
-    joints, fit = dict(found.model.joints), dict(found.model.fit)
-    for name, one, data in zip(names, tried, given, strict=True):
+    joints, fit, unfinished = dict(found.model.joints), dict(found.model.fit), {*found.unfinished}
+    for name, tried, of_joint in zip(names, ledgers, data, strict=True):
         signal = f"{name}.position_rad"
-        best, figures = _best(one, data)
-        if _error(figures) < (1 - DECISION.negligible) * _error(fit[signal]):
-            joints[name] = _joint(joints[name], best)
-            fit[signal] = figures
+        best, errors = _best(tried, of_joint)
+        if _weighted(errors) < (1 - DECISION.negligible) * _weighted(fit[signal]):
+            joints[name] = _with_servo(joints[name], best)
+            fit[signal] = errors
+        if tried.case in problem.unfinished:
+            unfinished.add(name)
     progress(1.0)
-    effects = tuple(_shifted(effect, found.model.joints, joints) for effect in found.effects)
-    ended = {name for one, name in zip(tried, names, strict=True) if one.case in problem.unfinished}
     return replace(
         found,
-        effects=effects,
+        effects=tuple(_shifted(effect, found.model.joints, joints) for effect in found.effects),
         model=replace(found.model, joints=joints, fit=fit),
-        unfinished=tuple(n for n in found.model.joints if n in ended or n in found.unfinished),
+        unfinished=tuple(name for name in joints if name in unfinished),
     )
-
-
-def _had_effects(found: Diagnosis) -> bool:
-    joints = found.baseline.joints.values() if found.baseline else ()
-    return any(effect.effect != ROUNDING for joint in joints for effect in joint.effects)
 
 
 def _best(
     tried: Tried, data: Sequence[Trace], *, most: int = 24
-) -> tuple[Hypothesis, dict[str, float | None]]:
+) -> tuple[Hypothesis, Mapping[str, float | None]]:
     """The set of effects that predicts best, with its error on fitted and unseen recordings."""
     order = sorted(tried.tried.values(), key=lambda h: -h.evidence)
     some = order[:most] + [h for h in order[most:] if len(h.members) < 2]
     unseen = held_out([data] * len(some), [h.fit.servos for h in some])
-    figures: list[dict[str, float | None]] = [
+    errors = [
         {
             "train": float(np.sqrt(h.fit.error2[0] / h.fit.count[0])),
             "heldout": None if u is None else u.rmse,
         }
         for h, u in zip(some, unseen, strict=True)
     ]
-    best = min(range(len(some)), key=lambda k: _error(figures[k]))
-    return some[best], figures[best]
+    return min(zip(some, errors, strict=True), key=lambda pair: _weighted(pair[1]))
 
 
-def _error(figures: Mapping[str, float | None]) -> float:
-    seen, unseen = figures["train"], figures["heldout"]
+def _weighted(errors: Mapping[str, float | None]) -> float:
+    """Error on fitted recordings, and on unseen ones where there are any."""
+    seen, unseen = errors["train"], errors["heldout"]
     assert seen is not None
-    return (
-        seen
-        if unseen is None
-        else (1 - DECISION.predictor.unseen_weight) * seen
-        + DECISION.predictor.unseen_weight * unseen
+    weight = DECISION.predictor.unseen_weight
+    return seen if unseen is None else (1 - weight) * seen + weight * unseen
+
+
+def _with_servo(joint: JointModel, best: Hypothesis) -> JointModel:
+    """The joint with other gains and effects; the step of its sensor stays."""
+    kp, kd, latency = (float(x) for x in best.fit.servos.theta[0, :3])
+    steps = tuple(e for e in joint.effects if e.effect == ROUNDING)
+    return replace(
+        joint,
+        kp_Nm_per_rad=kp,
+        kd_Nms_per_rad=kd,
+        latency_s=latency,
+        effects=(*fitted_effects(best, None), *steps),
+        notes=(*joint.notes, _NOTE),
     )
 
 
@@ -128,17 +131,3 @@ def _shifted(
     shift = effect.baseline_shift
     moved = {name: x + getattr(new, name) - getattr(old, name) for name, x in shift.items()}
     return replace(effect, baseline_shift=moved)
-
-
-def _joint(before: JointModel, best: Hypothesis) -> JointModel:
-    """The joint with other gains and effects; the step of its sensor stays."""
-    kp, kd, latency = (float(x) for x in best.fit.servos.theta[0, :3])
-    steps = tuple(e for e in before.effects if e.effect == ROUNDING)
-    return replace(
-        before,
-        kp_Nm_per_rad=kp,
-        kd_Nms_per_rad=kd,
-        latency_s=latency,
-        effects=(*fitted_effects(best, None), *steps),
-        notes=(*before.notes, _NOTE),
-    )

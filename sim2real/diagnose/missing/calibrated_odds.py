@@ -42,10 +42,6 @@ def _logarithm(low: float, high: float) -> Callable[[float], float]:
     return lambda x: float(np.log(np.clip(x, low, high)))
 
 
-def _gain(x: float) -> float:
-    return float(np.log1p(np.clip(x, 0.0, 1e5)))
-
-
 _SCALES: Mapping[str, Callable[[float], float]] = {
     "probability": lambda p: -_logarithm(1e-3, 1e3)(1 / np.clip(p, 0.02, 0.98) - 1),
     "error_change": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
@@ -55,7 +51,8 @@ _SCALES: Mapping[str, Callable[[float], float]] = {
     **dict.fromkeys(("error", "error_plain"), _logarithm(1.0, 30.0)),
     **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
     **dict.fromkeys(
-        ("evidence", "smooth_evidence", "windows_evidence", "named_evidence", "gain"), _gain
+        ("evidence", "smooth_evidence", "windows_evidence", "named_evidence", "gain"),
+        lambda x: float(np.log1p(np.clip(x, 0.0, 1e5))),
     ),
 }
 """Transformation of each measure before it is weighted; identity for all others."""
@@ -71,18 +68,15 @@ def scaled(**measured: float) -> Features:
 
 def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeatures:
     """The features of all findings of a joint."""
-    tried, best, link = finding.tried, finding.best, finding.link
-    groups = [g for g in finding.groups if g.members != (ROUNDING,)]
-    groups = [g for g in groups if link is None or link.effect not in g.members]
-    without = finding.unmodelled
+    tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
+    no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
+    groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
     gain, limit = finding.search.left(tried, best.members)
-    left = gain / max(limit, 1e-9)
     # Effects of the best set that no group states are no findings.
-    small = best.members - tried.base - finding.said
-    servo = tried.tried.get(tried.base | small, tried.plain)
+    servo = tried.tried.get(best.members - (finding.said - tried.base), tried.plain)
     plain, rich = unseen.get(tried.base), unseen.get(best.members)
     more = max(without.excess - 1, 0.0)
     explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
@@ -94,12 +88,13 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
         windows_evidence=without.windows_evidence,
         uncatalogued_lead=lead,
         named_evidence=best.evidence - servo.evidence,
-        remaining_gain=left,
+        remaining_gain=gain / max(limit, 1e-9),
         groups=len(groups),
         error_plain=1.0 if plain is None else plain.rmse / finding.noise,
         error=1.0 if rich is None else rich.rmse / finding.noise,
     )
-    groups_features = []
+    of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
+    of_groups = []
     for group in groups:
         head = group.members[0]
         fewer = tried.tried.get(best.members - {head}, tried.plain)
@@ -111,34 +106,29 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
             excess=finding.excess,
             uncatalogued_lead=lead,
         )
-        of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
         of_effect = {f"{EFFECT_PREFIX}{name}": 1 / len(group.members) for name in group.members}
-        groups_features.append((group, features | of_joint | of_effect))
-    link_features = None
+        of_groups.append((group, features | of_joint | of_effect))
+    of_link = None
     if link is not None:
-        link_features = scaled(
+        of_link = scaled(
             gain=link.gain,
             joints_share=float(np.mean([x > 0 for x in link.shares])),
             excess=finding.excess,
             irregularity=finding.uneven,
             single_joint=len(link.shares) == 1,
         )
-    return OddsFeatures(tuple(groups_features), whole, link_features)
-
-
-def _has_no_name(group: Group) -> bool:
-    """Whether it is a nuisance that every sensor has a little of, here larger than usual."""
-    return named(group.members[0]).never_named
+    return OddsFeatures(tuple(of_groups), whole, of_link)
 
 
 def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     """The finding with calibrated probabilities, verdict and what stays unexplained.
 
-    An effect whose interval includes 0 is not named, whatever its evidence.
+    An effect whose interval includes 0 is not named, whatever its evidence; nor is a nuisance that
+    every sensor has a little of, here larger than usual.
     """
     features = odds_features(finding, unseen)
     unknown = ODDS["uncatalogued"].probability(features.whole)
-    if any(_has_no_name(g) for g, _ in features.groups):
+    if any(named(g.members[0]).never_named for g, _ in features.groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
 
     def stated(curve: str, of_name: Features) -> float:
@@ -151,7 +141,7 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     groups = [
         replace(g, probability=stated("effect", of_name))
         for g, of_name in features.groups
-        if not _has_no_name(g) and not includes_zero(finding.best, g.members[0])
+        if not named(g.members[0]).never_named and not includes_zero(finding.best, g.members[0])
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None and features.link is not None:
@@ -159,13 +149,12 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
     likely = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     misfit = ODDS["mismatch"].probability(features.whole) >= DECISION.mismatch_probability
-    mismatch = bool(coarse or matters) or misfit or unknown > DECISION.named
     # Negligible effects do not explain a residual that is structured without them.
     negligible = not matters and finding.excess > DECISION.structured_excess
     unsolved = misfit and not coarse and (not likely or negligible)
     return replace(
         finding,
-        mismatch=mismatch,
+        mismatch=bool(coarse or matters) or misfit or unknown > DECISION.named,
         groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
         left=unknown > DECISION.named or unsolved,
         unknown=unknown,

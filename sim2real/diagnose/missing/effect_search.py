@@ -13,8 +13,6 @@ from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
 from sim2real.inference import selection
 from sim2real.servo.batch import Batch
 
-BREADTH = selection.Breadth()
-
 
 def search(
     batch: Batch,
@@ -25,7 +23,7 @@ def search(
     noise: Sequence[float] | None = None,
     bases: Sequence[Set] | None = None,
     best: Sequence[Hypothesis] | None = None,
-    known: Sequence[bool] = (),
+    needed: bool = True,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -39,7 +37,7 @@ def search(
             taken for granted but the plain servo.
         bases: Effects that each joint's given model has.
         best: What explained each joint best before; looked for where None.
-        known: Which joints are compared with references, and so not searched.
+        needed: Whether to search at all; joints that are compared with references need no search.
         progress: Called with the share that is done.
 
     Returns:
@@ -47,45 +45,43 @@ def search(
     """
     ledgers = ledgers_of(plain, bases)
     problem = ServoSearch(batch, level, rng)
-    if known and all(known):
+    if not needed:
         return ledgers, problem
+    large = [DECISION.nuisance_finding_size * sd for sd in noise or ()]
     if noise is not None:
-        large = [DECISION.nuisance_finding_size * sd for sd in noise]
         if best is None:
             first_look(problem, ledgers, large)
-        before = best or [one.best for one in ledgers]
+        before = best or [ledger.best for ledger in ledgers]
         ledgers = with_nuisances(problem, ledgers, large, before)
         jobs = [
-            (one, one.base | h.members, h.fit.servos.theta[0])
-            for one, h in zip(ledgers, before, strict=True)
-            if not h.members <= one.base
+            (ledger, ledger.base | h.members, h.fit.servos.theta[0])
+            for ledger, h in zip(ledgers, before, strict=True)
+            if not h.members <= ledger.base
         ]
-        for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-            one.keep(found)
+        for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
+            ledger.keep(hypothesis)
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)
-    again = problem.rebased(ledgers)
-    if again:
-        selection.select(problem, again, selection.Breadth(most=1))
+    rebased = problem.rebased(ledgers)
+    if rebased:
+        selection.select(problem, rebased, selection.Breadth(most=1))
     problem.singles = False
     selection.select(
         problem,
         ledgers,
-        BREADTH,
-        lambda share: progress(0.4 + 0.5 * share),
+        progress=lambda share: progress(0.4 + 0.5 * share),
         exhausted=problem.exhausted,
     )
     if noise is not None:
         # Where the plain servo is likeliest no effect is named, and no rival matters.
         going = [
             k
-            for k, one in enumerate(ledgers)
-            if one.best.members != one.base and not problem.exhausted(one)
+            for k, ledger in enumerate(ledgers)
+            if ledger.best.members != ledger.base and not problem.exhausted(ledger)
         ]
-        again = beside_rivals(
-            problem, [ledgers[k] for k in going], [large[k] for k in going], DECISION.decisive_gain
-        )
-        selection.select(problem, again, BREADTH, exhausted=problem.exhausted)
+        some, angles = [ledgers[k] for k in going], [large[k] for k in going]
+        changed = beside_rivals(problem, some, angles, DECISION.decisive_gain)
+        selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem

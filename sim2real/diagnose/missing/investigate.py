@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, links
-from sim2real.diagnose.missing.baseline import baselines, plain_again
+from sim2real.diagnose.missing.baseline import plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.missing.effect_search import search
 from sim2real.diagnose.missing.nuisances import size_in_noise
@@ -22,11 +23,12 @@ from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.trace import Trace
+
+Array = NDArray[np.float64]
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
-
-
 _DRY = "coulomb_friction"
 _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
@@ -51,7 +53,6 @@ class Finding:
         unknown: Probability that what is missing is not in the catalogue.
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
         noise: Standard deviation of the sensor's noise, rad.
-        step_rad: Step of an angle sensor that is coarser than stated, or None.
         link: What is uneven on the link, or None.
         place: Of the joint among those of the link.
     """
@@ -67,7 +68,6 @@ class Finding:
     unknown: float
     excess: float
     noise: float
-    step_rad: float | None
     link: Uneven | None = None
     place: int = 0
 
@@ -109,9 +109,9 @@ def investigate(
     batch: Batch,
     joints: Sequence[JointCase],
     robots: Sequence[Sequence[int]],
+    known: Sequence[Tried],
     *,
     rng: np.random.Generator,
-    known: Sequence[Tried] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Finding]:
     """Find what each joint is missing.
@@ -120,38 +120,41 @@ def investigate(
         batch: The recordings, joint by joint.
         joints: The joints of the batch.
         robots: Which of them share a supply and a link.
+        known: What was tried on each joint before: the plain servo, and what a first look tried.
         rng: For bootstraps.
-        known: What a first look at each joint said, where there was one.
         progress: Called with the share that is done.
     """
-    findings = _pass(batch, joints, robots, rng, lambda share: progress(0.7 * share), known)
+    findings = _pass(batch, joints, robots, known, rng, lambda share: progress(0.7 * share))
     # Where structure stays, it is no sensor's noise: the noise model must then be free.
     again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
     if again:
-        some = [joints[j] for j in again]
         free = Batch(
-            [one.traces for one in some],
+            [joints[j].traces for j in again],
             batch.device,
             batch.threads,
             bounded=False,
             period=batch.period,
         )
         groups = [[again.index(j) for j in robot if j in again] for robot in robots]
-        groups = [group for group in groups if group]
-        seen = [findings[j].tried for j in again]
-        second = _pass(free, some, groups, rng, lambda share: progress(0.7 + 0.3 * share), seen)
+        second = _pass(
+            free,
+            [joints[j] for j in again],
+            [group for group in groups if group],
+            [findings[j].tried for j in again],
+            rng,
+            lambda share: progress(0.7 + 0.3 * share),
+        )
         for j, finding in zip(again, second, strict=True):
-            mismatch = finding.mismatch or findings[j].mismatch
-            findings[j] = replace(_placed(finding, j), mismatch=mismatch)
+            tried = replace(placed(finding.tried, j), case=finding.tried.case)
+            findings[j] = replace(
+                finding,
+                tried=tried,
+                best=tried.tried[finding.best.members],
+                mismatch=finding.mismatch or findings[j].mismatch,
+            )
     findings = _with_links(batch, joints, robots, findings)
     progress(1.0)
     return findings
-
-
-def _placed(finding: Finding, joint: int) -> Finding:
-    """A finding of another batch, its fits those of this joint of the whole one."""
-    tried = replace(placed(finding.tried, joint), case=finding.tried.case)
-    return replace(finding, tried=tried, best=tried.tried[finding.best.members])
 
 
 def placed(tried: Tried, joint: int) -> Tried:
@@ -162,6 +165,84 @@ def placed(tried: Tried, joint: int) -> Tried:
         for members, h in tried.tried.items()
     }
     return replace(tried, case=joint, tried=moved)
+
+
+def _pass(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    robots: Sequence[Sequence[int]],
+    known: Sequence[Tried],
+    rng: np.random.Generator,
+    progress: Callable[[float], None],
+) -> list[Finding]:
+    """The findings with the noise model of a batch."""
+    bases = [joint.base for joint in joints]
+    plain = plain_again(batch, known, bases)
+    progress(0.1)
+    ledgers, problem = search(
+        batch,
+        plain,
+        level=DECISION.false_alarms / max(len(robot) for robot in robots),
+        rng=rng,
+        noise=[joint.noise for joint in joints],
+        bases=bases,
+        best=[ledger.best for ledger in known],
+        needed=not all(joint.before for joint in joints),
+        progress=lambda share: progress(0.1 + 0.8 * share),
+    )
+    probable = posteriors(ledgers, robots, rng)
+    best = [ledger.tried[p.sets[0]] for ledger, p in zip(ledgers, probable, strict=True)]
+    data = [joint.traces for joint in joints]
+    without = unmodelled(batch, data, robots, joined([ledger.plain.fit for ledger in ledgers]))
+    _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
+    progress(1.0)
+    findings = []
+    for j, (joint, tried) in enumerate(zip(joints, ledgers, strict=True)):
+        groups = [
+            _as_seen(best[j], group, joint)
+            for group in probable[j].groups(tried.base)
+            if not _no_finding(best[j], group.members[0], joint)
+        ]
+        if joint.step_rad is not None:
+            groups.append(Group((ROUNDING,), DECISION.most_certain, 1.0))
+        structured = without[j].excess > DECISION.structured_excess
+        findings.append(
+            Finding(
+                tried=tried,
+                search=problem,
+                posterior=probable[j],
+                best=best[j],
+                mismatch=structured or problem.remains(tried, tried.base),
+                left=excesses[j] > DECISION.structured_excess,
+                groups=tuple(groups),
+                unmodelled=without[j],
+                unknown=0.0,
+                excess=excesses[j],
+                noise=joint.noise,
+            )
+        )
+    return findings
+
+
+def _as_seen(best: Hypothesis, group: Group, joint: JointCase) -> Group:
+    """The group, with plain dry friction where a shaft yields by less than the sensor's noise."""
+    torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
+    if group.members[0] != "presliding_friction" or _DRY in group.members:
+        return group
+    yields = torque > joint.noise * stiffness
+    return group if yields else replace(group, members=(*group.members, _DRY))
+
+
+def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
+    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
+    if named(effect).everywhere:
+        return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
+    theta = best.fit.servos.theta[0]
+    if effect == "unmodelled_inertia":
+        small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
+        return bool(abs(theta[_INERTIA]) < small)
+    stated = effect == "torque_saturation" and joint.stall_Nm is not None
+    return stated and theta[_LIMIT] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
 
 
 def _with_links(
@@ -178,8 +259,8 @@ def _with_links(
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [link_data(batch, joints, robot, plain) for robot in robots]
-        + [link_data(batch, joints, robot, best) for robot in richer]
+        [_link_data(batch, joints, robot, plain) for robot in robots]
+        + [_link_data(batch, joints, robot, best) for robot in richer]
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained = list(findings)
@@ -190,24 +271,20 @@ def _with_links(
         for k, j in enumerate(robot):
             finding = findings[j]
             own = finding.best.evidence - finding.tried.plain.evidence
+            # Uneven timing instead of the joint's own effects, or beside them.
             instead = alone.shares[k] > beside.shares[k] + own
             link = alone if instead and alone.gain > 0 else beside
             if link.gain > 0:
-                explained[j] = _uneven(finding, link, k, instead=instead)
+                group = Group((link.effect,), DECISION.most_certain, 1.0)
+                explained[j] = replace(
+                    finding,
+                    mismatch=True,
+                    best=finding.tried.plain if instead else finding.best,
+                    groups=(group,) if instead else (*finding.groups, group),
+                    link=link,
+                    place=k,
+                )
     return explained
-
-
-def _uneven(finding: Finding, link: Uneven, k: int, *, instead: bool) -> Finding:
-    """The finding with an uneven link, beside or ``instead`` of the joint's own effects."""
-    rest = () if instead else finding.groups
-    return replace(
-        finding,
-        mismatch=True,
-        best=finding.tried.plain if instead else finding.best,
-        groups=(*rest, Group((link.effect,), DECISION.most_certain, 1.0)),
-        link=link,
-        place=k,
-    )
 
 
 def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
@@ -221,116 +298,28 @@ def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
     return len(showing) < 2 or sum(showing) > 1
 
 
-def link_data(
+def _link_data(
     batch: Batch,
     joints: Sequence[JointCase],
     robot: Sequence[int],
     fits: Sequence[Hypothesis],
-    noticed: float = DECISION.decisive_gain,
 ) -> LinkData:
-    """What fits leave of a robot's joints, for ``links``."""
+    """Residuals of fits on a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
-    left = []
-    for j, residual in zip(robot, residuals, strict=True):
-        kp, kd, latency = (float(x) for x in fits[j].fit.servos.theta[0, :3])
-        left.append(
-            tuple(
-                Residual(
-                    t.t, t.command, t.used, residual[r, : t.t.size], kp, kd, latency,
-                    t.load.inertia_kgm2, t.load.gravity_Nm,
-                )
-                for r, t in enumerate(joints[j].traces)
-            )
-        )  # fmt: skip
-    return LinkData(tuple(left), batch.lags, batch.least_gain, noticed)
-
-
-def _pass(
-    batch: Batch,
-    joints: Sequence[JointCase],
-    robots: Sequence[Sequence[int]],
-    rng: np.random.Generator,
-    progress: Callable[[float], None],
-    known: Sequence[Tried] | None,
-) -> list[Finding]:
-    bases = [joint.base for joint in joints]
-    if known is None:
-        plain = baselines(batch, [joint.given for joint in joints])
-    else:
-        plain = plain_again(batch, known, bases)
-    progress(0.1)
-    found, problem = search(
-        batch,
-        plain,
-        level=DECISION.false_alarms / max(len(robot) for robot in robots),
-        rng=rng,
-        noise=[joint.noise for joint in joints],
-        bases=bases,
-        best=None if known is None else [one.best for one in known],
-        known=[bool(joint.before) for joint in joints],
-        progress=lambda share: progress(0.1 + 0.8 * share),
+    left = tuple(
+        tuple(
+            link_residual(t, t.used, residual[r, : t.t.size], fits[j].fit.servos.theta[0])
+            for r, t in enumerate(joints[j].traces)
+        )
+        for j, residual in zip(robot, residuals, strict=True)
     )
-    probable = posteriors(found, robots, rng)
-    best = [one.tried[p.sets[0]] for one, p in zip(found, probable, strict=True)]
-    data = [joint.traces for joint in joints]
-    left = unmodelled(batch, data, robots, joined([one.plain.fit for one in found]))
-    _, after = beyond_noise(batch, data, joined([h.fit for h in best]))
-    progress(1.0)
-    return [
-        _finding(one, problem, probable[j], left[j], after[j], joints[j])
-        for j, one in enumerate(found)
-    ]
+    return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)
 
 
-def _finding(
-    tried: Tried,
-    problem: ServoSearch,
-    after: EffectPosterior,
-    without: Unmodelled,
-    excess_after: float,
-    joint: JointCase,
-) -> Finding:
-    best = tried.tried[after.sets[0]]
-    groups = tuple(
-        _as_seen(best, group, joint)
-        for group in after.groups(tried.base)
-        if not _no_finding(best, group.members[0], joint)
+def link_residual(trace: Trace, used: NDArray[np.bool_], residual: Array, row: Array) -> Residual:
+    """Residual (T,) of a servo with parameters ``row`` (P,), as the analysis of the link has it."""
+    kp, kd, latency = (float(x) for x in row[:3])
+    load = trace.load
+    return Residual(
+        trace.t, trace.command, used, residual, kp, kd, latency, load.inertia_kgm2, load.gravity_Nm
     )
-    if joint.step_rad is not None:
-        groups = (*groups, Group((ROUNDING,), DECISION.most_certain, 1.0))
-    structured = without.excess > DECISION.structured_excess
-    return Finding(
-        tried,
-        problem,
-        after,
-        best,
-        structured or problem.remains(tried, tried.base),
-        excess_after > DECISION.structured_excess,
-        groups,
-        without,
-        0.0,
-        excess_after,
-        joint.noise,
-        joint.step_rad,
-    )
-
-
-def _as_seen(best: Hypothesis, group: Group, joint: JointCase) -> Group:
-    """The group, with plain dry friction where a shaft yields by less than the sensor's noise."""
-    torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
-    yields = group.members[0] == "presliding_friction" and torque > joint.noise * stiffness
-    if yields or group.members[0] != "presliding_friction" or _DRY in group.members:
-        return group
-    return replace(group, members=(*group.members, _DRY))
-
-
-def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
-    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
-    if named(effect).everywhere:
-        return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
-    theta = best.fit.servos.theta[0]
-    if effect == "unmodelled_inertia":
-        small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-        return bool(abs(theta[_INERTIA]) < small)
-    stated = effect == "torque_saturation" and joint.stall_Nm is not None
-    return stated and theta[_LIMIT] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)

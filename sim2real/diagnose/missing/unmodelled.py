@@ -14,7 +14,7 @@ from sim2real.diagnose.missing.smooth_function import (
     JointMotion,
     ServoMotion,
     Smooth,
-    smooth_function_of,
+    smooth_function,
 )
 from sim2real.identification.servo_problem import Fits, minimise, residual_angles
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
@@ -24,6 +24,7 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
 Array = NDArray[np.float64]
+Windows = tuple[tuple[Window, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Unmodelled:
 
     excess: float
     smooth: Smooth
-    windows: tuple[tuple[Window, ...], ...] | None
+    windows: Windows | None
     windows_evidence: float
 
 
@@ -62,16 +63,17 @@ def unmodelled(
     """
     residuals, excesses = beyond_noise(batch, joints, plain)
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.noise_like_excess]
-    separate = intermittent(batch, joints, plain, residuals, suspects)
+    separate = _intermittent(batch, joints, plain, residuals, suspects)
     siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
-    given = [
-        (_motions(batch, joints, residuals, j, siblings[j]), _servo(batch, plain, j), j in suspects)
-        for j in range(len(joints))
-    ]
-    smooth = shared(smooth_function_of, given)
-    nowhere: tuple[tuple[tuple[Window, ...], ...] | None, float] = (None, -np.inf)
+    servos = []
+    for j, (kp, kd, latency) in enumerate(plain.servos.theta[:, :3].tolist()):
+        motions = _motions(batch, joints, residuals, j, siblings[j])
+        noise = batch.least_gain, batch.lags
+        servos.append(ServoMotion(motions, kp, kd, latency, *noise, thorough=j in suspects))
+    nowhere: tuple[Windows | None, float] = (None, -np.inf)
     return [
-        Unmodelled(excesses[j], smooth[j], *separate.get(j, nowhere)) for j in range(len(joints))
+        Unmodelled(excesses[j], smooth, *separate.get(j, nowhere))
+        for j, smooth in enumerate(shared(smooth_function, servos))
     ]
 
 
@@ -102,7 +104,7 @@ def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: fl
     return energy / count / scale
 
 
-def intermittent(
+def _intermittent(
     batch: Batch,
     joints: Sequence[Sequence[Trace]],
     plain: Fits,
@@ -110,51 +112,49 @@ def intermittent(
     suspects: Sequence[int],
     *,
     rounds: int = 3,
-) -> dict[int, tuple[tuple[tuple[Window, ...], ...], float]]:
+) -> dict[int, tuple[Windows, float]]:
     """Windows outside which the plain servo fits, and their evidence, for those joints with any."""
-    found: dict[int, tuple[tuple[Window, ...], ...]] = {}
-    now = {j: residuals[j] for j in suspects}
-    scores: dict[int, float] = {}
+    segments: dict[int, Windows] = {}
+    remaining = {j: residuals[j] for j in suspects}
+    gains: dict[int, float] = {}
     for _ in range(rounds):
-        found = {j: _windows(now[j], joints[j], found.get(j)) for j in now}
-        length = {j: sum(float(t.t[-1] - t.t[0]) for t in joints[j]) for j in found}
-        inside_s = {j: sum(b - a for some in w for a, b in some) for j, w in found.items()}
-        short = {j for j in found if inside_s[j] < DECISION.segments_share * length[j]}
-        found = {j: w for j, w in found.items() if any(w) and j in short}
-        if not found:
+        segments = {
+            j: w
+            for j, residual in remaining.items()
+            if any(w := _windows(residual, joints[j], segments.get(j)))
+            and sum(b - a for of_trace in w for a, b in of_trace)
+            < DECISION.segments_share * sum(float(t.t[-1] - t.t[0]) for t in joints[j])
+        }
+        if not segments:
             return {}
-        order = list(found)
+        order = list(segments)
         outside = Batch(
-            [[_without(t, w) for t, w in zip(joints[j], found[j], strict=True)] for j in order],
+            [[_without(t, w) for t, w in zip(joints[j], segments[j], strict=True)] for j in order],
             batch.device,
             batch.threads,
         )
         start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
-        fits = minimise(
-            outside, minimise(outside, start, iterations=8, white=True).servos, iterations=8
-        )
-        # Windows that leave too few samples outside them explain nothing.
-        found = {j: found[j] for k, j in enumerate(order) if fits.count[k] > outside.lags}
+        white = minimise(outside, start, iterations=8, white=True)
+        fits = minimise(outside, white.servos, iterations=8)
+        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
         square = fits.error2 / np.maximum(fits.count, 1)
         level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
-        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
-        seen = residual_angles(batch, whole)
-        now = {j: seen[k] for k, j in enumerate(order) if j in found}
-        before = plain.loglikelihood
-        scores = {j: float(level[k] * plain.count[j] - before[j]) for k, j in enumerate(order)}
-        if not found:
-            return {}
+        for k, (j, residual) in enumerate(zip(order, residual_angles(batch, whole), strict=True)):
+            remaining[j] = residual
+            gains[j] = float(level[k] * plain.count[j] - plain.loglikelihood[j])
+            if fits.count[k] <= outside.lags:  # too few samples outside explain nothing
+                del segments[j]
+        remaining = {j: remaining[j] for j in segments}
     # Each segment must earn as much as is never left to chance, and so must each second of it.
     costs = {
-        j: DECISION.decisive_gain * sum(1 + b - a for some in w for a, b in some)
-        for j, w in found.items()
+        j: DECISION.decisive_gain * sum(1 + b - a for of_trace in w for a, b in of_trace)
+        for j, w in segments.items()
     }
-    return {j: (w, scores[j] - costs[j]) for j, w in found.items()}
+    return {j: (w, gains[j] - costs[j]) for j, w in segments.items()}
 
 
-def _windows(
-    residual: Array, traces: Sequence[Trace], before: tuple[tuple[Window, ...], ...] | None
-) -> tuple[tuple[Window, ...], ...]:
+def _windows(residual: Array, traces: Sequence[Trace], before: Windows | None) -> Windows:
+    """Segments of a residual (R, T) beyond the spread outside those of before."""
     rows = measured_only(residual, traces)
     masks = [
         inside(t.t, before[k]) if before else np.zeros(t.t.size, dtype=bool)
@@ -169,8 +169,8 @@ def measured_only(residual: Array, traces: Sequence[Trace]) -> list[Array]:
     return [np.where(t.used, r[: t.t.size], np.nan) for r, t in zip(residual, traces, strict=False)]
 
 
-def _without(trace: Trace, given: tuple[Window, ...]) -> Trace:
-    wider = tuple((a - 0.1, b + 0.3) for a, b in given)
+def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:
+    wider = tuple((a - 0.1, b + 0.3) for a, b in segments)
     return replace(trace, used=trace.used & ~inside(trace.t, wider))
 
 
@@ -181,22 +181,22 @@ def _motions(
     joint: int,
     siblings: Sequence[int],
 ) -> list[JointMotion]:
+    """The recordings of a joint, with the simulated angles of its siblings."""
     motions = []
     for r, trace in enumerate(joints[joint]):
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            _angle(residuals[i], joints[i], k)
+            _angle(residuals[i, k], other)
             for i in siblings
-            for k, same in enumerate(joints[i])
-            if same.file == trace.file and same.t.size == trace.t.size
+            for k, other in enumerate(joints[i])
+            if other.file == trace.file and other.t.size == trace.t.size
         ]
         motions.append(
             JointMotion(
-                trace.t,
-                trace.command,
-                _angle(residuals[joint], joints[joint], r),
-                residuals[joint][r, : trace.t.size],
+                trace,
+                _angle(residuals[joint, r], trace),
+                residuals[joint, r, : trace.t.size],
                 counts,
                 np.array(others).reshape(len(others), trace.t.size),
             )
@@ -204,16 +204,8 @@ def _motions(
     return motions
 
 
-def _angle(residual: Array, traces: Sequence[Trace], r: int) -> Array:
+def _angle(residual: Array, trace: Trace) -> Array:
     """Simulated angles of a recording; where none was measured, between its neighbours."""
-    trace = traces[r]
     used = np.flatnonzero(trace.used)
-    angle = residual[r, used] + trace.position[used]
+    angle = residual[used] + trace.position[used]
     return np.asarray(np.interp(trace.t, trace.t[used], angle))
-
-
-def _servo(batch: Batch, plain: Fits, joint: int) -> ServoMotion:
-    kp, kd, latency = (float(x) for x in plain.servos.theta[joint, :3])
-    first = batch.first_signal[joint]
-    load = batch.load[first : first + batch.recordings[joint]]
-    return ServoMotion(kp, kd, latency, load[:, 0], load[:, 1], batch.least_gain, batch.lags)

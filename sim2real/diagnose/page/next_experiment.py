@@ -109,7 +109,6 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         return found
     path = out.with_name(f"{out.stem}.next.csv")
     load = found.model.joints[plan.component].load
-    load = None if load is None else _loaded(load, plan.context)
     recording = Recording(
         name=path.stem,
         kind="servo",
@@ -117,7 +116,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         t=plan.t,
         command=plan.signal[:, None],
         position=np.full((plan.t.size, 1), np.nan),
-        loads={} if load is None else {plan.component: load},
+        loads={} if load is None else {plan.component: _loaded(load, plan.context)},
         source="commands to record next, by sim2real diagnose",
     )
     write_recording(recording, path)
@@ -126,17 +125,14 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
 
 def _signals(reach: float, *, period_s: float = 0.02) -> Mapping[str, tuple[Array, Array]]:
     """The menu of commands, each from rest at 0."""
-
-    def clock(seconds: float) -> Array:
-        return np.asarray(period_s * np.arange(round(seconds / period_s)))
-
-    t = clock(16.0)
+    t = np.asarray(period_s * np.arange(round(16.0 / period_s)))
     ladder = np.minimum(1.0, np.floor(t / 4 + 1) / 4)
     sweep = 2 * np.pi * (0.1 * t + 0.5 * 2.4 / 16 * t**2)
     steps = np.array([0, 0.2, -0.2, 0.5, -0.5, 1.0, -1.0, 0])[(t / 2).astype(int)]
+    slow, fast = (1 - np.abs((t / seconds + 0.25) % 1 * 4 - 2) for seconds in (8, 4))
     shapes = {
-        "slow small triangles": 0.1 * _triangle(t / 4),
-        "slow large triangles": _triangle(t / 8),
+        "slow small triangles": 0.1 * fast,
+        "slow large triangles": slow,
         "steps of growing size": steps,
         "a sweep from 0.1 to 2.5 Hz": np.sin(sweep),
         "small fast sines": 0.15 * np.sin(2 * np.pi * 2 * t),
@@ -144,18 +140,6 @@ def _signals(reach: float, *, period_s: float = 0.02) -> Mapping[str, tuple[Arra
         "long holds": np.array([0, 0.8, 0.8, -0.8])[(t / 4).astype(int)],
     }
     return {name: (t, reach * shape) for name, shape in shapes.items()}
-
-
-def _triangle(turns: Array) -> Array:
-    return np.asarray(1 - np.abs((turns + 0.25) % 1 * 4 - 2))
-
-
-def _staged(trace: Trace, plan: _Plan) -> Trace:
-    """The experiment as if recorded, with all angles 0."""
-    load = _loaded(trace.load, plan.context)
-    everywhere = np.ones(plan.t.size, dtype=bool)
-    still = np.zeros(plan.t.size)
-    return Trace("next", "next", plan.t, plan.command, still, load, everywhere)
 
 
 def _loaded(load: Load, context: str) -> Load:
@@ -174,10 +158,14 @@ def _least_separations(
     trace: Trace, plans: Sequence[_Plan], rivals: Sequence[Hypothesis], *, iterations: int
 ) -> Array:
     """Separation of the two rivals that are nearest to each other, by plan, shape (plans,)."""
-    staged = [_staged(trace, plan) for plan in plans]
+    staged = []  # as if recorded, with all angles 0
+    for plan in plans:
+        everywhere, still = np.ones(plan.t.size, dtype=bool), np.zeros(plan.t.size)
+        load = _loaded(trace.load, plan.context)
+        staged.append(Trace("next", "next", plan.t, plan.command, still, load, everywhere))
     pairs = itertools.permutations(rivals, 2)
-    every = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]
-    return np.asarray(np.min(every, axis=0))
+    separations = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]
+    return np.asarray(np.min(separations, axis=0))
 
 
 def _separations(
@@ -190,9 +178,9 @@ def _separations(
 ) -> Array:
     """Distance of two rivals in units of the noise, the first refitted to the second, by plan."""
     true = replace(second.fit, servos=_for_plans(second, plans))
-    seen = residual_angles(Batch([[one] for one in staged]), true)
-    recorded = [replace(one, position=angle[0]) for one, angle in zip(staged, seen, strict=True)]
-    batch = Batch([[one] for one in recorded])
+    angles = residual_angles(Batch([[plan] for plan in staged]), true)
+    pairs = zip(staged, angles, strict=True)
+    batch = Batch([[replace(plan, position=angle[0])] for plan, angle in pairs])
     start = _for_plans(first, plans)
     fits = minimise(batch, start, iterations=iterations, white=True)
     noise = np.zeros((len(plans), batch.lags))

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, gate
+from sim2real.check import all_findings, check
+from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
@@ -30,65 +31,70 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         case: The robot.
         joints: What is known of its joints.
     """
+    checks = (
+        f"{recording.name}: {sentence}"
+        for recording in case.recordings
+        for sentence in all_findings(check(recording, case.robot, identifiable=False))
+    )
     return replace(
         found,
-        gate=gate(case),
-        evidence=tuple(e for one in joints for e in _evidence(one)),
-        detection_limits=tuple(limit for one in joints for limit in _limits(one)),
-        ladders={one.signal: x for one in joints if (x := _ladder(one)) is not None},
-        next_experiment=repeat([one.joint for one in joints]) or _for_rivals(case.robot, joints),
+        gate=tuple(dict.fromkeys(checks)),
+        evidence=tuple(series for joint in joints for series in _evidence(joint)),
+        detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
+        ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
+        next_experiment=repeat([j.joint for j in joints]) or _for_rivals(case.robot, joints),
     )
 
 
 def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | None:
     """The next experiment for the first group of several members."""
-    for one in joints:
-        for group in one.finding.groups:
-            rest = one.finding.best.members - {group.members[0]}
-            tried = one.finding.tried.tried
-            known = [(m, tried[rest | {m}]) for m in group.members if rest | {m} in tried]
-            limits = robot.joint(one.name)
+    for joint in joints:
+        finding, limits = joint.finding, robot.joint(joint.name)
+        tried = finding.tried.tried
+        for group in finding.groups:
+            others = finding.best.members - {group.members[0]}
+            known = {m: tried[others | {m}] for m in group.members if others | {m} in tried}
             if len(known) > 1 and limits is not None:
                 reach = 0.9 * min(abs(x) for x in limits.limits_rad)
-                members, fits = zip(*known[: DECISION.report.experiment_rivals], strict=True)
-                return next_experiment(one.joint.traces[0], fits, members, one.name, reach)
+                members = list(known)[: DECISION.report.experiment_rivals]
+                rivals = [known[m] for m in members]
+                return next_experiment(joint.joint.traces[0], rivals, members, joint.name, reach)
     return None
 
 
-def _limits(one: JointFindings) -> list[DetectionLimit]:
-    tried = one.finding.tried
-    members = one.rich.members if one.rich.members in tried.tried else tried.base
-    return detection_limits(*one.finding.search.seen(tried, members), one.name)
+def _limits(joint: JointFindings) -> list[DetectionLimit]:
+    tried, members = joint.finding.tried, joint.rich.members
+    known = members if members in tried.tried else tried.base
+    return detection_limits(*joint.finding.search.seen(tried, known), joint.name)
 
 
-def _ladder(one: JointFindings) -> Ladder | None:
+def _ladder(joint: JointFindings) -> Ladder | None:
     """Held-out errors of ever better informed predictors; None where nothing is held out."""
-    before, after = (one.fit(enriched=enriched)["heldout"] for enriched in (False, True))
+    before, after = (joint.fit(enriched=enriched)["heldout"] for enriched in (False, True))
     if before is None or after is None:
         return None
-    return Ladder(baseline=before, enriched=after, noise=one.joint.noise)
+    return Ladder(baseline=before, enriched=after, noise=joint.joint.noise)
 
 
-def _evidence(one: JointFindings) -> list[JointSeries]:
-    theta = one.finding.tried.plain.fit.servos.theta[0]
-    found = []
-    for trace, before, after in zip(one.joint.traces, one.before, one.after, strict=False):
+def _evidence(joint: JointFindings) -> list[JointSeries]:
+    kp, kd = (float(x) for x in joint.finding.tried.plain.fit.servos.theta[0, :2])
+    series = []
+    for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
         known = np.flatnonzero(trace.used)
         plain, rich = (
             np.interp(trace.t, trace.t[known], residual[known] + trace.position[known])
             for residual in (before, after)
         )
         position = np.where(trace.used, trace.position, np.nan)
-        stiffness = float(theta[0]) + trace.load.gravity_Nm
         torque, sd = residual_torque(
             trace.t,
             np.where(trace.used, plain - position, np.nan),
-            (trace.load.inertia_kgm2, float(theta[1]), stiffness),
-            one.joint.noise,
+            (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm),
+            joint.joint.noise,
         )
-        found.append(
+        series.append(
             JointSeries(
-                joint=one.name,
+                joint=joint.name,
                 recording=trace.name,
                 t=trace.t,
                 command=trace.command,
@@ -100,7 +106,7 @@ def _evidence(one: JointFindings) -> list[JointSeries]:
                 torque_sd=sd,
             )
         )
-    return found
+    return series
 
 
 def detection_limits(
@@ -121,13 +127,9 @@ def detection_limits(
     for k, option in enumerate(candidates):
         mine = seen.candidate == k
         strength = np.abs(option.starts[seen.start[mine], 0])
-        visible = seen.visible[mine]
-        name = option.effect.parameters[0].name
-        limits.append(
-            DetectionLimit(
-                option.effect.name, component, {name: _crossing(strength, visible, needed)}
-            )
-        )
+        smallest = _crossing(strength, seen.visible[mine], needed)
+        effect = option.effect
+        limits.append(DetectionLimit(effect.name, component, {effect.parameters[0].name: smallest}))
     return limits
 
 
@@ -135,19 +137,16 @@ def _crossing(strength: Array, visible: Array, needed: float) -> float | None:
     """Strength at which the score reaches what is needed; None where no start does."""
     levels = np.unique(strength)
     score = np.array([np.median(visible[strength == level]) for level in levels])
-    shown = np.flatnonzero(score >= needed)
-    if not shown.size:
+    enough = np.flatnonzero(score >= needed)
+    if not enough.size:
         return None
     weaker_is_larger = score[0] > score[-1]
-    at = int(shown[-1] if weaker_is_larger else shown[0])
+    at = int(enough[-1] if weaker_is_larger else enough[0])
     beyond = at + 1 if weaker_is_larger else at - 1
     if not 0 <= beyond < levels.size or score[beyond] <= 0:
         # Beyond the strengths tried the score is taken as proportional.
         ratio = needed / score[at]
         return float(levels[at] / ratio if weaker_is_larger else levels[at] * ratio)
-    place = np.interp(
-        np.log(needed),
-        np.sort(np.log(score[[at, beyond]])),
-        np.log(levels[[at, beyond]])[np.argsort(score[[at, beyond]])],
-    )
-    return float(np.exp(place))
+    ends = np.array([at, beyond])
+    ends = ends[np.argsort(score[ends])]
+    return float(np.exp(np.interp(np.log(needed), np.log(score[ends]), np.log(levels[ends]))))

@@ -11,16 +11,8 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.effect_probabilities import Group
-from sim2real.diagnose.missing.smooth_function import Smooth
 from sim2real.diagnose.missing.unmodelled import measured_only
-from sim2real.diagnose.result import (
-    Diagnosis,
-    Estimate,
-    Mismatch,
-    NamedEffect,
-    Rival,
-    Verdict,
-)
+from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, Verdict
 from sim2real.effects import named, plain
 from sim2real.inference.normal import Z90
 from sim2real.inference.segments import Window, robust_sd, windows
@@ -28,7 +20,6 @@ from sim2real.model import FittedEffect, Model
 from sim2real.output import provenance
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import BASE
-from sim2real.servo.trace import Trace
 
 _WORDS = {
     "position": "the residual torque depends on the joint angle",
@@ -43,8 +34,8 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class Said:
-    """A group on one joint, or on several that share it."""
+class _Named:
+    """A named group on one joint, or on several that share it."""
 
     group: Group
     joints: tuple[str, ...]
@@ -62,34 +53,128 @@ def diagnosis(
         negligible: Share of the held-out error below whose change an effect makes no verdict.
         seed: Of the bootstraps, to be recorded.
     """
-    results = {one.name: one for one in joints}
-    said = gathered(results)
-    effects = [named_effect(results, one) for one in said]
-    small = tuple(
-        effect
-        for effect, one in zip(effects, said, strict=True)
-        if not case.references  # what has changed since is worth saying, whatever its size
-        and all(results[joint].changes(effect.effect) < negligible for joint in one.joints)
-    )
-    large = tuple(effect for effect in effects if effect not in small)
-    if any(one.finding.mismatch and one.finding.left for one in joints):
-        small = ()  # beside something without a name a trifle is no finding
+    results = {joint.name: joint for joint in joints}
+    named_groups = _named_groups(results)
+    large: list[NamedEffect] = []
+    small: list[NamedEffect] = []
+    for entry in named_groups:
+        changes = (
+            results[name].finding.changes(results[name].unseen, entry.group.members[0])
+            for name in entry.joints
+        )
+        # What has changed since references is worth saying, whatever its size.
+        is_small = not case.references and all(change < negligible for change in changes)
+        (small if is_small else large).append(_named_effect(results, entry))
+    if any(joint.finding.mismatch and joint.finding.left for joint in joints):
+        small = []  # beside something without a name a trifle is no finding
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
+    uneven = [joint.finding.link for joint in joints if joint.finding.link is not None]
+    links = {link.effect: link.value for link in uneven}
+    enriched_fit = {joint.signal: joint.fit(enriched=True) for joint in joints}
     return Diagnosis(
         verdict=_verdict(joints, large, small, changed=bool(case.references)),
-        mismatch=tuple(mismatch(one) for one in joints if one.finding.mismatch),
-        effects=large,
-        negligible=small,
-        rivals=rivals(results, said),
-        unknown={one.name: one.finding.unknown for one in joints},
-        baseline_fit={one.signal: one.fit(enriched=False) for one in joints},
-        enriched_fit={one.signal: one.fit(enriched=True) for one in joints},
-        unfinished=tuple(one.name for one in joints if one.finding.unfinished),
-        model=_model(case, joints, origin),
-        baseline=Model(joints={one.name: one.model(enriched=False) for one in joints}),
+        mismatch=tuple(_mismatch(joint) for joint in joints if joint.finding.mismatch),
+        effects=tuple(large),
+        negligible=tuple(small),
+        rivals=_rivals(results, named_groups),
+        unknown={joint.name: joint.finding.unknown for joint in joints},
+        baseline_fit={joint.signal: joint.fit(enriched=False) for joint in joints},
+        enriched_fit=enriched_fit,
+        unfinished=tuple(joint.name for joint in joints if joint.finding.unfinished),
+        model=Model(
+            joints={joint.name: joint.model(enriched=True) for joint in joints},
+            body=case.model.body if case.model else {},
+            effects=tuple(
+                FittedEffect(effect, {named(effect).parameters[0].name: value})
+                for effect, value in links.items()
+            ),
+            fit=enriched_fit,
+            provenance=dict(origin),
+        ),
+        baseline=Model(joints={joint.name: joint.model(enriched=False) for joint in joints}),
         provenance=origin,
     )
+
+
+def _named_groups(results: Mapping[str, JointFindings]) -> list[_Named]:
+    """Groups of all joints; what is on the supply or the link of several is said once."""
+    groups: list[_Named] = []
+    shared: dict[str, list[tuple[str, Group]]] = {}
+    for joint, result in results.items():
+        for group in result.finding.groups:
+            if group.probability < DECISION.named:
+                continue
+            if named(group.members[0]).component == "joint":
+                groups.append(_Named(group, (joint,), joint))
+            else:
+                shared.setdefault(group.members[0], []).append((joint, group))
+    mimicked: set[str] = set()
+    for effect, where in shared.items():
+        likeliest = max((group for _, group in where), key=lambda group: group.probability)
+        joints = tuple(joint for joint, _ in where)
+        place: str = named(effect).component if len(joints) > 1 else joints[0]
+        groups.append(_Named(likeliest, joints, place))
+        if len(joints) > 1:
+            mimicked.update(named(effect).mimics)
+    # What something of the supply or the link, seen on several joints, looks like on one.
+    groups = [entry for entry in groups if entry.group.members[0] not in mimicked]
+    return sorted(groups, key=lambda entry: -entry.group.probability)
+
+
+def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedEffect:
+    """What was left out."""
+    group, result = entry.group, results[entry.joints[0]]
+    estimates = [results[joint].estimates(group.members[0]) for joint in entry.joints]
+    parameters = _combined([estimate for estimate in estimates if estimate])
+    plain = result.finding.tried.plain.fit.servos.theta[0]
+    rich = result.rich.fit.servos.theta[0]
+    per_inertia = result.joint.traces[0].load is PER_INERTIA
+    return NamedEffect(
+        effect=group.members[0],
+        component=entry.component,
+        probability=group.probability,
+        group=group.members,
+        parameters=parameters,
+        heldout=result.heldout(),
+        baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
+        stability=group.stability,
+        statement=_statement(entry, parameters, per_inertia=per_inertia),
+    )
+
+
+def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+    """Precision-weighted means of what several joints say."""
+    combined = {}
+    for name in estimates[0] if estimates else ():
+        means = np.array([entry[name].mean for entry in estimates])
+        sds = np.array([entry[name].sd for entry in estimates])
+        weight = 1 / np.maximum(sds, 1e-9 * (np.abs(means) + 1e-12)) ** 2
+        mean = float(np.sum(weight * means) / weight.sum())
+        # Never narrower than the joints' own disagreement.
+        spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
+        several = len(estimates) > 1
+        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if several else float(sds[0])
+        low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in estimates)))
+        high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in estimates)))
+        combined[name] = Estimate(mean, sd, low, high)
+    return combined
+
+
+def _statement(entry: _Named, parameters: Mapping[str, Estimate], *, per_inertia: bool) -> str:
+    """One sentence: the joints, the effect with the size of its parameters, and its rivals.
+
+    Without estimates of all parameters the effect has no size; torques may be per unit of inertia.
+    """
+    effect = named(entry.group.members[0])
+    values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
+    if len(values) == len(effect.parameters):
+        clause = effect.statement(values, per_inertia=per_inertia)
+    else:
+        clause = f"there is {effect.plain}"
+    others = ", or ".join(plain(name) for name in entry.group.members[1:])
+    doubt = f" (or {others}; these recordings cannot tell)" if others else ""
+    return f"{', '.join(entry.joints)}: {clause}{doubt}."
 
 
 def _verdict(
@@ -99,194 +184,89 @@ def _verdict(
     *,
     changed: bool,
 ) -> Verdict:
-    differing = [one.finding for one in joints if one.finding.mismatch]
-    unsolved = any(f.left or f.unknown > DECISION.named for f in differing)
-    if changed and not effects and not any(f.unknown > DECISION.named for f in differing):
+    differing = [joint.finding for joint in joints if joint.finding.mismatch]
+    uncatalogued = any(f.unknown > DECISION.named for f in differing)
+    unsolved = uncatalogued or any(f.left for f in differing)
+    if changed and not effects and not uncatalogued:
         return "unchanged"
     if not differing or (small and not effects and not unsolved):
         return "consistent"
     if not effects:
         return "unexplained"
-    if unsolved or any(one.leaves_structure for one in joints if one.finding.mismatch):
+    if unsolved or any(joint.leaves_structure for joint in joints if joint.finding.mismatch):
         return "partly_explained"
     return "ambiguous" if any(len(e.group) > 1 for e in effects) else "explained"
 
 
-def _model(case: Case, joints: Sequence[JointFindings], origin: dict[str, object]) -> Model:
-    """The enriched simulator."""
-    uneven = {link.effect: link.value for one in joints if (link := one.finding.link) is not None}
-    shared = tuple(
-        FittedEffect(effect, {named(effect).parameters[0].name: value})
-        for effect, value in uneven.items()
-    )
-    return Model(
-        joints={one.name: one.model(enriched=True) for one in joints},
-        body=case.model.body if case.model else {},
-        effects=shared,
-        fit={one.signal: one.fit(enriched=True) for one in joints},
-        provenance=dict(origin),
-    )
-
-
-def gathered(results: Mapping[str, JointFindings]) -> list[Said]:
-    """Groups of all joints; what is on the supply or the link of several is said once."""
-    said: list[Said] = []
-    shared: dict[str, list[tuple[str, Group]]] = {}
-    for joint, result in results.items():
-        for group in result.finding.groups:
-            if group.probability < DECISION.named:
-                continue
-            if named(group.members[0]).component == "joint":
-                said.append(Said(group, (joint,), joint))
-            else:
-                shared.setdefault(group.members[0], []).append((joint, group))
-    for effect, where in shared.items():
-        likeliest = max((group for _, group in where), key=lambda group: group.probability)
-        joints = tuple(joint for joint, _ in where)
-        place: str = named(effect).component if len(joints) > 1 else joints[0]
-        said.append(Said(likeliest, joints, place))
-    several = [effect for effect, where in shared.items() if len(where) > 1]
-    mimicked = {like for effect in several for like in named(effect).mimics}
-    # What something of the supply or the link, seen on several joints, looks like on one.
-    said = [one for one in said if one.group.members[0] not in mimicked]
-    return sorted(said, key=lambda one: -one.group.probability)
-
-
-def named_effect(results: Mapping[str, JointFindings], one: Said) -> NamedEffect:
-    """What was left out."""
-    effect, result = one.group.members[0], results[one.joints[0]]
-    found = [results[joint].estimates(effect) for joint in one.joints]
-    parameters = _combined([entry for entry in found if entry])
-    plain = result.finding.tried.plain.fit.servos.theta[0]
-    rich = result.rich.fit.servos.theta[0]
-    return NamedEffect(
-        effect=effect,
-        component=one.component,
-        probability=one.group.probability,
-        group=one.group.members,
-        parameters=parameters,
-        heldout=result.heldout(),
-        baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
-        stability=one.group.stability,
-        statement=statement(
-            one, parameters, per_inertia=result.joint.traces[0].load is PER_INERTIA
-        ),
-    )
-
-
-def statement(one: Said, parameters: Mapping[str, Estimate], *, per_inertia: bool = False) -> str:
-    """One sentence: the joints, the effect with the size of its parameters, and its rivals.
-
-    Args:
-        one: The group of effects and its joints.
-        parameters: Estimates of the likeliest effect's parameters; without them it has no size.
-        per_inertia: Whether torques are per unit of inertia.
-    """
-    effect = named(one.group.members[0])
-    values = {p.name: parameters[p.name].mean for p in effect.parameters if p.name in parameters}
-    complete = len(values) == len(effect.parameters)
-    clause = (
-        effect.statement(values, per_inertia=per_inertia)
-        if complete
-        else f"there is {effect.plain}"
-    )
-    others = [plain(name) for name in one.group.members[1:]]
-    doubt = f" (or {', or '.join(others)}; these recordings cannot tell)" if others else ""
-    return f"{', '.join(one.joints)}: {clause}{doubt}."
-
-
-def rivals(results: Mapping[str, JointFindings], said: Sequence[Said]) -> tuple[Rival, ...]:
-    """What was considered and not named, likeliest first."""
-    taken = {
-        (joint, effect) for one in said for joint in one.joints for effect in one.group.members
-    }
-    found = []
-    for joint, result in results.items():
-        finding = result.finding
-        effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
-        for effect in effects:
-            p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
-            if (
-                (joint, effect) not in taken
-                and finding.mismatch
-                and p > DECISION.report.rival_min_probability
-            ):
-                found.append(Rival(effect, joint, p))
-    return tuple(sorted(found, key=lambda r: -r.probability)[: DECISION.report.most_rivals])
-
-
-def _combined(found: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
-    """Precision-weighted means of what several joints say."""
-    if not found:
-        return {}
-    combined = {}
-    for name in found[0]:
-        means = np.array([entry[name].mean for entry in found])
-        sds = np.array([entry[name].sd for entry in found])
-        weight = 1 / np.maximum(sds, 1e-9 * (np.abs(means) + 1e-12)) ** 2
-        mean = float(np.sum(weight * means) / weight.sum())
-        # Never narrower than the joints' own disagreement.
-        spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
-        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if len(found) > 1 else float(sds[0])
-        low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in found)))
-        high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in found)))
-        combined[name] = Estimate(mean, sd, low, high)
-    return combined
-
-
-def mismatch(one: JointFindings) -> Mismatch:
+def _mismatch(joint: JointFindings) -> Mismatch:
     """What is said of a joint that differs."""
-    finding, traces, noise, rmse = one.finding, one.joint.traces, one.joint.noise, one.error
-    when = _when(one)
+    finding, traces, noise, rmse = joint.finding, joint.joint.traces, joint.joint.noise, joint.error
+    segments = _segments(joint)
     smooth, count = finding.unmodelled.smooth, float(finding.best.fit.count[0])
     driven = sorted(smooth.shares.items(), key=lambda entry: -entry[1])
     return Mismatch(
-        signal=one.signal,
-        component=one.name,
+        signal=joint.signal,
+        component=joint.name,
         rmse=rmse,
         noise=noise,
         share=max(0.0, 1 - (noise / rmse) ** 2) if rmse > 0 else 0.0,
-        windows_s={t.name: w for t, w in zip(traces, when, strict=True)},
-        where=_where(smooth, when, traces, intermittent=finding.unmodelled.windows is not None),
+        windows_s={t.name: w for t, w in zip(traces, segments, strict=True)},
+        where=_where(joint, segments),
         # Shares of the innovations' energy that a smooth function of each state explains.
         dependence={x: float(1 - np.exp(-2 * max(gain, 0.0) / count)) for x, gain in driven},
     )
 
 
-def _when(one: JointFindings) -> list[tuple[Window, ...]]:
-    finding, traces, noise = one.finding, one.joint.traces, one.joint.noise
+def _segments(joint: JointFindings) -> list[tuple[Window, ...]]:
+    """The segments of each recording in which the mismatch is largest."""
+    finding, traces, noise = joint.finding, joint.joint.traces, joint.joint.noise
     without = finding.unmodelled
     if finding.unknown > DECISION.named and without.windows is not None:
         return list(without.windows)
     if finding.unknown > DECISION.named and without.smooth.state == "jump":
         instants = without.smooth.jumps_s
         return [((at, float(t.t[-1])),) for at, t in zip(instants, traces, strict=True)]
-    rows = measured_only(one.before, traces)
+    rows = measured_only(joint.before, traces)
     everywhere = np.concatenate(rows)
     spread = robust_sd(everywhere, np.zeros(everywhere.size, dtype=bool))
     sd = max(noise, min(spread, DECISION.structured_excess * noise))
     return [windows(t.t, row, sd) for t, row in zip(traces, rows, strict=True)]
 
 
-def _where(
-    smooth: Smooth,
-    when: Sequence[tuple[Window, ...]],
-    traces: Sequence[Trace],
-    *,
-    intermittent: bool,
-) -> str:
-    best = max(smooth.shares, key=lambda state: smooth.shares[state])
-    telling = smooth.shares[best] > DECISION.report.driving_gain
-    words = _WORDS[best] if telling else "the residual depends on no single state"
-    shaded = sum(b - a for w in when for a, b in w)
-    if shaded > DECISION.report.throughout_share * sum(float(t.t[-1] - t.t[0]) for t in traces):
-        return f"throughout: {words}" if telling else "throughout"
-    if intermittent and any(when):
-        segments = [
-            f"{a:.1f} to {b:.1f} s of {t.name}"
-            for t, w in zip(traces, when, strict=True)
-            for a, b in w
-        ]
-        more = f" and {len(segments) - 3} more" if len(segments) > 3 else ""
-        return f"in segments: {', '.join(segments[:3])}{more}"
-    return words
+def _where(joint: JointFindings, segments: Sequence[tuple[Window, ...]]) -> str:
+    """The states, or the segments, in which a mismatch occurs."""
+    without, traces = joint.finding.unmodelled, joint.joint.traces
+    state, gain = max(without.smooth.shares.items(), key=lambda entry: entry[1])
+    driven = gain > DECISION.report.driving_gain
+    words = _WORDS[state] if driven else "the residual depends on no single state"
+    seconds = sum(b - a for of_trace in segments for a, b in of_trace)
+    if seconds > DECISION.report.throughout_share * sum(float(t.t[-1] - t.t[0]) for t in traces):
+        return f"throughout: {words}" if driven else "throughout"
+    if without.windows is None or not any(segments):
+        return words
+    listed = [
+        f"{a:.1f} to {b:.1f} s of {t.name}"
+        for t, of_trace in zip(traces, segments, strict=True)
+        for a, b in of_trace
+    ]
+    more = f" and {len(listed) - 3} more" if len(listed) > 3 else ""
+    return f"in segments: {', '.join(listed[:3])}{more}"
+
+
+def _rivals(results: Mapping[str, JointFindings], groups: Sequence[_Named]) -> tuple[Rival, ...]:
+    """What was considered and not named, likeliest first."""
+    taken = {
+        (joint, effect)
+        for entry in groups
+        for joint in entry.joints
+        for effect in entry.group.members
+    }
+    rivals = []
+    for joint, result in results.items():
+        finding = result.finding
+        effects = {e for s in finding.posterior.sets for e in s - finding.tried.base}
+        for effect in effects if finding.mismatch else ():
+            p = finding.posterior.inclusion(effect) * (1 - finding.unknown)
+            if (joint, effect) not in taken and p > DECISION.report.rival_min_probability:
+                rivals.append(Rival(effect, joint, p))
+    return tuple(sorted(rivals, key=lambda r: -r.probability)[: DECISION.report.most_rivals])
