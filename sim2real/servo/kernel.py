@@ -11,7 +11,7 @@ from sim2real.servo.effect_chain import (
     measured_angle,
     shaft_inertia,
 )
-from sim2real.servo.gear_train import TRAIN_BITS, sensed, train_at_rest
+from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
 from sim2real.servo.law import exact_motion, resting_angle, substep_of
 from sim2real.servo.motor import MOTOR_BIT, Row, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
@@ -117,7 +117,9 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             u = wp.float64(sent[0])
             state = at_rest(u, kp, p)
             state_b = at_rest(u, kp_b, p_b)
+            g = Train()
             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+                g = train_of(inertia, p)
                 state = train_at_rest(state, u, kp, p, z, others)
             angle = wp.float64(state[0])
             following = others & wp.static(wp.int64(FOLLOWING_BITS))
@@ -161,10 +163,10 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
+                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
                             )
                             state_b = substep(
-                                state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
+                                state_b, u, time, h, kp_b, kd_b, inertia_b, g, m_b, p_b, z_b,
                                 effects_b, ticking,
                             )  # fmt: skip
                     else:
@@ -172,7 +174,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
+                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
                             )
                             if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
