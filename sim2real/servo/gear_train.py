@@ -148,7 +148,7 @@ def across_gap(
     h: wp.float64,
     g: Train,
 ) -> vec4:
-    """A sub-step of a train whose flanks are rigid."""
+    """A sub-step of a train whose flanks are rigid, divided where they meet."""
     zero = wp.float64(0.0)
     q = state[0]
     v = wp.float64(state[1])
@@ -159,7 +159,7 @@ def across_gap(
     while phase < _PHASES and remaining > zero:
         phase += 1
         side = zero
-        together = state
+        joined = vec4(zero, zero, zero, zero)  # both sides as one mass
         torque = drive.torque
         if phase > 1:
             torque -= drive.stiffness * (q - state[0])
@@ -169,25 +169,25 @@ def across_gap(
             if rate != zero:  # an impact
                 v -= g.output_share * rate
                 rate = zero
-            both = free_mass(q, v, torque + load, damping, g.total, dry + g.friction, remaining)
-            together = vec4(both[0], both[1], side * g.half_gap, zero)
-            if pressed(side, v, both[1], torque - damping * v, load, dry, remaining, g):
-                return together
-        a = free_mass(q, v, torque, damping, g.motor, dry, remaining)
-        b = free_mass(q - x, v - rate, load, zero, g.output, g.friction, remaining)
-        apart = a[0] - b[0]
+            end = free_mass(q, v, torque + load, damping, g.total, dry + g.friction, remaining)
+            joined = vec4(end[0], end[1], side * g.half_gap, zero)
+            if pressed(side, v, end[1], torque - damping * v, load, dry, remaining, g):
+                return joined
+        motor = free_mass(q, v, torque, damping, g.motor, dry, remaining)
+        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, remaining)
+        apart = motor[0] - output[0]
         if wp.abs(apart) <= g.half_gap:
-            return vec4(a[0], a[1], apart, a[1] - b[1])
+            return vec4(motor[0], motor[1], apart, motor[1] - output[1])
         if wp.sign(apart) == side:  # neither pressed nor parted
-            return together
+            return joined
         side = wp.sign(apart)
-        acceleration = side * (a[1] - b[1] - rate) / remaining
+        acceleration = side * (motor[1] - output[1] - rate) / remaining
         until = wp.min(time_to(g.half_gap - side * x, side * rate, acceleration), remaining)
-        a = free_mass(q, v, torque, damping, g.motor, dry, until)
-        b = free_mass(q - x, v - rate, load, zero, g.output, g.friction, until)
-        q = a[0]
-        v = a[1]
-        rate = a[1] - b[1]
+        motor = free_mass(q, v, torque, damping, g.motor, dry, until)
+        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, until)
+        q = motor[0]
+        v = motor[1]
+        rate = motor[1] - output[1]
         x = side * g.half_gap
         remaining -= until
     return vec4(q, v, x, rate)
@@ -206,61 +206,65 @@ def through_spring(
     zero = wp.float64(0.0)
     half = wp.float64(0.5) * h
     v = state[1]
-    output = v - state[3]
-    middle = state[2] + half * state[3]
-    force = zero  # of the spring at the start, and what its mean gains per mean speed
-    gain = zero
-    if g.half_gap == zero or wp.abs(middle) > g.half_gap:
-        force = (state[2] - wp.sign(middle) * g.half_gap) * g.stiffness
-        gain = half * g.stiffness + g.damper
-    # Mean speeds a, b: (2 Jm/h + D + G) a - G b = 2 Jm/h v + T - F, (2 Jo/h + G) b - G a = ...
-    m = wp.float64(2.0) * g.motor / h
-    o = wp.float64(2.0) * g.output / h
-    m1 = m + drive.damping + half * drive.stiffness + gain
-    o1 = o + gain
-    per = wp.float64(1.0) / (m1 * o1 - gain * gain)
-    mobility = o1 * per  # mean speed per torque: of the motor's side,
-    output_mobility = m1 * per  # of the output's,
-    cross_mobility = gain * per  # of either by a torque on the other
-    below = o * output + load + force
-    above = m * v + drive.torque - force
-    a = mobility * above + cross_mobility * below
-    b = cross_mobility * above + output_mobility * below
-    c = -wp.sign(v) * dry
-    d = -wp.sign(output) * g.friction
-    if dry + g.friction > zero:
-        a += mobility * c + cross_mobility * d
-        b += cross_mobility * c + output_mobility * d
+    w = v - state[3]
+    stretch = state[2]
+    gain = half * g.stiffness + g.damper  # torque of the spring per mean rate
+    if g.half_gap > zero:
+        middle = state[2] + half * state[3]
+        stretch -= wp.sign(middle) * g.half_gap
+        if wp.abs(middle) <= g.half_gap:
+            stretch = zero
+            gain = zero
+    force = g.stiffness * stretch
+    # For mean speeds a, b: (2 Jm/h + D + G) a - G b = 2 Jm/h v + T - F, and
+    # (2 Jo/h + G) b - G a = 2 Jo/h w + load + F; their solution is a matrix of mobilities.
+    motor = wp.float64(2.0) * g.motor / h
+    output = wp.float64(2.0) * g.output / h
+    motor_row = motor + drive.damping + half * drive.stiffness + gain
+    output_row = output + gain
+    per = wp.float64(1.0) / (motor_row * output_row - gain * gain)
+    mobility = output_row * per
+    output_mobility = motor_row * per
+    cross_mobility = gain * per
+    on_motor = motor * v + drive.torque - force
+    on_output = output * w + load + force
+    dry_motor = zero
+    dry_output = zero
+    if dry + g.friction > zero:  # as if both sides went on sliding
+        dry_motor = -wp.sign(v) * dry
+        dry_output = -wp.sign(w) * g.friction
+        on_motor += dry_motor
+        on_output += dry_output
+    a = mobility * on_motor + cross_mobility * on_output
+    b = cross_mobility * on_motor + output_mobility * on_output
     after = a + a - v
-    output_after = b + b - output
-    stops = (dry > zero and after * v <= zero) or (
-        g.friction > zero and output_after * output <= zero
-    )
-    if stops:  # either side comes to rest, or starts to move
+    output_after = b + b - w
+    if (dry > zero and after * v <= zero) or (g.friction > zero and output_after * w <= zero):
         sweep = int(0)
         changed = bool(True)
         while changed and sweep < _SWEEPS:
             sweep += 1
-            change = wp.clamp(c - (a - wp.float64(0.5) * v) / mobility, -dry, dry) - c
-            c += change
+            to_stop = dry_motor - (a - wp.float64(0.5) * v) / mobility
+            change = wp.clamp(to_stop, -dry, dry) - dry_motor
+            dry_motor += change
             a += mobility * change
             b += cross_mobility * change
             changed = wp.abs(change) > wp.float64(1e-9) * dry
-            rest = d - (b - wp.float64(0.5) * output) / output_mobility
-            change = wp.clamp(rest, -g.friction, g.friction) - d
-            d += change
+            to_stop = dry_output - (b - wp.float64(0.5) * w) / output_mobility
+            change = wp.clamp(to_stop, -g.friction, g.friction) - dry_output
+            dry_output += change
             a += cross_mobility * change
             b += output_mobility * change
             changed = changed or wp.abs(change) > wp.float64(1e-9) * g.friction
             changed = changed and dry > zero and g.friction > zero
         after = a + a - v
-        if wp.abs(c) < dry:
-            after = zero  # not a rounding error, which friction would take for a direction
-        output_after = b + b - output
-        if wp.abs(d) < g.friction:
+        output_after = b + b - w
+        # A speed at rest is 0, without a rounding error that friction takes for a direction.
+        if wp.abs(dry_motor) < dry:
+            after = zero
+        if wp.abs(dry_output) < g.friction:
             output_after = zero
-    rate = after - output_after
-    return vec4(state[0] + h * a, after, state[2] + half * (state[3] + rate), rate)
+    return vec4(state[0] + h * a, after, state[2] + h * (a - b), after - output_after)
 
 
 @wp.func
@@ -359,15 +363,15 @@ def train_substep(
     v = state[1]
     q = state[0] + half * v
     speed = v + half * state[3]
-    rest = active & ~wp.static(wp.int64(TRAIN_BITS))
+    others = active & ~wp.static(wp.int64(TRAIN_BITS))
     cell = train_cell(active)
     lead = z[cell]
     rate = z[cell + 1]
     output = q - lead - half * rate
     weight = pendulum_torque(output, p[4])
-    error = command_in_force(u, q, speed, state[2], time, h, p, z, rest) - q
-    error = error_seen(error, q, speed, state[2], time, h, p, z, rest)
-    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, rest)
+    error = command_in_force(u, q, speed, state[2], time, h, p, z, others) - q
+    error = error_seen(error, q, speed, state[2], time, h, p, z, others)
+    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)
     push = Push()
     push.torque = kp * error
     push.damping = kd
@@ -384,13 +388,13 @@ def train_substep(
     if kp > zero:
         torque = push.torque - push.damping * speed
         # What effects change is explicit: the drive stays implicit, and stable.
-        if (rest & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
-            push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, rest) - torque
+        if (others & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
+            push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
     direction = speed
     if v == zero:
         direction = wp.float64(1e-9) * wp.sign(push.torque + load)
     torque = push.torque - push.damping * speed
-    dry = friction_bound(dry, q, direction, torque, time, h, p, z, rest)
+    dry = friction_bound(dry, q, direction, torque, time, h, p, z, others)
     drive = Drive()
     drive.torque = push.torque + push.stiffness * half * v  # at the start, not the middle
     drive.stiffness = push.stiffness
