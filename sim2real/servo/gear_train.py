@@ -12,7 +12,8 @@ F = x / c + d x' (Spong, Journal of Dynamic Systems 109 (1987) 310-318), with a 
 one mass. The controller acts on the motor's angle; the sensor is on either side.
 
 A sub-step in which a flank is met is divided at the contact, so that contacts are of second order
-like the rest of the law.
+like the rest of the law. An output without friction comes to rest on a flank here; real flanks are
+elastic, and without any friction the output rebounds between them.
 """
 
 import warp as wp
@@ -261,8 +262,10 @@ def through_spring(
         output_after = b + b - w
         # A speed at rest is 0, without a rounding error that friction takes for a direction.
         if wp.abs(dry_motor) < dry:
+            a = wp.float64(0.5) * v
             after = zero
         if wp.abs(dry_output) < g.friction:
+            b = wp.float64(0.5) * w
             output_after = zero
     return vec4(state[0] + h * a, after, state[2] + h * (a - b), after - output_after)
 
