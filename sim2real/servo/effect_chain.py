@@ -71,8 +71,8 @@ SENSOR_BITS = _at("sensor")[-1]
 """Bits of the effects on the sensor."""
 FOLLOWING_BITS = SENSOR_BITS & ~sum(1 << k for k, effect in enumerate(CATALOGUE) if effect.steady)
 """Bits of those with state, which must be evaluated in every sub-step."""
-ARRIVAL_BITS = _at("arrival")[-1]
-"""Bits of the effects on the time, or the loss, of a set-point."""
+MOTOR_TORQUE_BITS = _at("motor")[-1]
+"""Bits of the effects on the motor's torque."""
 
 
 @wp.func

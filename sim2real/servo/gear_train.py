@@ -12,13 +12,15 @@ F = x / c + d x' (Spong, Journal of Dynamic Systems 109 (1987) 310-318), with a 
 one mass. The controller acts on the motor's angle; the sensor is on either side.
 
 A sub-step in which a flank is met is divided at the contact, so that contacts are of second order
-like the rest of the law.
+like the rest of the law. An output without friction comes to rest on a flank here; real flanks are
+elastic, and without any friction the output rebounds between them.
 """
 
 import warp as wp
 
 from sim2real.effects import CATALOGUE
 from sim2real.servo.effect_chain import (
+    MOTOR_TORQUE_BITS,
     command_in_force,
     error_seen,
     friction_bound,
@@ -57,31 +59,33 @@ _SWEEPS = wp.constant(8)
 
 @wp.struct
 class Train:
-    """A gear train: inertias in kg m2, half the gap in rad, compliance in rad/(N m).
+    """A gear train: inertias in kg m2, half the gap in rad.
 
-    ``damper`` is in N m s; ``friction`` is the bound of dry friction on the output, N m.
+    ``stiffness`` of the spring is in N m/rad, 0 where the flanks are rigid, and ``damper`` in
+    N m s; ``friction`` is the bound of dry friction on the output, N m.
     """
 
     motor: wp.float64
     output: wp.float64
+    total: wp.float64
+    output_share: wp.float64
     half_gap: wp.float64
-    compliance: wp.float64
+    stiffness: wp.float64
     damper: wp.float64
     friction: wp.float64
 
 
 @wp.struct
 class Drive:
-    """The motor's torque during a sub-step: ``torque - stiffness (q - start) - damping v``.
+    """The motor's torque from the start of a sub-step: ``torque - stiffness (q - q0) - damping v``.
 
-    ``start`` is the motor's angle at the start of the sub-step; the stiffness is kp, or 0 where
-    the drive is clipped. Integrated implicitly, as a small rotor is fast.
+    The stiffness is kp, or 0 where the drive is clipped. Integrated implicitly, as a small rotor is
+    fast.
     """
 
     torque: wp.float64
     stiffness: wp.float64
     damping: wp.float64
-    start: wp.float64
 
 
 @wp.func
@@ -128,6 +132,15 @@ def pressed(
 
 
 @wp.func
+def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
+    """Time in which x >= 0 is first covered, from speed v, at an acceleration a that suffices."""
+    root = wp.sqrt(wp.max(v * v + wp.float64(2.0) * a * x, wp.float64(0.0)))
+    if v > wp.float64(0.0):
+        return wp.float64(2.0) * x / (v + root)
+    return (root - v) / a
+
+
+@wp.func
 def across_gap(
     state: vec4,
     drive: Drive,
@@ -136,48 +149,49 @@ def across_gap(
     h: wp.float64,
     g: Train,
 ) -> vec4:
-    """A sub-step of a train whose flanks are rigid."""
+    """A sub-step of a train whose flanks are rigid, divided where they meet."""
     zero = wp.float64(0.0)
     q = state[0]
     v = wp.float64(state[1])
     x = wp.float64(state[2])
-    faster = wp.float64(state[3])
-    left = wp.float64(h)
+    rate = wp.float64(state[3])  # of x
+    remaining = wp.float64(h)
     phase = int(0)
-    while phase < _PHASES and left > zero:
+    while phase < _PHASES and remaining > zero:
         phase += 1
         side = zero
-        torque = drive.torque - drive.stiffness * (q - drive.start)
-        damping = drive.damping + wp.float64(0.5) * left * drive.stiffness
-        if wp.abs(x) >= g.half_gap * wp.float64(1.0 - 1e-12) and x * faster >= zero:
+        joined = vec4(zero, zero, zero, zero)  # both sides as one mass
+        torque = drive.torque
+        if phase > 1:
+            torque -= drive.stiffness * (q - state[0])
+        damping = drive.damping + wp.float64(0.5) * remaining * drive.stiffness
+        if wp.abs(x) >= g.half_gap * wp.float64(1.0 - 1e-12) and x * rate >= zero:
             side = wp.sign(x)
-            common = (g.motor * v + g.output * (v - faster)) / (g.motor + g.output)
-            one = free_mass(
-                q, common, torque + load, damping, g.motor + g.output, dry + g.friction, left
-            )
-            if pressed(side, common, one[1], torque - damping * common, load, dry, left, g):
-                return vec4(one[0], one[1], side * g.half_gap, zero)
-            v = common
-            faster = zero
-        a = free_mass(q, v, torque, damping, g.motor, dry, left)
-        b = free_mass(q - x, v - faster, load, zero, g.output, g.friction, left)
-        apart = a[0] - b[0]
+            if rate != zero:  # an impact
+                v -= g.output_share * rate
+                rate = zero
+            end = free_mass(q, v, torque + load, damping, g.total, dry + g.friction, remaining)
+            joined = vec4(end[0], end[1], side * g.half_gap, zero)
+            if pressed(side, v, end[1], torque - damping * v, load, dry, remaining, g):
+                return joined
+        motor = free_mass(q, v, torque, damping, g.motor, dry, remaining)
+        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, remaining)
+        apart = motor[0] - output[0]
         if wp.abs(apart) <= g.half_gap:
-            return vec4(a[0], a[1], apart, a[1] - b[1])
-        if wp.sign(apart) == side:  # neither pressed nor parted: it rolls along
-            return vec4(a[0], a[1], side * g.half_gap, zero)
-        flank = wp.sign(apart) * g.half_gap
-        until = left * wp.clamp((flank - x) / (apart - x), zero, wp.float64(1.0))
-        a = free_mass(q, v, torque, damping, g.motor, dry, until)
-        b = free_mass(q - x, v - faster, load, zero, g.output, g.friction, until)
-        q = a[0]
-        v = a[1]
-        faster = a[1] - b[1]
-        x = flank
-        if x * faster < zero:
-            faster = zero
-        left -= until
-    return vec4(q, v, x, faster)
+            return vec4(motor[0], motor[1], apart, motor[1] - output[1])
+        if wp.sign(apart) == side:  # neither pressed nor parted
+            return joined
+        side = wp.sign(apart)
+        acceleration = side * (motor[1] - output[1] - rate) / remaining
+        until = wp.min(time_to(g.half_gap - side * x, side * rate, acceleration), remaining)
+        motor = free_mass(q, v, torque, damping, g.motor, dry, until)
+        output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, until)
+        q = motor[0]
+        v = motor[1]
+        rate = motor[1] - output[1]
+        x = side * g.half_gap
+        remaining -= until
+    return vec4(q, v, x, rate)
 
 
 @wp.func
@@ -193,47 +207,67 @@ def through_spring(
     zero = wp.float64(0.0)
     half = wp.float64(0.5) * h
     v = state[1]
-    output = v - state[3]
-    middle = state[2] + half * state[3]
-    force = zero
-    gain = zero
-    if g.half_gap == zero or wp.abs(middle) > g.half_gap:
-        per = wp.float64(1.0) / g.compliance
-        force = (state[2] - wp.sign(middle) * g.half_gap) * per
-        gain = half * per + g.damper
-    # Mean speeds a and b: (2 Jm/h + D + G) a - G b = ..., (2 Jo/h + G) b - G a = ...
-    m = wp.float64(2.0) * g.motor / h
-    o = wp.float64(2.0) * g.output / h
-    m1 = m + drive.damping + half * drive.stiffness + gain
-    o1 = o + gain
-    per = wp.float64(1.0) / (m1 * o1 - gain * gain)
-    right = m * v + drive.torque - force
-    below = o * output + load + force
-    a = (o1 * right + gain * below) * per
-    b = (gain * right + m1 * below) * per
-    if dry + g.friction > zero:
-        # Friction's torques c, d change a by (o1 c + G d) per, b by (G c + m1 d) per
-        c = wp.float64(0.0)
-        d = wp.float64(0.0)
+    w = v - state[3]
+    stretch = state[2]
+    gain = half * g.stiffness + g.damper  # torque of the spring per mean rate
+    if g.half_gap > zero:
+        middle = state[2] + half * state[3]
+        stretch -= wp.sign(middle) * g.half_gap
+        if wp.abs(middle) <= g.half_gap:
+            stretch = zero
+            gain = zero
+    force = g.stiffness * stretch
+    # For mean speeds a, b: (2 Jm/h + D + G) a - G b = 2 Jm/h v + T - F, and
+    # (2 Jo/h + G) b - G a = 2 Jo/h w + load + F; their solution is a matrix of mobilities.
+    motor = wp.float64(2.0) * g.motor / h
+    output = wp.float64(2.0) * g.output / h
+    motor_row = motor + drive.damping + half * drive.stiffness + gain
+    output_row = output + gain
+    per = wp.float64(1.0) / (motor_row * output_row - gain * gain)
+    mobility = output_row * per
+    output_mobility = motor_row * per
+    cross_mobility = gain * per
+    on_motor = motor * v + drive.torque - force
+    on_output = output * w + load + force
+    dry_motor = zero
+    dry_output = zero
+    if dry + g.friction > zero:  # as if both sides went on sliding
+        dry_motor = -wp.sign(v) * dry
+        dry_output = -wp.sign(w) * g.friction
+        on_motor += dry_motor
+        on_output += dry_output
+    a = mobility * on_motor + cross_mobility * on_output
+    b = cross_mobility * on_motor + output_mobility * on_output
+    after = a + a - v
+    output_after = b + b - w
+    if (dry > zero and after * v <= zero) or (g.friction > zero and output_after * w <= zero):
         sweep = int(0)
         changed = bool(True)
         while changed and sweep < _SWEEPS:
             sweep += 1
-            end = wp.float64(2.0) * (a + (o1 * c + gain * d) * per) - v
-            new = wp.clamp(c - end / (wp.float64(2.0) * o1 * per), -dry, dry)
-            changed = wp.abs(new - c) > wp.float64(1e-9) * dry
-            c = new
-            end = wp.float64(2.0) * (b + (gain * c + m1 * d) * per) - output
-            new = wp.clamp(d - end / (wp.float64(2.0) * m1 * per), -g.friction, g.friction)
-            changed = changed or wp.abs(new - d) > wp.float64(1e-9) * g.friction
-            d = new
-            if dry == zero or g.friction == zero:
-                changed = False
-        a += (o1 * c + gain * d) * per
-        b += (gain * c + m1 * d) * per
-    after = wp.float64(2.0) * a - v
-    faster = after - (wp.float64(2.0) * b - output)
-    return vec4(state[0] + h * a, after, state[2] + half * (state[3] + faster), faster)
+            to_stop = dry_motor - (a - wp.float64(0.5) * v) / mobility
+            change = wp.clamp(to_stop, -dry, dry) - dry_motor
+            dry_motor += change
+            a += mobility * change
+            b += cross_mobility * change
+            changed = wp.abs(change) > wp.float64(1e-9) * dry
+            to_stop = dry_output - (b - wp.float64(0.5) * w) / output_mobility
+            change = wp.clamp(to_stop, -g.friction, g.friction) - dry_output
+            dry_output += change
+            a += cross_mobility * change
+            b += output_mobility * change
+            changed = changed or wp.abs(change) > wp.float64(1e-9) * g.friction
+            changed = changed and dry > zero and g.friction > zero
+        after = a + a - v
+        output_after = b + b - w
+        # A speed at rest is 0, without a rounding error that friction takes for a direction.
+        if wp.abs(dry_motor) < dry:
+            a = wp.float64(0.5) * v
+            after = zero
+        if wp.abs(dry_output) < g.friction:
+            b = wp.float64(0.5) * w
+            output_after = zero
+    return vec4(state[0] + h * a, after, state[2] + h * (a - b), after - output_after)
 
 
 @wp.func
@@ -246,7 +280,7 @@ def train_step(
     g: Train,
 ) -> vec4:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
-    if g.compliance > wp.float64(0.0):
+    if g.stiffness > wp.float64(0.0):
         return through_spring(state, drive, load, dry, h, g)
     return across_gap(state, drive, load, dry, h, g)
 
@@ -270,12 +304,14 @@ def train_of(inertia: wp.float64, p: Row) -> Train:
         rotor = inertia  # an output without inertia
     g.motor = wp.clamp(rotor, wp.float64(0.02) * inertia, wp.float64(0.98) * inertia)
     g.output = inertia - g.motor
+    g.total = inertia
+    g.output_share = g.output / inertia
     g.half_gap = wp.float64(0.5) * p[wp.static(_GAP)]
     g.friction = p[wp.static(_GAP + 2)]
-    g.compliance = p[wp.static(_SPRING)]
-    if g.compliance > wp.float64(0.0):
-        reduced = g.motor * g.output / inertia
-        g.damper = wp.static(wp.float64(2.0 * SPRING_DAMPING)) * wp.sqrt(reduced / g.compliance)
+    if p[wp.static(_SPRING)] > wp.float64(0.0):
+        g.stiffness = wp.float64(1.0) / p[wp.static(_SPRING)]
+        reduced = g.motor * g.output_share
+        g.damper = wp.static(wp.float64(2.0 * SPRING_DAMPING)) * wp.sqrt(reduced * g.stiffness)
     return g
 
 
@@ -313,7 +349,7 @@ def train_substep(
     h: wp.float64,
     kp: wp.float64,
     kd: wp.float64,
-    inertia: wp.float64,
+    g: Train,
     m: Motor,
     p: Row,
     z: Row,
@@ -330,15 +366,15 @@ def train_substep(
     v = state[1]
     q = state[0] + half * v
     speed = v + half * state[3]
-    rest = active & ~wp.static(wp.int64(TRAIN_BITS))
+    others = active & ~wp.static(wp.int64(TRAIN_BITS))
     cell = train_cell(active)
     lead = z[cell]
     rate = z[cell + 1]
     output = q - lead - half * rate
     weight = pendulum_torque(output, p[4])
-    error = command_in_force(u, q, speed, state[2], time, h, p, z, rest) - q
-    error = error_seen(error, q, speed, state[2], time, h, p, z, rest)
-    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, rest)
+    error = command_in_force(u, q, speed, state[2], time, h, p, z, others) - q
+    error = error_seen(error, q, speed, state[2], time, h, p, z, others)
+    load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)
     push = Push()
     push.torque = kp * error
     push.damping = kd
@@ -355,18 +391,18 @@ def train_substep(
     if kp > zero:
         torque = push.torque - push.damping * speed
         # What effects change is explicit: the drive stays implicit, and stable.
-        push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, rest) - torque
+        if (others & wp.static(wp.int64(MOTOR_TORQUE_BITS))) != wp.int64(0):
+            push.torque += motor_torque(torque, q, speed, torque, time, h, p, z, others) - torque
     direction = speed
     if v == zero:
         direction = wp.float64(1e-9) * wp.sign(push.torque + load)
     torque = push.torque - push.damping * speed
-    dry = friction_bound(dry, q, direction, torque, time, h, p, z, rest)
+    dry = friction_bound(dry, q, direction, torque, time, h, p, z, others)
     drive = Drive()
     drive.torque = push.torque + push.stiffness * half * v  # at the start, not the middle
     drive.stiffness = push.stiffness
     drive.damping = push.damping
-    drive.start = state[0]
-    moved = train_step(vec4(state[0], v, lead, rate), drive, load, dry, h, train_of(inertia, p))
+    moved = train_step(vec4(state[0], v, lead, rate), drive, load, dry, h, g)
     z[cell] = moved[2]
     z[cell + 1] = moved[3]
     middle = wp.float64(0.5) * (v + moved[1])

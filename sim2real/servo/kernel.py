@@ -6,13 +6,12 @@ import warp as wp
 
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import (
-    ARRIVAL_BITS,
     FOLLOWING_BITS,
     arrival_time,
     measured_angle,
     shaft_inertia,
 )
-from sim2real.servo.gear_train import TRAIN_BITS, sensed, train_at_rest
+from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
 from sim2real.servo.law import exact_motion, resting_angle, substep_of
 from sim2real.servo.motor import MOTOR_BIT, Row, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
@@ -44,17 +43,11 @@ def _same_events(
     row: int,
     other: int,
     theta: wp.array2d(dtype=wp.float64),
-    active: wp.array(dtype=wp.int64),
     signal: wp.array(dtype=wp.int32),
     longest: Row,
 ) -> bool:
-    """Whether two rows have the same events and the same sub-steps between them."""
-    arrival_effects = (active[row] | active[other]) & wp.static(wp.int64(ARRIVAL_BITS))
-    if (
-        signal[row] != signal[other]
-        or longest[row] != longest[other]
-        or arrival_effects != wp.int64(0)
-    ):
+    """Whether two rows without effects have the same events and the same sub-steps between them."""
+    if signal[row] != signal[other] or longest[row] != longest[other]:
         return False
     for k in range(wp.static(len(_CLOCK))):
         if theta[row, wp.static(_CLOCK[k])] != theta[other, wp.static(_CLOCK[k])]:
@@ -65,8 +58,10 @@ def _same_events(
 def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that simulates servos from rest on their signal's first set-point.
 
-    A thread simulates ``together`` of the rows in ``order``; with ``pairs``, two with the same
-    events at once: a core can execute the long dependency chains of two sub-steps in parallel.
+    A thread simulates ``together`` of the rows in ``order``. With ``pairs``, and without effects,
+    it simulates two rows with the same events at once: a core can execute the dependency chains of
+    two short sub-steps in parallel. A sub-step with effects is too long for that, and is inlined
+    only where it is called once.
     """
     substep = substep_of(effects)
     mask = ~MOTOR_BIT if effects else 0
@@ -93,7 +88,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             place += 1
             paired = bool(False)
             if wp.static(pairs) and place < end:
-                paired = _same_events(row, order[place], theta, active, signal, longest)
+                paired = _same_events(row, order[place], theta, signal, longest)
             row_b = int(row)
             if paired:
                 row_b = order[place]
@@ -105,7 +100,6 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             effects = active[row]
             effects_b = active[row_b]
             others = effects & wp.static(wp.int64(mask))
-            others_b = effects_b & wp.static(wp.int64(mask))
             m = read_motor(p)
             m_b = read_motor(p_b)
             t = times[signal[row]]
@@ -118,18 +112,17 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             kd_b = wp.float64(p_b[1])
             latency = p[2]
             inertia = shaft_inertia(p[3], p, z, others)
-            inertia_b = shaft_inertia(p_b[3], p_b, z_b, others_b)
+            inertia_b = shaft_inertia(p_b[3], p_b, z_b, wp.int64(0))
             per_longest = wp.float64(1.0) / longest[row]
             u = wp.float64(sent[0])
             state = at_rest(u, kp, p)
             state_b = at_rest(u, kp_b, p_b)
+            g = Train()
             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+                g = train_of(inertia, p)
                 state = train_at_rest(state, u, kp, p, z, others)
-            if (others_b & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
-                state_b = train_at_rest(state_b, u, kp_b, p_b, z_b, others_b)
             angle = wp.float64(state[0])
-            angle_b = wp.float64(state_b[0])
-            following = (others | others_b) & wp.static(wp.int64(FOLLOWING_BITS))
+            following = others & wp.static(wp.int64(FOLLOWING_BITS))
             start = t[0]
             clock = wp.float64(start)
             sample = int(0)
@@ -170,21 +163,18 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
+                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
                             )
                             state_b = substep(
-                                state_b, u, time, h, kp_b, kd_b, inertia_b, m_b, p_b, z_b,
+                                state_b, u, time, h, kp_b, kd_b, inertia_b, g, m_b, p_b, z_b,
                                 effects_b, ticking,
                             )  # fmt: skip
-                            if following != wp.int64(0):
-                                angle = measured(state, time, h, p, z, effects)
-                                angle_b = measured(state_b, time, h, p_b, z_b, effects_b)
                     else:
                         for k in range(count):
                             time = clock - start + wp.float64(k) * h
                             ticking = tick and k == 0
                             state = substep(
-                                state, u, time, h, kp, kd, inertia, m, p, z, effects, ticking
+                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
                             )
                             if following != wp.int64(0):
                                 angle = measured(state, time, h, p, z, effects)
@@ -200,21 +190,21 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                         kd_b = zero
                         u = zero
                 elif until == t[sample]:
-                    at_sample = sample == 0 or following == wp.int64(0)
-                    if at_sample:
+                    if sample == 0 or following == wp.int64(0):
                         angle = measured(state, clock - start, zero, p, z, others)
                     position[row, sample] = angle
                     if paired:
-                        if at_sample:
-                            angle_b = measured(state_b, clock - start, zero, p_b, z_b, others_b)
-                        position[row_b, sample] = angle_b
+                        position[row_b, sample] = state_b[0]
                     sample += 1
 
     return simulate_servos
 
 
-KERNELS = {(e, p): _simulating(e, p) for e in (False, True) for p in (False, True)}
-"""Kernels by whether servos may have effects (slower) and whether they are simulated in pairs."""
+KERNELS = {
+    (effects, pairs): _simulating(effects, pairs)
+    for effects, pairs in ((False, False), (False, True), (True, False))
+}
+"""Kernels by whether servos may have effects and whether they are simulated in pairs."""
 
 
 @wp.kernel(enable_backward=False)

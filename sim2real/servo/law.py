@@ -17,7 +17,7 @@ from sim2real.servo.effect_chain import (
     load_torque,
     motor_torque,
 )
-from sim2real.servo.gear_train import TRAIN_BITS, train_substep
+from sim2real.servo.gear_train import TRAIN_BITS, Train, train_substep
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
@@ -54,6 +54,7 @@ def substep_of(effects: bool) -> wp.Function:
         kp: wp.float64,
         kd: wp.float64,
         inertia: wp.float64,
+        g: Train,
         m: Motor,
         p: Row,
         z: Row,
@@ -74,7 +75,7 @@ def substep_of(effects: bool) -> wp.Function:
         error = u - q
         others = active & wp.static(wp.int64(mask))
         if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
-            return train_substep(state, u, time, h, kp, kd, inertia, m, p, z, active, tick)
+            return train_substep(state, u, time, h, kp, kd, g, m, p, z, active, tick)
         if others != wp.int64(0):
             error = command_in_force(u, q, speed, state[2], time, h, p, z, active) - q
             error = error_seen(error, q, speed, state[2], time, h, p, z, active)

@@ -278,7 +278,7 @@ def simulate(
     out: Any,  # noqa: ANN401
     rows: NDArray[np.intp] | None = None,
 ) -> None:
-    """Launch N rollouts; on the CPU, those with the same events in pairs.
+    """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
 
     Args:
         active: Effects of each, see ``active_effects``, shape (N,).
@@ -291,11 +291,11 @@ def simulate(
         rows: Indices of the rollouts to simulate, shape (M,); all by default.
     """
     N, device = signal.size, str(out.device)
-    pairs = device == "cpu"
+    effects = bool(np.any(active & ~MOTOR_BIT))
+    pairs = device == "cpu" and not effects
     order = np.arange(N) if rows is None else rows
     if pairs:
         order = order[np.lexsort((latency[order], longest[order], signal[order]))]
-    effects = bool(np.any(active & ~MOTOR_BIT))
     memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
     mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
     inputs = [to_warp(x, device) for x in (signal, order.astype(np.int32))]

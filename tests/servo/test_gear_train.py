@@ -5,6 +5,7 @@ import pytest
 
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load
+from sim2real.servo.gear_train import SPRING_DAMPING
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
 
@@ -13,32 +14,66 @@ T = 0.02 * np.arange(150)
 COMMAND = 0.4 * np.sign(np.sin(2 * np.pi * 0.7 * T)) * (T > 0.1)
 
 
-def reference(dry, held, step=2e-5):
-    """Angle of the output: rigid flanks, inelastic impacts, friction on motor and output."""
+def reference(dry, held, compliance=0.0, step=1e-5):
+    """Angle of the output, with friction on either side: rigid flanks, or a spring."""
     q = o = v = w = 0.0
     out, mass = [], INERTIA - ROTOR
+    stiffness = 1 / compliance if compliance else 0.0
+    damper = 2 * SPRING_DAMPING * np.sqrt(stiffness * ROTOR * mass / INERTIA)
     for u in COMMAND:
         out.append(o)
         for _ in range(round(0.02 / step)):
-            v += step * (KP * (u - q) - KD * v) / ROTOR
+            through = stiffness * (q - o) + damper * (v - w)
+            v += step * (KP * (u - q) - KD * v - through) / ROTOR
             v -= min(max(v, -step * dry / ROTOR), step * dry / ROTOR)
+            w += step * through / mass
             w -= min(max(w, -step * held / mass), step * held / mass)
             lead = q - o + step * (v - w)
-            if abs(lead) >= GAP / 2 and lead * (v - w) > 0:
+            if not compliance and abs(lead) >= GAP / 2 and lead * (v - w) > 0:
                 v = w = (ROTOR * v + mass * w) / INERTIA
             q, o = q + step * v, o + step * w
     return np.array(out)
 
 
-@pytest.mark.parametrize(("dry", "held"), [(0.06, 0.02), (0.0, 0.06), (0.03, 0.0)])
-def test_friction_acts_on_the_side_that_has_it(dry, held):
-    play = {"gap_rad": GAP, "rotor_inertia_kgm2": ROTOR, "output_friction_Nm": held}
-    effects = [FittedEffect("backlash", play)]
+def simulated(dry, effect, parameters, command=COMMAND, **settings):
+    effects = [FittedEffect(effect, {"rotor_inertia_kgm2": ROTOR} | parameters)]
     if dry:
         effects.append(FittedEffect("coulomb_friction", {"torque_Nm": dry}))
     joint = JointModel(KP, KD, 0.0, INERTIA, effects=tuple(effects))
-    angle = rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND)[0]
-    assert np.sqrt(np.mean((angle - reference(dry, held)) ** 2)) < 3e-4
+    row = joint_row(joint, Load(INERTIA))[None]
+    return rollout(row, T, command, **settings)[0]
+
+
+def rms(x):
+    return np.sqrt(np.mean(x**2))
+
+
+@pytest.mark.parametrize(("dry", "held"), [(0.06, 0.02), (0.0, 0.06), (0.03, 0.0), (0.0, 0.0)])
+def test_friction_acts_on_the_side_that_has_it(dry, held):
+    angle = simulated(dry, "backlash", {"gap_rad": GAP, "output_friction_Nm": held})
+    assert rms(angle - reference(dry, held)) < 1e-4
+
+
+@pytest.mark.parametrize("dry", [0.0, 0.05])
+def test_a_spring_agrees_with_small_steps(dry):
+    angle = simulated(dry, "compliance", {"compliance_rad_per_Nm": 0.05, "sensor_on_output": 1.0})
+    assert rms(angle - reference(dry, 0.0, compliance=0.05)) < 1e-4
+
+
+def test_contacts_are_of_second_order():
+    play = {"gap_rad": GAP, "output_friction_Nm": 0.06}
+    exact, *angles = (
+        simulated(0.0, "backlash", play, substep_s=step) for step in (2e-5, 1e-3, 4e-3)
+    )
+    fine, coarse = (rms(angle - exact) for angle in angles)
+    assert coarse < 3e-4
+    assert fine < coarse / 8  # a quarter of the sub-step: 16 times
+
+
+def test_a_spring_held_by_friction_stays_at_rest():
+    command = np.where(T > 0.1, 0.5 * 0.1 / KP, 0.0)
+    spring = {"compliance_rad_per_Nm": 0.05, "sensor_on_output": 0.0}
+    assert np.abs(simulated(0.1, "compliance", spring, command)).max() == 0.0
 
 
 def test_the_motor_is_measured_or_the_load():

@@ -173,7 +173,9 @@ def _derivatives(
         now = rows[1 + k, column]
         rows[1 + k, column] = now * np.exp(step) if p.log else now + step
     slopes = [(a[1:] - a[:1]).T / DIFFERENCE for a in simulated(traces, rows, row)]
-    relative = np.array([p.typical for p in parameters]) / np.array([p.prior_sd for p in parameters])
+    relative = np.array([p.typical for p in parameters]) / np.array(
+        [p.prior_sd for p in parameters]
+    )
     return tuple(slopes), np.diag(relative**2)
 
 
