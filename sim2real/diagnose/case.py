@@ -6,13 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import with_effects
+from sim2real.diagnose.missing.baseline import SATURATION, with_effects
 from sim2real.errors import InputError
-from sim2real.identification.servo_problem import Hypothesis, Set, minimise, plain_servos
+from sim2real.identification.servo_problem import (
+    Fits,
+    Hypothesis,
+    Set,
+    minimise,
+    plain_servos,
+)
 from sim2real.identification.torque_speed_line import on_its_line
-from sim2real.model import JointModel, Model
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.noise import quantization_step
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
@@ -21,8 +28,8 @@ from sim2real.servo.parameters import COLUMNS, LINE, stated
 from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
 
 _LINE = [COLUMNS.index(name) for name in LINE]
-_SATURATION = "torque_saturation"
-_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
+_FLAT = [COLUMNS.index(f"{SATURATION}.{name}") for name in ("limit_Nm", "free_damping")]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -124,12 +131,13 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
     return replace(case, model=replace(case.model or Model(joints={}), joints=known | lines))
 
 
-def lines_beside(
+def limits_beside(
     batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> dict[int, JointModel]:
-    """Plain models on their lines, of joints that reach them beside what explains them best.
+    """Plain models with their motor's limit, of joints that reach it beside what explains them.
 
-    Something large that is missing hides the line from a fit of the plain servo.
+    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
+    large that is missing hides it from a fit of the plain servo. The likelier of the two is chosen.
 
     Args:
         batch: The recordings, joint by joint.
@@ -142,18 +150,36 @@ def lines_beside(
         if joint.before or joint.base or joint.stall_Nm is None or row[_LINE].any():
             continue
         assert joint.servo is not None
-        row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
-        # A limit at the data sheet's is the line by another name.
-        named_so = row[_LIMIT] > DECISION.data_sheet_share * joint.stall_Nm
-        other: Set = servo.members & {_SATURATION} if named_so else frozenset()
-        inertia = batch.load[batch.first_signal[j], :1]
-        plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
-        start = with_effects(plain, servo.members - other, row, float(row[0]), float(inertia[0]))
-        fit = minimise(batch, start, iterations=15)
-        more = float(fit.loglikelihood[0] - servo.fit.loglikelihood[0])
-        if more > (0.0 if other else DECISION.decisive_gain):
-            models[j] = stated(fit.servos.theta[0], joint.traces[0].load)
+        least = DECISION.data_sheet_share * joint.stall_Nm
+        # A limit at the data sheet's is the motor's by another name.
+        at_sheet = row[_FLAT[0]] > least
+        others: Set = servo.members - {SATURATION} if at_sheet else servo.members
+        line, flat = row.copy(), row.copy()
+        line[_FLAT] = 0.0 if at_sheet else line[_FLAT]
+        line[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+        if not at_sheet:
+            flat[_FLAT] = joint.stall_Nm, 1.0
+        fits = [_fitted(batch, j, others, line)]
+        if SATURATION not in others:
+            fits.append(_fitted(batch, j, others | {SATURATION}, flat))
+        gains = [float(fit.loglikelihood[0] - servo.fit.loglikelihood[0]) for fit in fits]
+        k = int(np.argmax(gains))
+        if gains[k] <= (-1.0 if at_sheet else DECISION.decisive_gain):
+            continue
+        theta = fits[k].servos.theta[0]
+        if k == 0 or theta[_FLAT[0]] > least:
+            flat_limit = dict(zip(("limit_Nm", "free_damping"), theta[_FLAT].tolist(), strict=True))
+            effects = [FittedEffect(SATURATION, flat_limit)] if k else []
+            models[j] = stated(theta, joint.traces[0].load, effects)
     return models
+
+
+def _fitted(batch: Batch, j: int, members: Set, row: Array) -> Fits:
+    """The fit of joint ``j`` with these effects, from a row (P,)."""
+    inertia = batch.load[batch.first_signal[j], :1]
+    plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
+    start = with_effects(plain, members, row, float(row[0]), float(inertia[0]))
+    return minimise(batch, start, iterations=15)
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:

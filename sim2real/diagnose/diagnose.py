@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, JointCase, lines_beside, on_their_lines, prepared
+from sim2real.diagnose.case import Case, JointCase, limits_beside, on_their_lines, prepared
 from sim2real.diagnose.changed.references import against_references, with_known_servos
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
@@ -195,7 +195,7 @@ def _first_look(
     """The joints, on their lines where that shows beside what explains them best, and all tried."""
     batch = Batch([joint.traces for joint in joints], device)
     ledgers = _looked(batch, joints, rng)
-    lines = lines_beside(batch, joints, [ledger.best for ledger in ledgers])
+    lines = limits_beside(batch, joints, [ledger.best for ledger in ledgers])
     if not lines:
         return list(joints), ledgers
     joints = [replace(joint, given=lines.get(j, joint.given)) for j, joint in enumerate(joints)]

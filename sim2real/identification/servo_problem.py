@@ -28,8 +28,10 @@ _ASCENDING = [
     if effect.ascending
 ]
 """Pairs of columns of which the second is never below the first."""
+_FLAT = np.array([COLUMNS.index(f"torque_saturation.{x}") for x in ("limit_Nm", "free_damping")])
+"""Columns of a limit at any speed, and of the damping beyond it."""
 LINE_ROOM = 1.5
-"""Largest factor by which a fitted line may differ from its starting values."""
+"""Largest factor by which a fitted limit may differ from its starting value."""
 DIFFERENCE = 2e-4
 """Step of the forward differences, in units."""
 
@@ -113,7 +115,7 @@ def plain_servos(
         theta: Starting values, shape (N, P).
         inertia: Inertia of each load in kg m2, shape (N,).
         period_s: Time between samples; natural frequencies are limited to half the sampling rate.
-        free_line: Whether the motor's line, if there is one, is free as well.
+        free_line: Whether the motor's line or flat limit, if there is one, is free as well.
     """
     kp = np.maximum(theta[:, 0], 1e-9)
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
@@ -129,7 +131,16 @@ def plain_servos(
         columns = np.hstack([columns, np.where(has[:, None], _LINE, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
         low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
-    return Servos(joint.astype(np.int32), theta, columns, unit, low, high)
+    limit, clipped = theta[:, _FLAT[:1]], theta[:, _FLAT[0]] > 0
+    if free_line and clipped.any():
+        columns = np.hstack([columns, np.where(clipped[:, None], _FLAT, -1).astype(np.int32)])
+        ones = np.ones_like(limit)
+        unit = np.hstack([unit, np.where(clipped[:, None], limit, 1.0), ones])
+        low = np.hstack([low, limit / LINE_ROOM, 0 * ones])
+        high = np.hstack([high, limit * LINE_ROOM, ones])
+    first = np.argsort(columns < 0, axis=1, kind="stable")  # what is free comes first
+    free = (np.take_along_axis(x, first, axis=1) for x in (columns, unit, low, high))
+    return Servos(joint.astype(np.int32), theta, *free)
 
 
 @dataclass(frozen=True)

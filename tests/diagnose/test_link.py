@@ -6,8 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 from sim2real.diagnose.link.angle_noise import with_noise
-from sim2real.diagnose.link.event_filter import EventFilter, Timing, Track, propagator
 from sim2real.diagnose.link.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link
+from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
 from sim2real.servo.linearised import Residual, servo_modes
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
@@ -238,7 +238,7 @@ def exact(track, timing):
 
 
 @pytest.mark.parametrize(
-    "timing", [Timing(0.2, 0.4), Timing(0.1, 0.1, 0.004), Timing(1e-12, 1e-12, 0.006)]
+    "timing", [Arrivals(0.2, 0.4), Arrivals(0.1, 0.1, 0.004), Arrivals(1e-12, 1e-12, 0.006)]
 )
 def test_the_filter_sums_over_all_histories(timing):
     rng = np.random.default_rng(5)
@@ -247,7 +247,7 @@ def test_the_filter_sums_over_all_histories(timing):
         t, rng.normal(size=12), np.ones(12, dtype=bool), 0.02 * rng.normal(size=12),
         KP, KD, 0.043, INERTIA,
     )  # fmt: skip
-    track = Track(
+    track = Channel(
         t, source.command, source.latency_s, servo_modes(source), source.residual,
         rng.uniform(0.5, 2.0, size=12), np.zeros(12, dtype=bool), np.zeros(1), 1e-4,
     )  # fmt: skip

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
-from sim2real.diagnose.link.event_filter import EventFilter, Filtered, Timing, Track
 from sim2real.inference.correlated_noise import whitened
 from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.processes import shared
+from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
 from sim2real.servo.linearised import Residual, servo_modes
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ MOST_LAGS = 6
 EFFECTS = ("latency_jitter", "packet_loss")
 HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
 """Halfwidths of the delays from which the search for jitter starts."""
-FIRST_LOSS = Timing(0.02, 0.1)
+FIRST_LOSS = Arrivals(0.02, 0.1)
 """Losses from which the search for them starts."""
 _STEP = 0.1
 """Relative step by which a curvature is measured."""
@@ -53,6 +53,8 @@ class Uneven:
         shares: Gain at each joint by itself.
         common: Whether a set-point is lost for all joints at once.
         burst: Mean number of set-points that are lost in succession.
+        unexplained: For each joint, by recording, the residual in rad without what the irregular
+            timing is expected to do, shape (T,).
     """
 
     effect: str
@@ -62,6 +64,7 @@ class Uneven:
     shares: tuple[float, ...] = ()
     common: bool = False
     burst: float = 1.0
+    unexplained: tuple[tuple[Array, ...], ...] = ()
 
 
 def links(robots: Sequence[LinkData]) -> list[Uneven]:
@@ -104,116 +107,134 @@ class LinkFit:
 
     Attributes:
         gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
-        timing: How set-points arrive.
+        arrivals: How set-points arrive.
         noises: Of each joint.
     """
 
     def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
         self.joints, self.effect, self.common = joints, effect, common
-        self.gain, self.timing = 0.0, FIRST_LOSS if effect == "packet_loss" else Timing()
+        self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
         self.noises = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
-        guesses = [self._climb(noises, self.timing, steps=1) for noises in starts]
+        guesses = [self._climb(noises, self.arrivals, steps=1) for noises in starts]
         if max(total for total, _, _ in guesses) < alone:
             return
-        guesses = [self._climb(noises, self.timing, steps=2) for noises in starts]
-        total, timing, noises = max(guesses, key=lambda guess: guess[0])
-        total, timing, noises = self._climb(noises, timing, steps=6)
+        guesses = [self._climb(noises, self.arrivals, steps=2) for noises in starts]
+        total, arrivals, noises = max(guesses, key=lambda guess: guess[0])
+        total, arrivals, noises = self._climb(noises, arrivals, steps=6)
         if total > alone:
-            self.gain, self.timing, self.noises = total - alone, timing, noises
+            self.gain, self.arrivals, self.noises = total - alone, arrivals, noises
 
     def _climb(
-        self, noises: list[Noise], timing: Timing, steps: int
-    ) -> tuple[float, Timing, list[Noise]]:
-        """The best log-likelihood, timing and noises of a few alternations between the two."""
-        best: tuple[float, Timing, list[Noise]] = (-np.inf, timing, noises)
+        self, noises: list[Noise], arrivals: Arrivals, steps: int
+    ) -> tuple[float, Arrivals, list[Noise]]:
+        """The best log-likelihood, arrivals and noises of a few alternations between the two."""
+        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noises)
         for _ in range(steps):
             events = self._filter(noises)
-            timing, results = (self._losses if timing.loss else self._delays)(events, timing)
+            arrivals, results = (self._losses if arrivals.loss else self._delays)(events, arrivals)
             total = _total(results)
             gained = total - best[0]
             if gained > 0:
-                best = (total, timing, noises)
+                best = (total, arrivals, noises)
             if gained < DECISION.link.min_gain:
                 break
-            noises = self._renewed(noises, events, timing, results)
+            noises = self._renewed(noises, events, arrivals, results)
         return best
 
     def _filter(self, noises: Sequence[Noise]) -> EventFilter:
-        tracks = [
-            [_track(segment, noise) for segment in joint.segments]
+        channels = [
+            [_channel(segment, noise) for segment in joint.segments]
             for joint, noise in zip(self.joints, noises, strict=True)
         ]
         if self.common:
-            return EventFilter(list(zip(*tracks, strict=True)))
-        return EventFilter([[track] for of_joint in tracks for track in of_joint])
+            return EventFilter(list(zip(*channels, strict=True)))
+        return EventFilter([[channel] for of_joint in channels for channel in of_joint])
 
     def _losses(
-        self, events: EventFilter, timing: Timing, iterations: int = 2
-    ) -> tuple[Timing, list[Filtered]]:
+        self, events: EventFilter, arrivals: Arrivals, iterations: int = 2
+    ) -> tuple[Arrivals, list[Filtered]]:
         """Probabilities of losses by expectation maximisation."""
         for _ in range(iterations):
-            before, (results,) = timing, events.run([timing])
+            before, (results,) = arrivals, events.run([arrivals])
             chances, lost, after, again = np.sum([x.counts for x in results], axis=0)
             first = float(np.clip((lost + 0.5) / (chances + 1), 1e-4, 0.5))
-            timing = Timing(first, float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9)))
+            arrivals = Arrivals(first, float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9)))
         return before, results
 
-    def _delays(self, events: EventFilter, timing: Timing) -> tuple[Timing, list[Filtered]]:
+    def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
         """The likeliest size of the delays on a grid, which is finer once one is known."""
         trials = HALFWIDTHS_S / np.sqrt(3)
-        if timing.delay_sd_s:
-            trials = timing.delay_sd_s * np.geomspace(0.6, 1.7, 9)
-        timings = [Timing(delay_sd_s=float(x)) for x in trials]
+        if arrivals.delay_sd_s:
+            trials = arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 9)
+        options = [Arrivals(delay_sd_s=float(x)) for x in trials]
         return max(
-            zip(timings, events.run(timings, width=1), strict=True), key=lambda x: _total(x[1])
+            zip(options, events.run(options, width=1), strict=True), key=lambda x: _total(x[1])
         )
+
+    def _explained(
+        self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
+    ) -> list[tuple[NoisyJoint, Array]]:
+        """The joints without the expected deviations, and the covariances of these."""
+        deviations = events.expected([x.active for x in results], arrivals)
+        J, ends = len(self.joints), np.cumsum([len(joint.segments) for joint in self.joints])
+        out = []
+        for j, joint in enumerate(self.joints):
+            own = slice(ends[j] - len(joint.segments), ends[j])
+            some = deviations[slice(j, None, J) if self.common else own]
+            segments = tuple(
+                replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
+                for s, x in zip(joint.segments, some, strict=True)
+            )
+            covariance = np.sum([x.covariance for x in some], axis=0)
+            out.append((replace(joint, segments=segments), covariance))
+        return out
 
     def _renewed(
         self,
         noises: Sequence[Noise],
         events: EventFilter,
-        timing: Timing,
+        arrivals: Arrivals,
         results: Sequence[Filtered],
     ) -> list[Noise]:
         """The noise of each joint, refitted to what the expected deviations leave."""
-        deviations = events.expected([x.active for x in results], timing)
-        J, out = len(self.joints), []
-        ends = np.cumsum([len(joint.segments) for joint in self.joints])
-        for j, (joint, noise) in enumerate(zip(self.joints, noises, strict=True)):
-            some = (
-                deviations[j::J] if self.common else deviations[: ends[j]][-len(joint.segments) :]
-            )
-            segments = tuple(
-                replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
-                for s, x in zip(joint.segments, some, strict=True)
-            )
-            corrected = replace(joint, segments=segments)
-            spread = np.sum([x.covariance for x in some], axis=0)
-            noise, _ = corrected.settled(noise)
-            series = [[s.left(noise.refit)] for s in segments]
-            noise, _ = corrected.settled(corrected.remodelled(noise, series, spread))
+        out = []
+        explained = self._explained(events, arrivals, results)
+        for (joint, covariance), old in zip(explained, noises, strict=True):
+            noise, _ = joint.settled(old)
+            series = [[s.left(noise.refit)] for s in joint.segments]
+            noise, _ = joint.settled(joint.remodelled(noise, series, covariance))
             taps = np.append(1.0, -noise.model)
-            extra = taps @ (spread[0] + spread[1] / noise.ratio**2) @ taps
+            extra = taps @ (covariance[0] + covariance[1] / noise.ratio**2) @ taps
             out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
         return out
 
     def result(self) -> Uneven:
         """The effect, with its standard deviation and the gain at each joint."""
-        late = self.effect == "latency_jitter"
-        value = self.timing.delay_sd_s * np.sqrt(3) if late else self.timing.loss
-        name = "delay_sd_s" if late else "loss"
-        size = getattr(self.timing, name)
+        arrivals, events = self.arrivals, self._filter(self.noises)
+        name = "delay_sd_s" if self.effect == "latency_jitter" else "loss"
         factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
-        timings = [replace(self.timing, **{name: float(size * x)}) for x in factors]
-        below, here, above = map(_total, self._filter(self.noises).run(timings))
+        options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
+        results = events.run(options)
+        below, here, above = map(_total, results)
         curvature = (2 * here - below - above) / _STEP**2
-        sd = value / np.sqrt(curvature) if curvature > 0 else np.inf
-        shares = tuple(fitted([joint], self.effect)[0].gain for joint in self.joints)
-        burst = 1 / (1 - self.timing.repeated_loss)
-        return Uneven(self.effect, self.gain, float(value), float(sd), shares, self.common, burst)
+        value = arrivals.delay_sd_s * np.sqrt(3) if name == "delay_sd_s" else arrivals.long_run_loss
+        explained = self._explained(events, arrivals, results[1])
+        return Uneven(
+            self.effect,
+            self.gain,
+            float(value),
+            float(value / np.sqrt(curvature)) if curvature > 0 else np.inf,
+            tuple(fitted([joint], self.effect)[0].gain for joint in self.joints),
+            self.common,
+            1 / (1 - arrivals.repeated_loss),
+            tuple(
+                tuple(s.left(noise.refit) for s in joint.segments)
+                for (joint, _), noise in zip(explained, self.noises, strict=True)
+            ),
+        )
 
 
 def _total(results: Sequence[Filtered]) -> float:
@@ -239,10 +260,10 @@ def _white(joint: NoisyJoint) -> Noise:
     return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
 
 
-def _track(segment: Segment, noise: Noise) -> Track:
+def _channel(segment: Segment, noise: Noise) -> Channel:
     of, residual = segment.source, segment.left(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
-    return Track(
+    return Channel(
         of.t, of.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
         noise.model, noise.variance,
     )  # fmt: skip

@@ -27,6 +27,9 @@ from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_
 
 Array = NDArray[np.float64]
 
+SATURATION = "torque_saturation"
+"""The effect that limits a motor's torque at any speed; at the data sheet's torque it is no effect
+but the motor's law, and fitted with it."""
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""
 _SENSOR = ("sensor_gain", "sensor_offset")
@@ -93,7 +96,7 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
         plain = tried.plain.fit.servos
         inertia = float(batch.load[batch.first_signal[j], 0])
         kp = float(plain.theta[0, 0])
-        servo = with_effects(plain, base, plain.theta[0], kp, inertia, base)
+        servo = with_effects(plain, base, plain.theta[0], kp, inertia, base - {SATURATION})
         servos.append(replace(servo, joint=np.array([j], dtype=np.int32)))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 

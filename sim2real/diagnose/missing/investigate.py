@@ -16,7 +16,7 @@ from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Grou
 from sim2real.diagnose.missing.effect_search import search
 from sim2real.diagnose.missing.nuisances import size_in_noise
 from sim2real.diagnose.missing.servo_search import ServoSearch
-from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, unmodelled
+from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
@@ -276,15 +276,25 @@ def _with_links(
             link = alone if instead and alone.gain > 0 else beside
             if link.gain > 0:
                 group = Group((link.effect,), DECISION.most_certain, 1.0)
+                remaining = excess(link.unexplained[k], joints[j].traces, batch, _noise(finding))
+                remaining = min(remaining, finding.excess)
                 explained[j] = replace(
                     finding,
                     mismatch=True,
+                    left=remaining > DECISION.structured_excess,
+                    excess=remaining,
                     best=finding.tried.plain if instead else finding.best,
                     groups=(group,) if instead else (*finding.groups, group),
                     link=link,
                     place=k,
                 )
     return explained
+
+
+def _noise(finding: Finding) -> float:
+    """Standard deviation of the innovations of the likeliest set's residual, rad."""
+    fit = finding.best.fit
+    return float(np.sqrt(fit.error2[0] / fit.count[0]))
 
 
 def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:

@@ -87,8 +87,10 @@ def beyond_noise(
     ]
 
 
-def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: float) -> float:
-    """Energy of a residual (R, T) beyond a slow wander, in variances of the noise.
+def excess(
+    residual: Sequence[Array], traces: Sequence[Trace], batch: Batch, noise_rad: float
+) -> float:
+    """Energy of residuals, one a recording, beyond a slow wander, in variances of the noise.
 
     The residual is whitened for white noise and ``RESIDUAL_WANDER``.
     """

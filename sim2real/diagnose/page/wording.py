@@ -113,7 +113,7 @@ def _named_groups(results: Mapping[str, JointFindings]) -> list[_Named]:
     for effect, where in shared.items():
         likeliest = max((group for _, group in where), key=lambda group: group.probability)
         joints = tuple(joint for joint, _ in where)
-        place: str = named(effect).component if len(joints) > 1 else joints[0]
+        place: str = named(effect).component if len(results) > 1 else joints[0]
         groups.append(_Named(likeliest, joints, place))
         if len(joints) > 1:
             mimicked.update(named(effect).mimics)

@@ -18,8 +18,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim2real.diagnose.link.event_kernels import COUNTS, expect, run_filter
 from sim2real.inference.correlated_noise import whitened
+from sim2real.servo.event_kernels import COUNTS, expect, run_filter
 from sim2real.servo.linearised import Modes
 from sim2real.servo.rollout import to_warp
 
@@ -28,7 +28,7 @@ Integers = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
-class Track:
+class Channel:
     """One joint in one recording.
 
     Attributes:
@@ -56,7 +56,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Timing:
+class Arrivals:
     """How set-points arrive.
 
     Losses are those of Gilbert, Bell System Technical Journal 39 (1960) 1253-1265; delays are
@@ -72,13 +72,18 @@ class Timing:
     repeated_loss: float = 0.0
     delay_sd_s: float = 0.0
 
+    @property
+    def long_run_loss(self) -> float:
+        """Share of the set-points that are lost in the long run."""
+        return self.loss / (self.loss + 1 - self.repeated_loss)
+
 
 @dataclass(frozen=True)
 class Filtered:
-    """What the filter says of one group of tracks that share their events.
+    """What the filter says of one group of channels that share their events.
 
     Attributes:
-        loglikelihood: Of the innovations, up to a constant that no ``Timing`` changes.
+        loglikelihood: Of the innovations, up to a constant that no ``Arrivals`` changes.
         counts: Expected counts, shape (COUNTS,).
         active: Index of the set-point in force in each slot of the likeliest history, shape (T,).
         error2: Expected sum of squares of normalised innovations.
@@ -109,64 +114,64 @@ _MODEL = 9
 
 
 class EventFilter:
-    """Tracks, ready to be filtered under any timing.
+    """Channels, ready to be filtered under any arrivals.
 
     Slot k begins when set-point k would be in force at its usual latency.
 
     Args:
-        groups: Tracks that share their events; those of one group have the same set-point times.
+        groups: Channels that share their events; those of one group have the same set-point times.
         alike: Difference of two deviations, in standard deviations of the noise, below which they
             are the same.
     """
 
-    def __init__(self, groups: Sequence[Sequence[Track]], alike: float = 0.1) -> None:
-        tracks = [track for group in groups for track in group]
+    def __init__(self, groups: Sequence[Sequence[Channel]], alike: float = 0.1) -> None:
+        channels = [channel for group in groups for channel in group]
         self.groups = [list(group) for group in groups]
-        self.order = max(track.autoregression.size for track in tracks)
-        start = np.cumsum([0, *(track.t.size for track in tracks)])[:-1]
-        lines = [_timeline(track) for track in tracks]
+        self.order = max(channel.autoregression.size for channel in channels)
+        start = np.cumsum([0, *(channel.t.size for channel in channels)])[:-1]
+        lines = [_timeline(channel) for channel in channels]
         self._slots = np.array(
-            [min(_slots(track) for track in group) for group in groups], dtype=np.int32
+            [min(_slots(channel) for channel in group) for group in groups], dtype=np.int32
         )
         ends = np.concatenate(
             [
-                np.append(first, track.t.size) + at
-                for (_, _, first), track, at in zip(lines, tracks, start, strict=True)
+                np.append(first, channel.t.size) + at
+                for (_, _, first), channel, at in zip(lines, channels, start, strict=True)
             ]
         )
-        model = np.zeros((len(tracks), self.order))
-        for row, track in zip(model, tracks, strict=True):
-            row[: track.autoregression.size] = track.autoregression
+        model = np.zeros((len(channels), self.order))
+        for row, channel in zip(model, channels, strict=True):
+            row[: channel.autoregression.size] = channel.autoregression
         self._inputs = [
             np.cumsum([0, *(len(group) for group in groups)]).astype(np.int32),
             self._slots,
             start.astype(np.int32),
-            np.concatenate([track.command for track in tracks]),
+            np.concatenate([channel.command for channel in channels]),
             np.concatenate([within for within, _, _ in lines]),
             np.concatenate([tail for _, tail, _ in lines]),
             ends.astype(np.int32),
-            np.concatenate([_innovations(track) for track in tracks]),
-            np.concatenate([track.scale * np.sqrt(track.variance) for track in tracks]),
+            np.concatenate([_innovations(channel) for channel in channels]),
+            np.concatenate([channel.scale * np.sqrt(channel.variance) for channel in channels]),
             model,
-            np.array([track.modes.gain for track in tracks]),
+            np.array([channel.modes.gain for channel in channels]),
         ]
 
-        sd = np.array([alike * np.sqrt(track.variance) for track in tracks])
-        speed = np.array([abs(x.modes.fast * x.modes.slow) ** 0.5 for x in tracks])
+        sd = np.array([alike * np.sqrt(channel.variance) for channel in channels])
+        speed = np.array([abs(x.modes.fast * x.modes.slow) ** 0.5 for x in channels])
         self._tolerance = np.stack([sd, sd * speed], axis=1)
 
-    def run(self, timings: Sequence[Timing], *, width: int = 32) -> list[list[Filtered]]:
-        """Filter every group under each timing.
+    def run(self, options: Sequence[Arrivals], *, width: int = 32) -> list[list[Filtered]]:
+        """Filter every group under each arrivals.
 
         Args:
-            timings: One or several.
+            options: One or several.
             width: Hypotheses that are kept.
 
         Returns:
-            For each timing the result of each group.
+            For each arrivals the result of each group.
         """
-        G, S, n, K = len(self.groups), len(timings), self.order + 2, int(self._slots.max())
-        rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s] for x in timings])
+        G, S, n, K = len(self.groups), len(options), self.order + 2, int(self._slots.max())
+        rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s] for x in options])
         pool = 3 * width  # those kept, and two continuations of each
         joints = max(len(group) for group in self.groups)
         results: tuple[Any, ...] = (
@@ -200,7 +205,7 @@ class EventFilter:
         ]
 
     def expected(
-        self, active: Sequence[Integers], timing: Timing, span_s: float = 0.1
+        self, active: Sequence[Integers], arrivals: Arrivals, span_s: float = 0.1
     ) -> list[Deviation]:
         """Deviations along one history of each group, smoothed with a fixed lag.
 
@@ -209,22 +214,22 @@ class EventFilter:
 
         Args:
             active: Set-point in force in each slot, for each group.
-            timing: Of which the Gaussian part counts.
+            arrivals: Of which the Gaussian part counts.
             span_s: Time by which the estimate lags behind the samples that it knows.
 
         Returns:
-            Of each track, group by group.
+            Of each channel, group by group.
         """
-        p, tracks = self.order, [track for group in self.groups for track in group]
-        period = float(np.median(np.concatenate([np.diff(track.t) for track in tracks])))
+        p, channels = self.order, [channel for group in self.groups for channel in group]
+        period = float(np.median(np.concatenate([np.diff(channel.t) for channel in channels])))
         behind = int(np.clip(round(span_s / period), 2, 12))
         order = p + behind + 1
         model = np.pad(self._inputs[_MODEL], ((0, 0), (0, behind + 1)))
-        rest = np.concatenate([track.rests for track in tracks]).astype(np.int32)
+        rest = np.concatenate([channel.rests for channel in channels]).astype(np.int32)
         path = np.zeros((len(active), int(self._slots.max())), dtype=np.int32)
         for row, some in zip(path, active, strict=True):
             row[: some.size] = some
-        n, N = order + 2, len(tracks)
+        n, N = order + 2, len(channels)
         mean: Any = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
         covariance: Any = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
         scratch = [
@@ -233,31 +238,31 @@ class EventFilter:
         ]
         inputs = [*self._inputs[:_MODEL], model, self._inputs[-1], path, rest]
         arrays = [to_warp(x, "cpu") for x in inputs]
-        sizes = p, timing.delay_sd_s
+        sizes = p, arrivals.delay_sd_s
         wp.launch(expect, N, [*arrays, *sizes, *scratch, mean, covariance], device="cpu")
-        parts = np.split(mean.numpy(), np.cumsum([track.t.size for track in tracks])[:-1])
+        parts = np.split(mean.numpy(), np.cumsum([channel.t.size for channel in channels])[:-1])
         sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)
         return [Deviation(a, b) for a, b in zip(parts, sums, strict=True)]
 
 
-def _innovations(track: Track) -> Array:
+def _innovations(channel: Channel) -> Array:
     """Innovations of the residual without any deviation, 0 where not counted, shape (T,)."""
-    return np.where(track.scale > 0, whitened(track.residual, track.autoregression), 0.0)
+    return np.where(channel.scale > 0, whitened(channel.residual, channel.autoregression), 0.0)
 
 
-def _slots(track: Track) -> int:
+def _slots(channel: Channel) -> int:
     """Number of slots that begin before the recording ends."""
-    return int(np.searchsorted(track.t + track.latency_s, track.t[-1], side="right"))
+    return int(np.searchsorted(channel.t + channel.latency_s, channel.t[-1], side="right"))
 
 
-def _timeline(track: Track) -> tuple[Array, Array, NDArray[np.intp]]:
+def _timeline(channel: Channel) -> tuple[Array, Array, NDArray[np.intp]]:
     """Propagation to each sample, that to the end of each slot, and each slot's first sample.
 
     Rows are those of ``propagator``. A sample is reached from the one before or from the beginning
     of its slot, whichever is later.
     """
-    t = track.t
-    begins = t + track.latency_s
+    t = channel.t
+    begins = t + channel.latency_s
     begins[0] = t[0]
     slot = np.searchsorted(begins, t, side="right") - 1
     within = t - np.maximum(np.append(t[0], t[:-1]), begins[slot])
@@ -265,7 +270,7 @@ def _timeline(track: Track) -> tuple[Array, Array, NDArray[np.intp]]:
     last = np.searchsorted(t, ends) - 1
     tail = ends - np.maximum(t[last], begins)
     first = np.searchsorted(slot, np.arange(t.size))
-    return propagator(track.modes, within), propagator(track.modes, tail), first
+    return propagator(channel.modes, within), propagator(channel.modes, tail), first
 
 
 def propagator(modes: Modes, x: Array) -> Array:
