@@ -211,7 +211,7 @@ def _identify_joint(
     stated = data[0].load
     motor = None
     if servo is not None and not without_influence:
-        motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
+        motor = choose_motor(fitted, best, servo, noise, rng, prior)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)

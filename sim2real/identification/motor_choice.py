@@ -8,7 +8,8 @@ import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, soft_starts
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
+from sim2real.identification.motor_problem import LOSS_SEARCH
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
@@ -17,9 +18,6 @@ from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
-
-FACTORS = (0.5, 2.0)
-"""Factors on the width of the prior of losses, for the average of fits."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ def choose_motor(
     rng: np.random.Generator,
     servo_type: ServoType | None = None,
     *,
-    average: bool = False,
     criteria: MotorCriteria = MOTOR_CRITERIA,
 ) -> MotorFit:
     """Fit the motor's line and, if that does not explain the recordings, its losses.
@@ -70,8 +67,6 @@ def choose_motor(
         noise: Standard deviation of its sensor noise in rad.
         rng: Generator for starts.
         servo_type: Prior from other servos of its type.
-        average: Whether fits with losses that do not explain the recordings are averaged over
-            priors of the usual, half and twice the width, if the load is known.
         criteria: Criteria of the selection.
     """
     prior = motor_prior(servo, fitted)
@@ -85,17 +80,7 @@ def choose_motor(
     looped = None if explained or ratio > criteria.loop_error_before else fit_sampled_loop(chosen)
     if looped is not None and rms(looped.fit.residuals) <= criteria.loop_error_after * noise:
         return _better(chosen, looped, criteria.loop_parameters, criteria=criteria)
-    names = [prior.names[k] for k in chosen.problem.free[3:]]
-    stated = fitted[0].load is not PER_INERTIA  # else minima are too far apart to be averaged
-    if (
-        not (average and stated)
-        or servo_type is not None
-        or ratio < EXPLAINED
-        or LOSSES[0] not in names
-    ):
-        return chosen
-    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
-    return averaged([chosen, *others])
+    return chosen
 
 
 def _fit_continuous(
@@ -116,7 +101,9 @@ def _fit_continuous(
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
-    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
+    full = fit_motor(
+        fitted, plain, prior, (*line, *LOSSES), rng, start=first.x, search=LOSS_SEARCH
+    )
     chosen = _better(first, full, len(LOSSES), criteria=criteria)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen

@@ -17,7 +17,7 @@ from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import OUTLIER_SD, Expansion, minimise, robust_scale, stacked
 from sim2real.inference.multi_start import cannot_win
 from sim2real.inference.parameters import Parameter
-from sim2real.servo.parameters import LOOP, SOFT, motor_of
+from sim2real.servo.parameters import LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
@@ -38,7 +38,7 @@ class MotorFit:
         x: Parameters as searched.
         problem: The problem.
         inflation: Number of samples per independent sample.
-        rivals: Losses of the other starts relative to the smallest.
+        others: Other minima that fit as well or better, as searched, shape (M, F).
     """
 
     fit: Fit
@@ -46,7 +46,7 @@ class MotorFit:
     x: Array
     problem: MotorProblem
     inflation: float
-    rivals: Array
+    others: Array
 
     @property
     def with_gains(self) -> bool:
@@ -121,6 +121,8 @@ def fit_motor(
 
     Candidates drawn from the prior about the plain servo are ranked by their error. Simultaneous
     Levenberg-Marquardt searches start from the best ones and from the plain servo without a limit.
+    With losses among the parameters the loss has many minima, as a servo sticks or just does not;
+    of those that fit the recordings the one is taken whose neighbours fit best (``_robust_order``).
     The likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh
     the prior; its scale is estimated again between rounds.
 
@@ -165,10 +167,13 @@ def fit_motor(
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
         if number:
-            x, loss = x[loss < loss[0] + 30], loss[loss < loss[0] + 30]
+            x, loss = x[loss < loss[0] + search.behind], loss[loss < loss[0] + search.behind]
         if number and abs(scale / before - 1) < 0.05:
             break
-    return _result(problem, x[0], scale, inflation, loss)
+    if not set(LOSSES).isdisjoint(free_names):
+        order = _robust_order(problem, x, scale, inflation, rng)
+        x, loss = x[order], loss[order]
+    return _result(problem, x, scale, inflation, loss)
 
 
 def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorFit]:
@@ -181,18 +186,7 @@ def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> list[MotorF
     order = np.argsort(loss)
     inflation = [_inflation(error, problem.traces) for error in problem.residuals(x)]
     scale = motor.fit.scale_rad
-    return [_result(problem, x[k], scale, inflation[k], loss[k : k + 1]) for k in order]
-
-
-def averaged(fits: Sequence[MotorFit]) -> MotorFit:
-    """Mean of fits with the same free parameters, evaluated with the prior of the first.
-
-    The mean is that of the searched variables: the logarithms of gains, torque and speed.
-    """
-    first = fits[0]
-    x = np.mean([fit.x for fit in fits], axis=0)
-    loss = first.losses(x[None])
-    return _result(first.problem, x, first.fit.scale_rad, first.inflation, loss)
+    return [_result(problem, x[[k]], scale, inflation[k], loss[[k]]) for k in order]
 
 
 def soft_starts(motor: MotorFit) -> Array:
@@ -302,11 +296,39 @@ def _search(
     return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
 
 
+def _robust_order(
+    problem: MotorProblem, x: Array, scale: float, inflation: float, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
+
+    Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow
+    minimum owes its small loss to a coincidence, for instance of the moment at which the shaft
+    sticks, and predicts other motions badly; so the expected loss of uncertain parameters is what
+    counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied Mechanics and
+    Engineering 196 (2007) 3190-3218, sec. 2.2).
+    """
+    search, prior = problem.search, problem.prior
+    varied = [k for k in problem.free if prior.parameters[k].name in (ROTOR, *LOSSES)]
+    width = search.neighbourhood * np.array([prior.parameters[k].sd for k in varied])
+    offset = width * rng.standard_normal((search.neighbours, len(varied)))
+    low, high, _ = problem.box
+    means = np.empty(len(x))
+    for k, minimum in enumerate(x):
+        nearby = np.tile(minimum, (search.neighbours, 1))
+        nearby[:, varied] += offset
+        # A loss below 0 is reflected.
+        moved = np.maximum(nearby[:, problem.free], 2 * low - nearby[:, problem.free])
+        nearby[:, problem.free] = np.minimum(moved, high)
+        error = problem.coarse.residuals(nearby)
+        means[k] = _loss(problem, nearby, error, scale, inflation).mean()
+    return np.argsort(means)
+
+
 def _result(
-    problem: MotorProblem, x: Array, scale: float, inflation: float, losses: Array
+    problem: MotorProblem, minima: Array, scale: float, inflation: float, losses: Array
 ) -> MotorFit:
-    """The fit, in SI units of the parameters."""
-    prior, free = problem.prior, list(problem.free)
+    """The fit at the first of some minima (M, F), in SI units of the parameters."""
+    prior, free, x = problem.prior, list(problem.free), minima[0]
     error, slopes = problem.slopes(x)
     values = prior.values(x)
     factor = np.array([values[k] if prior.parameters[k].log else 1.0 for k in free])
@@ -329,4 +351,5 @@ def _result(
         prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )
-    return MotorFit(fit, float(losses[0]), x, problem, inflation, losses[1:] - losses[0])
+    as_good = losses[1:] < losses[0] + problem.search.as_good
+    return MotorFit(fit, float(losses[0]), x, problem, inflation, minima[1:][as_good])

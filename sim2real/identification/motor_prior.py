@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LINE, LOOP
+from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
@@ -22,12 +23,12 @@ class Spreads:
 
     Attributes:
         losses: Factor on the standard deviations of losses and friction below.
-        reported: Standard deviation of the logarithm of the drive that the servo reports; infinite
-            to ignore it.
+        reported: Standard deviation of the logarithm of the gain that the reported drive shows, and
+            of that of the damping; infinite to ignore it.
     """
 
     losses: float = 1.0
-    reported: float = 0.05
+    reported: float = 0.01
 
 
 SPREADS = Spreads()
@@ -91,12 +92,12 @@ class MotorPrior:
 
     Attributes:
         parameters: Prior of each, gains and latency first.
-        per_rad: Drive per radian of error that the servo reports, if it does.
+        drive: Controller that the reported drive shows, if the servo reports it.
         back_emf_sd: Scale of the logarithm of damping about that by the back-EMF.
     """
 
     parameters: tuple[ParameterPrior, ...]
-    per_rad: float | None
+    drive: ReportedDrive | None
     back_emf_sd: float = PRIOR_SETTINGS.back_emf_sd
 
     @property
@@ -107,14 +108,6 @@ class MotorPrior:
     def index(self, name: str) -> int:
         """Index of a parameter."""
         return self.names.index(name)
-
-    def loosened(self, factor: float) -> MotorPrior:
-        """The prior with the standard deviations of losses and friction multiplied by a factor."""
-        parameters = tuple(
-            b if b.log or not np.isfinite(b.sd) else replace(b, sd=factor * b.sd)
-            for b in self.parameters
-        )
-        return replace(self, parameters=parameters)
 
     def values(self, x: Array) -> Array:
         """Parameters in SI units from those searched, shape (..., F)."""
@@ -131,12 +124,16 @@ class MotorPrior:
         sd = np.array([parameter.sd for parameter in self.parameters])
         normal_terms = (x - middle) / sd
         kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        damping = (kd - stall + no_load_speed) / self.back_emf_sd
-        damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
-        drive = np.zeros_like(kp)
-        if self.per_rad is not None:
-            drive = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
-        return np.hstack([normal_terms, damping[:, None], drive[:, None]])
+        if self.drive is not None and np.isfinite(SPREADS.reported):
+            back_emf = np.exp(stall - no_load_speed)
+            damping = kd - np.log(back_emf + self.drive.lead_s * np.exp(kp))
+            drive = kp - stall - np.log(self.drive.per_rad)
+            ties = np.stack([damping, drive], axis=1) / SPREADS.reported
+        else:
+            damping = (kd - stall + no_load_speed) / self.back_emf_sd
+            damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
+            ties = np.stack([damping, np.zeros_like(kp)], axis=1)
+        return np.hstack([normal_terms, ties])
 
 
 def motor_prior(
@@ -144,7 +141,9 @@ def motor_prior(
 ) -> MotorPrior:
     """The prior of a servo's law from its data sheet and, if it is reported, its drive.
 
-    Torque and speed of the data sheet are those of the motor's line without friction, within the
+    A servo that reports its drive shows its controller: kp is that gain times the stall torque, the
+    damping that of the back-EMF and of the controller's derivative term, and the latency is known
+    to a sampling period. Torque and speed of the data sheet are those of the motor's line without friction, within the
     prior's width. The rotor inertia follows from a motor's time constant; the ratios of friction
     are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
     """
@@ -154,7 +153,10 @@ def motor_prior(
     if not load_known:
         stall, torque_sd = speed / settings.motor_time_s, settings.unknown_sd
     damping = stall / speed
-    slopes = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
+    drive = _common_drive(traces)
+    latency = ParameterPrior("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02)
+    if drive is not None and np.isfinite(SPREADS.reported):
+        latency = replace(latency, middle=drive.latency_s, sd=drive.period_s)
     inertia = traces[0].load.inertia_kgm2
 
     def log(
@@ -172,7 +174,7 @@ def motor_prior(
             ParameterPrior(
                 "kd_Nms_per_rad", True, 0.0, _FREE, 1e-3 * inertia, 1.6e3 * inertia, 0.3
             ),
-            ParameterPrior("latency_s", False, 0.0, _FREE, 0.0, 0.5, 0.02),
+            latency,
             log(LINE[0], stall, torque_sd),
             log(LINE[1], speed, settings.sheet_sd[1]),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
@@ -192,6 +194,12 @@ def motor_prior(
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
             *(ParameterPrior(name, False, 0.0, _FREE, 0.0, 0.05, settings.tick_s) for name in LOOP),
         ),
-        float(np.median(slopes)) if slopes else None,
+        drive,
         settings.back_emf_sd,
     )
+
+
+def _common_drive(traces: Sequence[Trace]) -> ReportedDrive | None:
+    """Median of the controllers that the recordings show; None if none reports its drive."""
+    drives = [astuple(trace.drive) for trace in traces if trace.drive is not None]
+    return ReportedDrive(*(float(x) for x in np.median(drives, axis=0))) if drives else None

@@ -37,6 +37,9 @@ class MotorSearch:
         same: Distance in units below which two searches approach the same minimum.
         behind: Largest difference of log-likelihood to the best search at which one continues.
         promise: Assumed remaining gain as a multiple of the gain expected from the next step.
+        neighbours: Number of neighbours of a minimum whose loss is averaged.
+        neighbourhood: Their standard deviation relative to the prior's.
+        as_good: Twice the log-likelihood by which a minimum that fits as well may be worse.
     """
 
     candidates: int = 64
@@ -52,10 +55,18 @@ class MotorSearch:
     same: float = 0.1
     behind: float = 30.0
     promise: float = 5.0
+    neighbours: int = 64
+    neighbourhood: float = 0.1
+    as_good: float = 2.0
 
 
 MOTOR_SEARCH = MotorSearch()
 """The defaults."""
+
+LOSS_SEARCH = MotorSearch(
+    candidates=256, starts=12, first_steps=40, later_steps=25, behind=200.0
+)
+"""Settings with losses, whose loss has many minima."""
 
 
 @dataclass(frozen=True)
