@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.effects import Effect
 from sim2real.identification.control_loop import undetected_loop
@@ -17,6 +18,8 @@ from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
 from sim2real.units import readable_name
+
+Array = NDArray[np.float64]
 
 ABOVE_NOISE = 2.0
 """Multiple of the noise above which residuals are reported as a misfit."""
@@ -120,6 +123,34 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
                 "type of the servo and the supply voltage"
             )
     return notes
+
+
+def on_optima(
+    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array]
+) -> list[str]:
+    """A note on the other optimum that differs most, if one fits the recordings as well.
+
+    Args:
+        names: Columns of the F fitted parameters.
+        values: Their values, shape (F,).
+        half_width: Half-widths of their 90 % intervals, shape (F,).
+        optima: Values at other optima with the same loss, each of shape (F,).
+    """
+    apart = [np.abs(other - values) > half_width for other in optima]
+    if not any(differs.any() for differs in apart):
+        return []
+    most = max(range(len(apart)), key=lambda k: int(apart[k].sum()))
+    differences = ", ".join(
+        f"{readable_name(name)} {other:.3g} instead of {value:.3g}"
+        for name, value, other, differs in zip(
+            names, values, optima[most], apart[most], strict=True
+        )
+        if differs
+    )
+    return [
+        f"another optimum fits these recordings as well, with {differences}; recordings of other "
+        "motions, loads or gains distinguish them"
+    ]
 
 
 def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:

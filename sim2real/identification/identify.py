@@ -16,7 +16,12 @@ from sim2real.identification import advice
 from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import Fit, best_of, fit, gains, inertia_left_out, residuals
 from sim2real.identification.initial_guess import first_guess
-from sim2real.identification.intervals import intervals, motor_intervals, symmetric_intervals
+from sim2real.identification.intervals import (
+    as_good,
+    intervals,
+    motor_intervals,
+    symmetric_intervals,
+)
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
@@ -226,12 +231,17 @@ def _identify_joint(
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
+        notes += advice.on_optima(
+            best.names, best.values, spread.half_width, list(motor.other_values)
+        )
     else:
         if stated is not PER_INERTIA and shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, stated)
         units = _units(best)
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
+        optima = [other.values for other in as_good(rivals, best, spread)]
+        notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     if motor is not None and servo is not None:
         motor_spread = uncertainty(motor.fit, motor.units)
         notes += advice.on_motor(motor, motor_spread, servo)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +42,7 @@ def intervals(
         fitted: The recordings.
         largest_symmetric: Half-width in natural units above which symmetric ends are not used.
     """
-    equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
+    equal = as_good(rivals, best, spread)
     undetermined = {k for direction in spread.open_directions for k in direction}
     result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
     for k, p in enumerate(best.parameters):
@@ -57,6 +59,11 @@ def intervals(
         ends = (min(ends[0], *values), max(ends[1], *values))
         result[p.name] = (ends[0], np.inf if ends[1] == p.high else ends[1])
     return result
+
+
+def as_good(others: Sequence[Fit], best: Fit, spread: Uncertainty) -> list[Fit]:
+    """The fits that explain the recordings as well as the best one, at 90 % confidence."""
+    return [other for other in others if _excess(other, best, spread.inflation) < _CHI2_90]
 
 
 def symmetric_intervals(

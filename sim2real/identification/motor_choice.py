@@ -9,8 +9,8 @@ import numpy as np
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
 from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
-from sim2real.identification.motor_problem import LOSS_SEARCH
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
+from sim2real.identification.motor_problem import LOSS_SEARCH
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
@@ -101,9 +101,7 @@ def _fit_continuous(
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
-    full = fit_motor(
-        fitted, plain, prior, (*line, *LOSSES), rng, start=first.x, search=LOSS_SEARCH
-    )
+    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x, search=LOSS_SEARCH)
     chosen = _better(first, full, len(LOSSES), criteria=criteria)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen

@@ -88,6 +88,11 @@ class MotorFit:
         deviation = np.abs(self.x[list(self.problem.free)] - middle)
         return np.asarray(deviation > 2 * self.prior_sd)
 
+    @property
+    def other_values(self) -> Array:
+        """Free parameters at the other minima, in SI units, shape (M, F)."""
+        return self.problem.prior.values(self.others)[:, list(self.problem.free)]
+
     def losses(self, x: Array) -> Array:
         """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,)."""
         return self._losses(self.problem, x)

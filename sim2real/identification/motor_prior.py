@@ -131,7 +131,8 @@ class MotorPrior:
             ties = np.stack([damping, drive], axis=1) / SPREADS.reported
         else:
             damping = (kd - stall + no_load_speed) / self.back_emf_sd
-            damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
+            # tails of a Cauchy distribution
+            damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))
             ties = np.stack([damping, np.zeros_like(kp)], axis=1)
         return np.hstack([normal_terms, ties])
 
@@ -143,9 +144,10 @@ def motor_prior(
 
     A servo that reports its drive shows its controller: kp is that gain times the stall torque, the
     damping that of the back-EMF and of the controller's derivative term, and the latency is known
-    to a sampling period. Torque and speed of the data sheet are those of the motor's line without friction, within the
-    prior's width. The rotor inertia follows from a motor's time constant; the ratios of friction
-    are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
+    to a sampling period. Torque and speed of the data sheet are those of the motor's line without
+    friction, within the prior's width. The rotor inertia follows from a motor's time constant; the
+    ratios of friction are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA
+    2025: 0.05 to 0.4).
     """
     stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
     load_known = traces[0].load is not PER_INERTIA

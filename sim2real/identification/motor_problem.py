@@ -63,9 +63,7 @@ class MotorSearch:
 MOTOR_SEARCH = MotorSearch()
 """The defaults."""
 
-LOSS_SEARCH = MotorSearch(
-    candidates=256, starts=12, first_steps=40, later_steps=25, behind=200.0
-)
+LOSS_SEARCH = MotorSearch(candidates=256, starts=12, first_steps=40, later_steps=25, behind=200.0)
 """Settings with losses, whose loss has many minima."""
 
 

@@ -31,15 +31,14 @@ class ReportedDrive:
     period_s: float
 
 
-def reported_drive(
-    t: Array, command: Array, position: Array, load: Array
-) -> ReportedDrive | None:
+def reported_drive(t: Array, command: Array, position: Array, load: Array) -> ReportedDrive | None:
     """The controller, if the reported load is the drive.
 
     The load counts as the drive, as a share of the full drive, if it is between -1 and 1 and
     proportional to the control error until it saturates; a measured torque or current is not.
     Gain, latency and derivative time then follow by least squares from the samples below the limit,
-    to first order in the latency.
+    to first order in the latency. The prior of both times is 0 with a sampling period as standard
+    deviation, which decides where one frequency alone cannot tell them from the gain.
 
     Args:
         t: Times in s, shape (T,).
@@ -60,7 +59,12 @@ def reported_drive(
     power = float(np.sum(drive**2))
     if slope <= 0 or power == 0 or np.sum(residual**2) > _PROPORTIONAL * power:
         return None
+    period = float(np.median(np.diff(t)))
     terms = np.stack([error, np.gradient(command, t), np.gradient(position, t)], axis=1)
-    gain, *rates = np.linalg.lstsq(terms[unsaturated], drive[unsaturated], rcond=None)[0]
+    noise = np.sqrt(np.mean(residual[unsaturated] ** 2))
+    prior = np.diag([0.0, 1.0, 1.0])[1:] * noise / (slope * period)
+    matrix = np.concatenate([terms[unsaturated], prior])
+    target = np.concatenate([drive[unsaturated], np.zeros(len(prior))])
+    gain, *rates = np.linalg.lstsq(matrix, target, rcond=None)[0]
     latency, lead = (max(float(-rate / gain), 0.0) for rate in rates)
-    return ReportedDrive(float(gain), latency, lead, float(np.median(np.diff(t))))
+    return ReportedDrive(float(gain), latency, lead, period)
