@@ -55,7 +55,7 @@ class MotorSearch:
     same: float = 0.1
     behind: float = 30.0
     promise: float = 5.0
-    neighbours: int = 64
+    neighbours: int = 128
     neighbourhood: float = 0.1
     as_good: float = 2.0
 
@@ -63,7 +63,7 @@ class MotorSearch:
 MOTOR_SEARCH = MotorSearch()
 """The defaults."""
 
-LOSS_SEARCH = MotorSearch(candidates=256, starts=12, first_steps=40, later_steps=25, behind=200.0)
+LOSS_SEARCH = MotorSearch(candidates=512, starts=24, first_steps=40, later_steps=25, behind=200.0)
 """Settings with losses, whose loss has many minima."""
 
 

@@ -329,3 +329,31 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
     assert len(said) == (0 if odd else 1)
     if said:
         assert "at 100 Hz" in said[0]
+
+
+def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
+    from types import SimpleNamespace
+
+    from sim2real.identification.motor_fit import _robust_order
+    from sim2real.identification.motor_prior import ParameterPrior
+    from sim2real.identification.motor_problem import MotorSearch
+
+    class Problem(SimpleNamespace):
+        """A narrow minimum of 0 at 0.2 and a wide one of 0.1 at 0.6."""
+
+        def residuals(self, x):
+            narrow = np.minimum(np.abs(x - 0.2) / 0.005, 1.0)
+            wide = np.minimum(0.1 + np.abs(x - 0.6), 1.0)
+            return np.minimum(narrow, wide)
+
+        def terms(self, x):
+            return np.zeros_like(x)
+
+    friction = ParameterPrior("motor.motor_friction", False, 0.0, 0.4, 0.0, 0.9, 0.2)
+    problem = Problem(search=MotorSearch(), prior=SimpleNamespace(parameters=(friction,)))
+    problem.free, problem.box = (0,), (np.array([0.0]), np.array([0.9]), np.array([0.2]))
+    problem.coarse = problem
+    minima = np.array([[0.2], [0.6]])
+    assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
+    order = _robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
+    assert list(order) == [1, 0]
