@@ -11,6 +11,7 @@ from sim2real.effects import Effect
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.play import play_between_pulls
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA, Load, Recording
@@ -35,6 +36,21 @@ def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tupl
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
         notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
+    return tuple(notes)
+
+
+def on_play(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Notes on the play of joints that other servos pull to either side."""
+    notes = []
+    for recording in recordings:
+        for joint in recording.joints:
+            play = play_between_pulls(recording, joint)
+            if play is not None:
+                notes.append(
+                    f"{joint} in {recording.name} rests {1e3 * play.unloaded_rad:.1f} mrad apart "
+                    f"after pulls to either side (play with dead band and friction), and "
+                    f"{1e3 * play.loaded_rad:.1f} mrad while pulled (deflection included)"
+                )
     return tuple(notes)
 
 

@@ -126,7 +126,8 @@ def identify(
     return Model(
         joints={joint: result.model for joint, result in results.items()},
         fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
-        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
+        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving])
+        + advice.on_play(recordings),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
     )
 
