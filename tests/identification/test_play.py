@@ -15,7 +15,7 @@ COUNT_RAD = 2 * np.pi / 4096
 
 
 def pulled(gap_rad, stretch_rad):
-    """j2 and j3 pull j1 in turn; it keeps half the gap on either side and gives way by a stretch."""
+    """j2 and j3 pull j1 in turn; it keeps half the gap on either side and stretches."""
     t = np.arange(0, 24, 0.1)
     phase = t % 4
     first, second = (phase >= 0.5) & (phase < 1.2), (phase >= 2.5) & (phase < 3.2)
