@@ -6,7 +6,7 @@ import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, soft_starts
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
@@ -16,8 +16,6 @@ from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
 
-FACTORS = (0.5, 2.0)
-"""Factors on the width of the prior of losses, for the average of fits."""
 _MIN_GAIN = 6.0
 """Smallest decrease of the loss beyond chance for which parameters are added."""
 _LOOP_PARAMETERS = 12
@@ -35,8 +33,6 @@ def choose_motor(
     noise: float,
     rng: np.random.Generator,
     servo_type: ServoType | None = None,
-    *,
-    average: bool = False,
 ) -> MotorFit:
     """Fit the motor's line and, if that does not explain the recordings, its losses.
 
@@ -52,8 +48,6 @@ def choose_motor(
         noise: Standard deviation of its sensor noise in rad.
         rng: Generator for starts.
         servo_type: Prior from other servos of its type.
-        average: Whether fits with losses that do not explain the recordings are averaged over
-            priors of the usual, half and twice the width, if the load is known.
     """
     prior = motor_prior(servo, fitted)
     if servo_type is not None:
@@ -66,13 +60,7 @@ def choose_motor(
     looped = None if explained or ratio > _LOOP_ERROR_BEFORE else fit_sampled_loop(chosen)
     if looped is not None and rms(looped.fit.residuals) <= _LOOP_ERROR_AFTER * noise:
         return _better(chosen, looped, _LOOP_PARAMETERS)
-    names = [prior.names[k] for k in chosen.problem.free[3:]]
-    stated = fitted[0].load is not PER_INERTIA  # else minima are too far apart to be averaged
-    unclear = servo_type is None and ratio >= EXPLAINED and LOSSES[0] in names
-    if not (average and stated and unclear):
-        return chosen
-    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
-    return averaged([chosen, *others])
+    return chosen
 
 
 def _fit_continuous(
@@ -91,7 +79,19 @@ def _fit_continuous(
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
-    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
+    full = fit_motor(
+        fitted,
+        plain,
+        prior,
+        (*line, *LOSSES),
+        rng,
+        start=first.x,
+        candidates=512,
+        searches=24,
+        first_steps=40,
+        later_steps=25,
+        behind=200.0,
+    )
     chosen = _better(first, full)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from sim2real.inference.least_squares import (
     stacked,
 )
 from sim2real.inference.parameters import Parameter, column
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
 
@@ -28,12 +29,8 @@ Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_CANDIDATES, _STARTS = 64, 4
-"""Number of servos drawn from the prior, and of the best ones, from which searches start."""
 _ROUNDS = 4
 """Number of rounds, between which the scale of the residual is estimated again."""
-_FIRST_STEPS, _LATER_STEPS = 20, 10
-"""Largest number of steps of a search in the first and in later rounds."""
 _SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
 """Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones."""
 _DIFFERENCE = 1e-3
@@ -55,6 +52,8 @@ class MotorProblem:
         free: Indices of the F fitted ones.
         substep_s: Longest sub-step of a rollout, s.
         simulator: Simulator of these traces.
+        steps: Largest number of steps of a search after the first round.
+        behind: Largest difference of log-likelihood to the best search at which one continues.
     """
 
     traces: Sequence[Trace]
@@ -62,6 +61,8 @@ class MotorProblem:
     free: tuple[int, ...]
     substep_s: float
     simulator: Simulator
+    steps: int = 10
+    behind: float = 30.0
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -151,12 +152,14 @@ class MotorFit:
         x: Parameters as searched.
         problem: The problem.
         inflation: Number of samples per independent sample.
+        others: Other minima that fit as well or better, as searched, shape (M, F).
     """
 
     fit: Fit
     x: Array
     problem: MotorProblem
     inflation: float
+    others: Array
 
     @property
     def with_gains(self) -> bool:
@@ -185,6 +188,11 @@ class MotorFit:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
         return np.array([p.log for p in self.fit.parameters])
 
+    @property
+    def other_values(self) -> Array:
+        """Free parameters at the other minima, in SI units, shape (M, F)."""
+        return self.problem.prior.values(self.others)[:, list(self.problem.free)]
+
     def losses(self, x: Array, *, coarse: bool = False) -> Array:
         """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,).
 
@@ -211,11 +219,18 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
+    candidates: int = 64,
+    searches: int = 4,
+    first_steps: int = 20,
+    later_steps: int = 10,
+    behind: float = 30.0,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; other parameters have no effect.
 
     Candidates drawn from the prior about the plain servo are ranked by their error. Simultaneous
     Levenberg-Marquardt searches start from the best ones and from the plain servo without a limit.
+    With losses among the parameters the loss has many minima, as a servo sticks or just does not;
+    of those that fit the recordings the one is taken whose neighbours fit best (``_robust_order``).
     The likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh
     the prior; its scale is estimated again between rounds.
 
@@ -228,6 +243,11 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else those of the plain servo are kept.
+        candidates: Number of servos drawn from the prior.
+        searches: Number of the best ones, from which searches start.
+        first_steps: Largest number of steps of a search in the first round.
+        later_steps: Largest number of steps in later rounds.
+        behind: Largest difference of log-likelihood to the best search at which one continues.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
@@ -235,8 +255,10 @@ def fit_motor(
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = MotorProblem(traces, prior, free, substep, Simulator(traces))
-    x = _candidates(problem, plain, rng, start) if starts is None else starts
+    problem = MotorProblem(
+        traces, prior, free, substep, Simulator(traces), steps=later_steps, behind=behind
+    )
+    x = _candidates(problem, plain, rng, start, candidates) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
@@ -244,7 +266,7 @@ def fit_motor(
         windowed = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[:_STARTS]]
+        x = x[np.argsort(size)[:searches]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation = 1.0, 1.0
@@ -252,37 +274,34 @@ def fit_motor(
         before = scale
         scale, inflation = robust_scale(error), problem.inflation(error)
         if number:
-            x, loss = _search(problem, x, scale, inflation, _LATER_STEPS)
+            x, loss = _search(problem, x, scale, inflation, problem.steps)
         else:
-            x, loss = _search(problem.coarse, x, scale, inflation, _FIRST_STEPS)
+            x, loss = _search(problem.coarse, x, scale, inflation, first_steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
         if number:
-            x = x[loss < loss[0] + 30]
+            x, loss = x[loss < loss[0] + behind], loss[loss < loss[0] + behind]
         if number and abs(scale / before - 1) < 0.05:
             break
-    return _result(problem, x[0], scale, inflation)
+    if not set(LOSSES).isdisjoint(free_names):
+        order = _robust_order(problem, x, scale, inflation, rng)
+        x, loss = x[order], loss[order]
+    return _result(problem, x, loss, scale, inflation)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int = _LATER_STEPS) -> MotorFit:
-    """The best refit with a sampled loop from starts ``x`` (B, F) as searched."""
+def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> MotorFit:
+    """The best refit with a sampled loop from starts ``x`` (B, F) as searched.
+
+    A search has at most ``steps`` steps, by default those of the motor's later rounds.
+    """
+    steps = motor.problem.steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     problem = replace(motor.problem, free=tuple(sorted({*motor.problem.free, period})))
     x, loss = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
-    best = x[np.argsort(loss)[0]]
-    inflation = problem.inflation(problem.residuals(best[None])[0])
-    return _result(problem, best, motor.fit.scale_rad, inflation)
-
-
-def averaged(fits: Sequence[MotorFit]) -> MotorFit:
-    """Mean of fits with the same free parameters, evaluated with the prior of the first.
-
-    The mean is that of the searched variables: the logarithms of gains, torque and speed.
-    """
-    first = fits[0]
-    x = np.mean([fit.x for fit in fits], axis=0)
-    return _result(first.problem, x, first.fit.scale_rad, first.inflation)
+    best = np.argsort(loss)[:1]
+    inflation = problem.inflation(problem.residuals(x[best])[0])
+    return _result(problem, x[best], loss[best], motor.fit.scale_rad, inflation)
 
 
 def soft_starts(motor: MotorFit) -> Array:
@@ -293,25 +312,25 @@ def soft_starts(motor: MotorFit) -> Array:
 
 
 def _candidates(
-    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
+    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None, B: int
 ) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    x = np.full((_CANDIDATES, len(prior.parameters)), -np.inf)
+    x = np.full((B, len(prior.parameters)), -np.inf)
     for k, parameter in enumerate(prior.parameters):
         x[:, k] = -np.inf if parameter.log else 0.0
         if k not in problem.free:
             continue
         width = parameter.prior_sd if np.isfinite(parameter.prior_sd) else 0.0
-        drawn = parameter.nominal + width * rng.standard_normal(_CANDIDATES)
+        drawn = parameter.nominal + width * rng.standard_normal(B)
         x[:, k] = drawn if parameter.log or parameter.nominal else 0.5 * np.abs(drawn)
     damping = prior.parameters[3].nominal - prior.parameters[4].nominal
-    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, _CANDIDATES)
-    x[:, 1] = damping + 0.3 * rng.standard_normal(_CANDIDATES)
-    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), _CANDIDATES)
-    x[: _CANDIDATES // 2, :3] = np.log(kp), np.log(kd), latency
+    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, B)
+    x[:, 1] = damping + 0.3 * rng.standard_normal(B)
+    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), B)
+    x[: B // 2, :3] = np.log(kp), np.log(kd), latency
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
         missing = [k for k in problem.free if np.isneginf(start[k])]
@@ -365,15 +384,72 @@ def _search(
         np.tile(high / unit, (len(x), 1)),
         evaluations=steps,
         settled=_SETTLED,
-        hopeless=cannot_win,
+        hopeless=partial(cannot_win, behind=problem.behind),
         losses=losses,
         look_every=1,
     )
     return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
 
 
-def _result(problem: MotorProblem, x: Array, scale: float, inflation: float) -> MotorFit:
-    """The fit, in SI units of the parameters."""
+def _robust_order(
+    problem: MotorProblem,
+    x: Array,
+    scale: float,
+    inflation: float,
+    rng: np.random.Generator,
+    *,
+    neighbours: int = 128,
+    distance: float = 0.1,
+) -> NDArray[np.intp]:
+    """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
+
+    Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow
+    minimum owes its small loss to a coincidence, for instance of the moment at which the shaft
+    sticks, and predicts other motions badly; so the expected loss of uncertain parameters is what
+    counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied Mechanics and
+    Engineering 196 (2007) 3190-3218, sec. 2.2).
+
+    Args:
+        problem: The problem.
+        x: The minima as searched.
+        scale: Scale of the residual in rad.
+        inflation: Number of samples per independent sample.
+        rng: Generator for the neighbours.
+        neighbours: Number of neighbours of a minimum.
+        distance: Their standard deviation relative to the prior's.
+    """
+    free = list(problem.free)
+    varied = [k for k in free if problem.prior.names[k] in (ROTOR, *LOSSES)]
+    width = distance * column([problem.prior.parameters[k] for k in varied], "prior_sd")
+    offset = width * rng.standard_normal((neighbours, len(varied)))
+    low, high, _ = problem.box
+    means = np.empty(len(x))
+    for k, minimum in enumerate(x):
+        nearby = np.tile(minimum, (neighbours, 1))
+        nearby[:, varied] += offset
+        # A loss below 0 is reflected.
+        moved = np.maximum(nearby[:, free], 2 * low - nearby[:, free])
+        nearby[:, free] = np.minimum(moved, high)
+        error = problem.coarse.residuals(nearby)
+        means[k] = problem.loss(nearby, error, scale, inflation).mean()
+    return np.argsort(means)
+
+
+def _result(
+    problem: MotorProblem,
+    minima: Array,
+    loss: Array,
+    scale: float,
+    inflation: float,
+    *,
+    as_good: float = 2.0,
+) -> MotorFit:
+    """The fit at the first of some minima (M, F), in SI units of the parameters.
+
+    Others count as fitting as well if their ``loss`` (M,), twice the negative log-posterior, is
+    larger by less than ``as_good``.
+    """
+    x = minima[0]
     error, slopes = problem.slopes(x)
     row, unit = problem.rows(x[None])[0], problem.box[2]
     values = problem.prior.values(x)
@@ -390,4 +466,5 @@ def _result(problem: MotorProblem, x: Array, scale: float, inflation: float) -> 
         prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )
-    return MotorFit(fit, x, problem, inflation)
+    others = minima[1:][loss[1:] < loss[0] + as_good]
+    return MotorFit(fit, x, problem, inflation, others)

@@ -5,6 +5,7 @@ Ends of intervals are infinite where the recordings set no bound.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,7 +154,7 @@ def intervals(
         units: Natural unit of each fitted parameter, shape (F,).
         fitted: The recordings.
     """
-    equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
+    equal = as_good(rivals, best, spread)
     result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
     for k, p in enumerate(best.parameters):
         value, half = float(best.values[k]), float(spread.half_width[k])
@@ -169,6 +170,11 @@ def intervals(
         ends = (min(ends[0], *values), max(ends[1], *values))
         result[p.name] = (ends[0], np.inf if ends[1] == p.high else ends[1])
     return result
+
+
+def as_good(others: Sequence[Fit], best: Fit, spread: Uncertainty) -> list[Fit]:
+    """The fits that explain the recordings as well as the best one, at 90 % confidence."""
+    return [other for other in others if _excess(other, best, spread.inflation) < _CHI2_90]
 
 
 def symmetric_intervals(

@@ -12,13 +12,10 @@ from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load, Recording
+from sim2real.servo.reported_drive import ReportedDrive, reported_drive
 
 Array = NDArray[np.float64]
 
-
-_FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
-_FEWEST, _PROPORTIONAL = 50, 0.02
-"""Fewest samples of a drive; largest share of its power that the error does not explain."""
 
 FEWEST_SAMPLES = 20
 """Smallest number of measured angles for a fit."""
@@ -41,8 +38,7 @@ class Trace:
         position: Measured angles in rad, shape (T,), NaN where missing.
         load: The stated load, or ``PER_INERTIA``.
         used: Mask of the samples that the fit may use, shape (T,).
-        drive_per_rad: Reported drive, as a share of the full drive, per radian of error; None if
-            the servo does not report its drive.
+        drive: Controller that the reported drive shows; None if the servo does not report it.
     """
 
     name: str
@@ -52,7 +48,7 @@ class Trace:
     position: Array
     load: Load
     used: NDArray[np.bool_]
-    drive_per_rad: float | None = None
+    drive: ReportedDrive | None = None
 
     def window(self, length_s: float) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -83,39 +79,18 @@ def trace(recording: Recording, joint: str) -> Trace:
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
-    error = recording.command[powered, j] - position
-    reported = recording.columns.get(f"{joint}.load")
+    t, command = recording.t[powered], recording.command[powered, j]
+    load = recording.columns.get(f"{joint}.load")
     return Trace(
         name=recording.name,
         file=recording.file,
-        t=recording.t[powered],
-        command=recording.command[powered, j],
+        t=t,
+        command=command,
         position=position,
         load=recording.loads.get(joint, PER_INERTIA),
         used=np.isfinite(position),
-        drive_per_rad=None if reported is None else drive_slope(error, reported[powered]),
+        drive=None if load is None else reported_drive(t, command, position, load[powered]),
     )
-
-
-def drive_slope(error: Array, load: Array) -> float | None:
-    """Slope of the load that a servo reports against its control error, if the load is its drive.
-
-    The reported load is assumed to be the drive, as a share of the full drive, if it is between -1
-    and 1 and proportional to the error until it saturates; a measured torque or current is not.
-    """
-    valid = np.isfinite(error) & np.isfinite(load)
-    if np.count_nonzero(valid) < _FEWEST or np.abs(load[valid]).max() > _FULL + _ROUNDING:
-        return None
-    e, d = error[valid], load[valid]
-    unsaturated = (np.abs(d) < _NEARLY_FULL) & (np.abs(e) > 0)
-    if np.count_nonzero(unsaturated) < _FEWEST:
-        return None
-    slope = float(e[unsaturated] @ d[unsaturated] / (e[unsaturated] @ e[unsaturated]))
-    residual = d - np.clip(slope * e, -_FULL, _FULL)
-    power = float(np.sum(d**2))
-    if slope <= 0 or power == 0 or np.sum(residual**2) > _PROPORTIONAL * power:
-        return None
-    return slope
 
 
 def sensor_noise(traces: Sequence[Trace]) -> float:
