@@ -61,8 +61,8 @@ class MotorProblem:
     free: tuple[int, ...]
     substep_s: float
     simulator: Simulator
-    steps: int = 10
-    behind: float = 30.0
+    steps: int
+    behind: float
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -255,9 +255,8 @@ def fit_motor(
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = MotorProblem(
-        traces, prior, free, substep, Simulator(traces), steps=later_steps, behind=behind
-    )
+    simulator = Simulator(traces)
+    problem = MotorProblem(traces, prior, free, substep, simulator, later_steps, behind)
     x = _candidates(problem, plain, rng, start, candidates) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values

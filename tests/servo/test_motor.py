@@ -348,7 +348,7 @@ def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
             return np.zeros_like(x)
 
     friction = Parameter("motor.motor_friction", 0.0, 0.9, 0.2, 0.0, 0.4)
-    problem = Problem((), MotorPrior((friction,), None), (0,), 0.001, None)
+    problem = Problem((), MotorPrior((friction,), None), (0,), 0.001, None, 10, 30.0)
     minima = np.array([[0.2], [0.6]])
     assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
     order = _robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
