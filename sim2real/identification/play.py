@@ -13,26 +13,6 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PlayWindows:
-    """When the shaft counts as pulled or released.
-
-    Attributes:
-        settling_s: Time after a change of the pulling servo's command that is left out: its own
-            motion and the age of the telemetry.
-        released_s: Length of the window after it in which the shaft rests released.
-        tolerance_rad: Largest difference from the tensioned command.
-    """
-
-    settling_s: float = 0.35
-    released_s: float = 0.5
-    tolerance_rad: float = 0.01
-
-
-PLAY_WINDOWS = PlayWindows()
-"""The defaults."""
-
-
-@dataclass(frozen=True)
 class Play:
     """Difference between the shaft's mean angles after and during pulls to either side, rad.
 
@@ -47,7 +27,12 @@ class Play:
 
 
 def play_between_pulls(
-    recording: Recording, joint: str, *, windows: PlayWindows = PLAY_WINDOWS
+    recording: Recording,
+    joint: str,
+    *,
+    settling_s: float = 0.35,
+    window_s: float = 0.5,
+    tolerance_rad: float = 0.01,
 ) -> Play | None:
     """Play of a joint that two other servos pull by elastic bands, one to either side.
 
@@ -58,7 +43,10 @@ def play_between_pulls(
     Args:
         recording: The recording.
         joint: Name of the pulled joint.
-        windows: When the shaft counts as pulled or released.
+        settling_s: Time after a change of the pulling servo's command that is left out: its own
+            motion and the age of the telemetry.
+        window_s: Longest window after it over which the angle is averaged.
+        tolerance_rad: Largest difference from the tensioned command.
 
     Returns:
         The play; None if the sidecar states no pullers or one of them never pulls.
@@ -69,11 +57,10 @@ def play_between_pulls(
     t, j = recording.t, recording.joints.index(joint)
     position, command = recording.position[:, j], recording.command[:, j]
     tense = {
-        name: np.abs(recording.command[:, recording.joints.index(name)] - end)
-        < windows.tolerance_rad
+        name: np.abs(recording.command[:, recording.joints.index(name)] - end) < tolerance_rad
         for name, end in pullers.items()
     }
-    anyone = np.any(list(tense.values()), axis=0)
+    any_pull = np.any(list(tense.values()), axis=0)
     sides = []
     for pulling in tense.values():
         edges = np.flatnonzero(np.diff(pulling.astype(int), prepend=0, append=0))
@@ -82,12 +69,12 @@ def play_between_pulls(
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             end = min(last, t.size - 1)
             for values, start, stop, must_be_free in (
-                (pulled, t[first] + windows.settling_s, t[end] + windows.settling_s, False),
-                (released, t[end] + windows.settling_s, np.inf, True),
+                (pulled, t[first] + settling_s, t[end] + settling_s, False),
+                (released, t[end] + settling_s, np.inf, True),
             ):
-                inside = (t >= start) & (t < min(stop, start + windows.released_s))
+                inside = (t >= start) & (t < min(stop, start + window_s))
                 steady = inside.any() and np.all(command[inside] == command[first])
-                if steady and not (must_be_free and anyone[inside].any()):
+                if steady and not (must_be_free and any_pull[inside].any()):
                     values.append(float(np.nanmean(position[inside])))
         if not pulled or not released:
             return None

@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
-_FEWEST, _PROPORTIONAL = 50, 0.02
-"""Fewest samples of a drive; largest share of its power that the error does not explain."""
-
 
 @dataclass(frozen=True)
 class ReportedDrive:
@@ -31,7 +27,17 @@ class ReportedDrive:
     period_s: float
 
 
-def reported_drive(t: Array, command: Array, position: Array, load: Array) -> ReportedDrive | None:
+def reported_drive(
+    t: Array,
+    command: Array,
+    position: Array,
+    load: Array,
+    *,
+    fewest: int = 50,
+    saturated: float = 0.95,
+    rounding: float = 0.01,
+    unexplained: float = 0.02,
+) -> ReportedDrive | None:
     """The controller, if the reported load is the drive.
 
     The load counts as the drive, as a share of the full drive, if it is between -1 and 1 and
@@ -44,20 +50,24 @@ def reported_drive(t: Array, command: Array, position: Array, load: Array) -> Re
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
-        load: Reported load, shape (T,).
+        load: Reported load, shape (T,), NaN where missing.
+        fewest: Smallest number of samples.
+        saturated: Drive from which it counts as saturated.
+        rounding: Excess over the full drive that counts as rounding.
+        unexplained: Largest share of the drive's power that the error does not explain.
     """
     error = command - position
     valid = np.isfinite(error) & np.isfinite(load)
-    if np.count_nonzero(valid) < _FEWEST or np.abs(load[valid]).max() > _FULL + _ROUNDING:
+    if np.count_nonzero(valid) < fewest or np.abs(load[valid]).max() > 1 + rounding:
         return None
     t, command, position, error, drive = (x[valid] for x in (t, command, position, error, load))
-    unsaturated = (np.abs(drive) < _NEARLY_FULL) & (np.abs(error) > 0)
-    if np.count_nonzero(unsaturated) < _FEWEST:
+    unsaturated = (np.abs(drive) < saturated) & (np.abs(error) > 0)
+    if np.count_nonzero(unsaturated) < fewest:
         return None
     slope = float(error[unsaturated] @ drive[unsaturated] / np.sum(error[unsaturated] ** 2))
-    residual = drive - np.clip(slope * error, -_FULL, _FULL)
+    residual = drive - np.clip(slope * error, -1.0, 1.0)
     power = float(np.sum(drive**2))
-    if slope <= 0 or power == 0 or np.sum(residual**2) > _PROPORTIONAL * power:
+    if slope <= 0 or power == 0 or np.sum(residual**2) > unexplained * power:
         return None
     period = float(np.median(np.diff(t)))
     terms = np.stack([error, np.gradient(command, t), np.gradient(position, t)], axis=1)
