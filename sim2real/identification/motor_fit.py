@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import WINDOW_S, Fit, errors, plain_row, split_by_trace
+from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import (
@@ -28,20 +28,6 @@ Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_CANDIDATES, _STARTS = 64, 4
-"""Number of servos drawn from the prior, and of the best ones, from which searches start."""
-_ROUNDS = 4
-"""Number of rounds, between which the scale of the residual is estimated again."""
-_FIRST_STEPS, _LATER_STEPS = 20, 10
-"""Largest number of steps of a search in the first and in later rounds."""
-_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
-"""Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones."""
-_DIFFERENCE = 1e-3
-"""Step of the derivatives, in units."""
-_SETTLED = 1e-3
-"""Expected gain in log-likelihood below which a search ends."""
-_LONGEST_SUBSTEP_S, _STEPS_PER_RADIAN = 0.002, 32.0
-"""Longest sub-step, and sub-steps per radian of the fastest mode."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 
 
@@ -122,18 +108,19 @@ class MotorProblem:
         times = [correlation_samples(part) for part in parts]
         return float(np.average(times, weights=[part.size for part in parts]))
 
-    def slopes(self, x: Array) -> tuple[Array, Array]:
+    def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
         _, high, unit = self.box
-        ahead = x[list(self.free)] + _DIFFERENCE * unit
-        step = np.where(ahead > high, -_DIFFERENCE, _DIFFERENCE)
+        ahead = x[list(self.free)] + difference * unit
+        step = np.where(ahead > high, -difference, difference)
         base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
         return base, np.asarray((np.array(moved) - base).T / step)
 
-    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+    def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        base, *moved = self.terms(np.stack([x, *self._perturbed(x, np.full(len(self.free), 1e-5))]))
-        return base, np.asarray((np.array(moved) - base).T / 1e-5)
+        step = np.full(len(self.free), difference)
+        base, *moved = self.terms(np.stack([x, *self._perturbed(x, step)]))
+        return base, np.asarray((np.array(moved) - base).T / difference)
 
     def _perturbed(self, x: Array, step: Array) -> Array:
         """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
@@ -211,6 +198,12 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
+    searches: int = 4,
+    rounds: int = 4,
+    first_steps: int = 20,
+    later_steps: int = 10,
+    longest_substep_s: float = 0.002,
+    steps_per_radian: float = 32.0,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; other parameters have no effect.
 
@@ -228,33 +221,37 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else those of the plain servo are kept.
+        searches: Number of the best candidates, from which searches start.
+        rounds: Number of rounds, between which the scale of the residual is estimated again.
+        first_steps: Largest number of steps of a search in the first round.
+        later_steps: Largest number of steps of a search in later rounds.
+        longest_substep_s: Longest sub-step of a rollout, s.
+        steps_per_radian: Sub-steps per radian of the fastest mode.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
+    substep = float(min(longest_substep_s, 1 / (steps_per_radian * fastest)))
     problem = MotorProblem(traces, prior, free, substep, Simulator(traces))
     x = _candidates(problem, plain, rng, start) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
-        window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+        window = max((trace.window() for trace in traces), key=Trace.activity)
         windowed = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[:_STARTS]]
+        x = x[np.argsort(size)[:searches]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation = 1.0, 1.0
-    for number in range(_ROUNDS):
+    for number in range(rounds):
         before = scale
         scale, inflation = robust_scale(error), problem.inflation(error)
-        if number:
-            x, loss = _search(problem, x, scale, inflation, _LATER_STEPS)
-        else:
-            x, loss = _search(problem.coarse, x, scale, inflation, _FIRST_STEPS)
+        searched, steps = (problem, later_steps) if number else (problem.coarse, first_steps)
+        x, loss = _search(searched, x, scale, inflation, steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -265,7 +262,7 @@ def fit_motor(
     return _result(problem, x[0], scale, inflation)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int = _LATER_STEPS) -> MotorFit:
+def refitted(motor: MotorFit, x: Array, steps: int = 10) -> MotorFit:
     """The best refit with a sampled loop from starts ``x`` (B, F) as searched."""
     period = motor.problem.prior.index(LOOP[0])
     problem = replace(motor.problem, free=tuple(sorted({*motor.problem.free, period})))
@@ -285,33 +282,41 @@ def averaged(fits: Sequence[MotorFit]) -> MotorFit:
     return _result(first.problem, x, first.fit.scale_rad, first.inflation)
 
 
-def soft_starts(motor: MotorFit) -> Array:
-    """Starts as searched (S, F) from a fit, with gradual friction."""
-    x = np.tile(motor.x, (len(_SOFT_S), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+def soft_starts(
+    motor: MotorFit,
+    times_s: Sequence[tuple[float, float]] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3)),
+) -> Array:
+    """Starts as searched (S, F) from a fit, with gradual friction.
+
+    Args:
+        motor: The fit.
+        times_s: Stick and creep time of each start: nearly 0, MuJoCo's, and larger ones.
+    """
+    x = np.tile(motor.x, (len(times_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
     return x
 
 
 def _candidates(
-    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
+    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None, *, B: int = 64
 ) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    x = np.full((_CANDIDATES, len(prior.parameters)), -np.inf)
+    x = np.full((B, len(prior.parameters)), -np.inf)
     for k, parameter in enumerate(prior.parameters):
         x[:, k] = -np.inf if parameter.log else 0.0
         if k not in problem.free:
             continue
         width = parameter.prior_sd if np.isfinite(parameter.prior_sd) else 0.0
-        drawn = parameter.nominal + width * rng.standard_normal(_CANDIDATES)
+        drawn = parameter.nominal + width * rng.standard_normal(B)
         x[:, k] = drawn if parameter.log or parameter.nominal else 0.5 * np.abs(drawn)
     damping = prior.parameters[3].nominal - prior.parameters[4].nominal
-    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, _CANDIDATES)
-    x[:, 1] = damping + 0.3 * rng.standard_normal(_CANDIDATES)
-    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), _CANDIDATES)
-    x[: _CANDIDATES // 2, :3] = np.log(kp), np.log(kd), latency
+    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, B)
+    x[:, 1] = damping + 0.3 * rng.standard_normal(B)
+    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), B)
+    x[: B // 2, :3] = np.log(kp), np.log(kd), latency
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
         missing = [k for k in problem.free if np.isneginf(start[k])]
@@ -364,7 +369,7 @@ def _search(
         np.tile(low / unit, (len(x), 1)),
         np.tile(high / unit, (len(x), 1)),
         evaluations=steps,
-        settled=_SETTLED,
+        settled=1e-3,
         hopeless=cannot_win,
         losses=losses,
         look_every=1,
