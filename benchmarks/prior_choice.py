@@ -11,18 +11,35 @@ gain. So no scored error has been seen by the choice. Takes the recordings from 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from multiprocessing import get_context
+from typing import NamedTuple
 
 import numpy as np
 from real_diagnosis import FOLDER as BENCH
 from real_diagnosis import GAINS, PROCESSES, ROOT, TRAJECTORIES, at_gain, error, read, read_robot
 
-from sim2real.identification import motor_choice, motor_prior
-from sim2real.identification.identify import identify
-from sim2real.identification.motor_prior import SPREADS, Spreads
+from sim2real.identification import motor_choice
+from sim2real.identification.motor_prior import MotorPrior, motor_prior
+from sim2real.robot import Servo
+from sim2real.servo.trace import Trace
 
+identification = import_module("sim2real.identification.identify")
 REPORT = ROOT / "reports" / "prior_choice.md"
+
+
+class Spreads(NamedTuple):
+    """Factor on the spreads of losses and friction, and that of the logarithm of the drive."""
+
+    losses: float = 1.0
+    reported: float = MotorPrior.reported_sd
+
+
+SHIPPED = Spreads()
 SETTINGS = [
     Spreads(losses, reported)
     for losses, reported in itertools.product((0.5, 1.0, 2.0), (0.05, np.inf))
@@ -73,10 +90,10 @@ def main() -> None:
         return f"{np.mean(every):.1f}"
 
     told = {g: chosen[other[g]] for g in GAINS}
-    shipped = dict.fromkeys(GAINS, SPREADS)
+    shipped = dict.fromkeys(GAINS, SHIPPED)
     text = TEXT.format(
         table="\n".join("| " + " | ".join(row) + " |" for row in lines),
-        shipped=said(SPREADS),
+        shipped=said(SHIPPED),
         within=mean(told, False),
         within_shipped=mean(shipped, False),
         across=mean(told, True),
@@ -91,7 +108,13 @@ def main() -> None:
 def one(task: Task) -> float:
     """Mean absolute error in mrad: of what is left out, or of the other gain where nothing is."""
     gain, out, spreads = task
-    motor_prior.SPREADS, motor_choice.FACTORS = spreads, ()  # this setting alone
+
+    def prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
+        loosened = motor_prior(servo, traces).loosened(spreads.losses)
+        return replace(loosened, reported_sd=spreads.reported)
+
+    motor_choice.motor_prior = prior
+    identification.choose_motor = partial(motor_choice.choose_motor, factors=())  # this one alone
     robot = read_robot(BENCH / "robot.toml")
     if out:
         known, asked = read(gain, [t for t in TRAJECTORIES if t != out]), read(gain, [out])
@@ -99,7 +122,7 @@ def one(task: Task) -> float:
     else:
         (to,) = (g for g in GAINS if g != gain)
         known, asked, ratio = read(gain, TRAJECTORIES), read(to, TRAJECTORIES), to / gain
-    model = identify([*known, asked[0]], robot, held_out=asked[0].name)
+    model = identification.identify([*known, asked[0]], robot, held_out=asked[0].name)
     moved = at_gain(model, ratio)
     return 1e3 * float(np.mean([np.mean(np.abs(error(moved, r))) for r in asked]))
 

@@ -48,7 +48,7 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
         measured = np.isfinite(recording.position[:, j])
         if sheet is not None and measured.sum() >= _FEWEST_SAMPLES:
             t, angle = recording.t[measured], recording.position[measured, j]
-            _check_speed(recording, sheet, t, angle)
+            _check_speed(recording.file, sheet, t, angle)
             _check_torque(recording, sheet, t, angle)
 
 
@@ -193,13 +193,7 @@ def matches(
 
 
 def _check_speed(
-    recording: Recording,
-    joint: Joint,
-    t: Array,
-    angle: Array,
-    *,
-    window_s: float = 0.1,
-    ratio: float = 4.0,
+    file: str, joint: Joint, t: Array, angle: Array, *, window_s: float = 0.1, ratio: float = 4.0
 ) -> None:
     """Reject angles that change much faster than the servo can turn, such as degrees.
 
@@ -216,7 +210,7 @@ def _check_speed(
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
     if speed > ratio * stated:
         raise InputError(
-            recording.file,
+            file,
             f"{joint.name}.position_rad",
             f"motion at {speed:.3g} rad/s",
             f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in "

@@ -81,9 +81,8 @@ def undetected_loop(
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
     for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
         period = sampling / n
-        if 1 / period < _RATES_HZ[0]:
-            continue
-        if abs(np.exp(2j * np.pi * times / period).mean()) > synchronous:
+        length = abs(np.exp(2j * np.pi * times / period).mean())
+        if length > synchronous and 1 / period >= _RATES_HZ[0]:
             return period, *_equivalent_gains(motor, period)
     return None
 
@@ -110,10 +109,8 @@ def _arrivals(
         delayed = _effect_of_delay(motor, trace, step)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
         slope_matrix = np.hstack([delayed, slopes / units])
-        delay_precision = np.full(step.size, (scale / delay_sd_s) ** 2)
-        prior_precision = np.concatenate([delay_precision, np.full(units.size, 1e-9)])
-        precision = slope_matrix.T @ slope_matrix + np.diag(prior_precision)
-        inverse = np.linalg.inv(precision)
+        prior = np.repeat([(scale / delay_sd_s) ** 2, 1e-9], [step.size, units.size])
+        inverse = np.linalg.inv(slope_matrix.T @ slope_matrix + np.diag(prior))
         delay = -(inverse @ (slope_matrix.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])
         delays.append(motor.fit.row[_LATENCY] + delay)

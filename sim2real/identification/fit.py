@@ -189,13 +189,11 @@ def inertia_left_out(row: Array, inertia: float) -> Parameter:
 
 def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
     """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
-    parameters = []
-    for effect in effects:
-        for parameter in effect.parameters:
-            p = scaled(parameter, float(row[0]), inertia)
-            name = f"{effect.name}.{p.name}"
-            parameters.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
-    return tuple(parameters)
+    pairs = [(e.name, scaled(p, float(row[0]), inertia)) for e in effects for p in e.parameters]
+    return tuple(
+        Parameter(f"{effect}.{p.name}", p.low, p.high, p.typical or p.high / 10, p.typical)
+        for effect, p in pairs
+    )
 
 
 def fit(
@@ -313,12 +311,11 @@ def best_of(
         names: Those of gains and latency to fit.
     """
     inertia = fitted[0].load.inertia_kgm2
-    free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]
-    fits = [fit(fitted, starts[0], free[0])]
-    fits += [
-        fit(fitted, other, other_free, rounds=1, evaluations=20)
-        for other, other_free in zip(starts[1:], free[1:], strict=True)
-    ]
+    fits: list[Fit] = []
+    for start in starts:
+        free = [p for p in gains(start, inertia) if p.name in names]
+        limits = {"rounds": 1, "evaluations": 20} if fits else {}
+        fits.append(fit(fitted, start, free, **limits))
     scale = min(candidate.scale_rad for candidate in fits)
     fits.sort(key=lambda candidate: candidate.loss(scale))
     return fits[0], fits[1:]

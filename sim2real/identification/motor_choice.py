@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
@@ -16,9 +18,6 @@ from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
 
-FACTORS = (0.5, 2.0)
-"""Factors on the width of the prior of losses, for the average of fits."""
-
 
 def choose_motor(
     fitted: list[Trace],
@@ -29,6 +28,7 @@ def choose_motor(
     servo_type: ServoType | None = None,
     *,
     average: bool = False,
+    factors: Sequence[float] = (0.5, 2.0),
     white: float = 0.1,
     error_before_loop: float = 15.0,
     error_with_loop: float = 1.5,
@@ -49,7 +49,8 @@ def choose_motor(
         rng: Generator for starts.
         servo_type: Prior from other servos of its type.
         average: Whether fits with losses that do not explain the recordings are averaged over
-            priors of the usual, half and twice the width, if the load is known.
+            several widths of the losses' prior, if the load is known.
+        factors: Widths of this prior, relative to the usual one, which is averaged as well.
         white: Lag-1 autocorrelation below which a residual counts as white.
         error_before_loop: Largest residual over noise for which a sampled loop is searched.
         error_with_loop: Largest residual over noise with a loop.
@@ -71,7 +72,7 @@ def choose_motor(
     unclear = servo_type is None and ratio >= EXPLAINED and LOSSES[0] in names
     if not (average and stated and unclear):
         return chosen
-    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
+    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in factors]
     return averaged([chosen, *others])
 
 

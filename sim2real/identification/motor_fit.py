@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,20 +113,20 @@ class MotorProblem:
         _, high, unit = self.box
         ahead = x[list(self.free)] + difference * unit
         step = np.where(ahead > high, -difference, difference)
-        base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
-        return base, np.asarray((np.array(moved) - base).T / step)
+        return self._differences(self.residuals, x, step)
 
     def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        step = np.full(len(self.free), difference)
-        base, *moved = self.terms(np.stack([x, *self._perturbed(x, step)]))
-        return base, np.asarray((np.array(moved) - base).T / difference)
+        return self._differences(self.terms, x, np.full(len(self.free), difference))
 
-    def _perturbed(self, x: Array, step: Array) -> Array:
-        """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
+    def _differences(
+        self, evaluate: Callable[[Array], Array], x: Array, step: Array
+    ) -> tuple[Array, Array]:
+        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
         points = np.tile(x, (len(self.free), 1))
         points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        return points
+        base, *moved = evaluate(np.stack([x, *points]))
+        return base, np.asarray((np.array(moved) - base).T / step)
 
 
 @dataclass(frozen=True)
@@ -288,9 +288,7 @@ def soft_starts(
 ) -> Array:
     """Starts as searched (S, F) from a fit, with gradual friction.
 
-    Args:
-        motor: The fit.
-        times_s: Stick and creep time of each start: nearly 0, MuJoCo's, and larger ones.
+    Their stick and creep times are nearly 0, MuJoCo's, and larger ones.
     """
     x = np.tile(motor.x, (len(times_s), 1))
     x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
@@ -331,7 +329,7 @@ def _search(
     problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Searches from all of ``x`` (S, F), and their losses (S,)."""
-    low, high, unit = problem.box
+    *ends, unit = problem.box
     free = list(problem.free)
     latest: dict[int, Array] = {}
 
@@ -366,8 +364,7 @@ def _search(
     minimum = minimise(
         expand,
         x[:, free] / unit,
-        np.tile(low / unit, (len(x), 1)),
-        np.tile(high / unit, (len(x), 1)),
+        *(np.tile(end / unit, (len(x), 1)) for end in ends),
         evaluations=steps,
         settled=1e-3,
         hopeless=cannot_win,

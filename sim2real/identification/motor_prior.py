@@ -18,33 +18,18 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Spreads:
-    """Standard deviations of the prior that were chosen (see ``benchmarks/prior_choice.py``).
-
-    Attributes:
-        losses: Factor on the standard deviations of losses and friction below.
-        reported: Standard deviation of the logarithm of the drive that the servo reports; infinite
-            to ignore it.
-    """
-
-    losses: float = 1.0
-    reported: float = 0.05
-
-
-SPREADS = Spreads()
-
-
-@dataclass(frozen=True)
 class MotorPrior:
     """Prior of all parameters of a motor, with relations between them.
 
     Attributes:
         parameters: Prior of each column of the law (``servo.parameters``), gains and latency first.
         per_rad: Drive per radian of error that the servo reports, if it does.
+        reported_sd: Standard deviation of its logarithm; infinite to ignore it.
     """
 
     parameters: tuple[Parameter, ...]
     per_rad: float | None
+    reported_sd: float = 0.05
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,7 +64,7 @@ class MotorPrior:
         damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
         drive = np.zeros_like(kp)
         if self.per_rad is not None:
-            drive = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
+            drive = (kp - stall - np.log(self.per_rad)) / self.reported_sd
         return np.hstack([parts, damping[:, None], drive[:, None]])
 
 
@@ -123,7 +108,7 @@ def motor_prior(
         return Parameter(name, low, high, log_unit, float(np.log(middle)), sd, log=True)
 
     def share(name: str, sd: float, high: float, unit: float) -> Parameter:
-        return Parameter(name, 0.0, high, unit, 0.0, SPREADS.losses * sd)
+        return Parameter(name, 0.0, high, unit, 0.0, sd)
 
     return MotorPrior(
         (

@@ -207,10 +207,6 @@ def moves(
     (independence chains, mixtures of moves); Goodman and Weare, Communications in Applied
     Mathematics and Computational Science 5 (2010) 65-80; ter Braak, Statistics and Computing 16
     (2006) 239-249.
-
-    Args:
-        free: Number of coordinates, F.
-        shares: Those of independent proposals, stretch moves and differential evolution.
     """
     from emcee.moves import DEMove, MHMove, StretchMove  # type: ignore[import-untyped]
 
