@@ -81,8 +81,8 @@ def undetected_loop(
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
     for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
         period = sampling / n
-        length = abs(np.exp(2j * np.pi * times / period).mean())
-        if length > synchronous and 1 / period >= _RATES_HZ[0]:
+        coherence = abs(np.exp(2j * np.pi * times / period).mean())
+        if coherence > synchronous and 1 / period >= _RATES_HZ[0]:
             return period, *_equivalent_gains(motor, period)
     return None
 

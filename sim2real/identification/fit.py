@@ -163,11 +163,11 @@ def servos_at(points: Array, inertia: float | Array) -> Array:
         kp, kd and latency in SI units, shape (..., N, 3).
     """
     ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
-    within = ranges[:, 0] + points * np.diff(ranges, axis=1).T
-    frequency, damping = np.exp(within[:, :2]).T
+    values = ranges[:, 0] + points * np.diff(ranges, axis=1).T
+    frequency, damping = np.exp(values[:, :2]).T
     kp = frequency**2 * inertia
     kd = 2 * damping * frequency * inertia
-    return np.stack([kp, kd, np.broadcast_to(within[:, 2], kp.shape)], axis=-1)
+    return np.stack([kp, kd, np.broadcast_to(values[:, 2], kp.shape)], axis=-1)
 
 
 def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:

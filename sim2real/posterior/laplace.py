@@ -41,13 +41,8 @@ def laplace(data: ServoData, *, iterations: int = 40, widest_sd: float = 2.0) ->
     """Fit the joint and compute the curvature of its log-posterior at the optimum.
 
     The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
-    Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
-
-    Args:
-        data: The joint's recordings and priors.
-        iterations: Largest number of iterations of the fit.
-        widest_sd: Largest standard deviation of a coordinate, where the recordings do not
-            constrain it.
+    Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86. Coordinates
+    that the recordings do not constrain have the standard deviation ``widest_sd``.
     """
     priors = data.priors
     start = priors.values(priors.coordinates(data.row[data.columns]))

@@ -133,8 +133,7 @@ def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> N
     count = sum(int(trace.used.sum()) for trace in traces)
     if count < fewest:
         found = f"{count} measured angles while its torque is on"
-        expected = f"at least {fewest}"
-        raise InputError(traces[0].file, f"{joint}.position_rad", found, expected)
+        raise InputError(traces[0].file, f"{joint}.position_rad", found, f"at least {fewest}")
 
 
 def check_runs(traces: Sequence[Trace], joint: str) -> None:
