@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import WINDOW_S, Fit, errors, plain_row, split_by_trace
+from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import (
@@ -29,16 +29,6 @@ Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_ROUNDS = 4
-"""Number of rounds, between which the scale of the residual is estimated again."""
-_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
-"""Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones."""
-_DIFFERENCE = 1e-3
-"""Step of the derivatives, in units."""
-_SETTLED = 1e-3
-"""Expected gain in log-likelihood below which a search ends."""
-_LONGEST_SUBSTEP_S, _STEPS_PER_RADIAN = 0.002, 32.0
-"""Longest sub-step, and sub-steps per radian of the fastest mode."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 
 
@@ -123,24 +113,25 @@ class MotorProblem:
         times = [correlation_samples(part) for part in parts]
         return float(np.average(times, weights=[part.size for part in parts]))
 
-    def slopes(self, x: Array) -> tuple[Array, Array]:
+    def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
         _, high, unit = self.box
-        ahead = x[list(self.free)] + _DIFFERENCE * unit
-        step = np.where(ahead > high, -_DIFFERENCE, _DIFFERENCE)
-        base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
-        return base, np.asarray((np.array(moved) - base).T / step)
+        ahead = x[list(self.free)] + difference * unit
+        step = np.where(ahead > high, -difference, difference)
+        return self._differences(self.residuals, x, step)
 
-    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+    def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        base, *moved = self.terms(np.stack([x, *self._perturbed(x, np.full(len(self.free), 1e-5))]))
-        return base, np.asarray((np.array(moved) - base).T / 1e-5)
+        return self._differences(self.terms, x, np.full(len(self.free), difference))
 
-    def _perturbed(self, x: Array, step: Array) -> Array:
-        """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
+    def _differences(
+        self, evaluate: Callable[[Array], Array], x: Array, step: Array
+    ) -> tuple[Array, Array]:
+        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
         points = np.tile(x, (len(self.free), 1))
         points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        return points
+        base, *moved = evaluate(np.stack([x, *points]))
+        return base, np.asarray((np.array(moved) - base).T / step)
 
 
 @dataclass(frozen=True)
@@ -221,9 +212,12 @@ def fit_motor(
     gains: bool = True,
     candidates: int = 64,
     searches: int = 4,
+    rounds: int = 4,
     first_steps: int = 20,
     later_steps: int = 10,
     behind: float = 30.0,
+    longest_substep_s: float = 0.002,
+    steps_per_radian: float = 32.0,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; other parameters have no effect.
 
@@ -244,24 +238,27 @@ def fit_motor(
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else those of the plain servo are kept.
         candidates: Number of servos drawn from the prior.
-        searches: Number of the best ones, from which searches start.
+        searches: Number of the best candidates, from which searches start.
+        rounds: Number of rounds, between which the scale of the residual is estimated again.
         first_steps: Largest number of steps of a search in the first round.
-        later_steps: Largest number of steps in later rounds.
+        later_steps: Largest number of steps of a search in later rounds.
         behind: Largest difference of log-likelihood to the best search at which one continues.
+        longest_substep_s: Longest sub-step of a rollout, s.
+        steps_per_radian: Sub-steps per radian of the fastest mode.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
+    substep = float(min(longest_substep_s, 1 / (steps_per_radian * fastest)))
     simulator = Simulator(traces)
     problem = MotorProblem(traces, prior, free, substep, simulator, later_steps, behind)
     x = _candidates(problem, plain, rng, start, candidates) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
-        window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+        window = max((trace.window() for trace in traces), key=Trace.activity)
         windowed = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
@@ -269,13 +266,11 @@ def fit_motor(
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation = 1.0, 1.0
-    for number in range(_ROUNDS):
+    for number in range(rounds):
         before = scale
         scale, inflation = robust_scale(error), problem.inflation(error)
-        if number:
-            x, loss = _search(problem, x, scale, inflation, problem.steps)
-        else:
-            x, loss = _search(problem.coarse, x, scale, inflation, first_steps)
+        searched, steps = (problem, later_steps) if number else (problem.coarse, first_steps)
+        x, loss = _search(searched, x, scale, inflation, steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
@@ -303,10 +298,16 @@ def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> MotorFit:
     return _result(problem, x[best], loss[best], motor.fit.scale_rad, inflation)
 
 
-def soft_starts(motor: MotorFit) -> Array:
-    """Starts as searched (S, F) from a fit, with gradual friction."""
-    x = np.tile(motor.x, (len(_SOFT_S), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+def soft_starts(
+    motor: MotorFit,
+    times_s: Sequence[tuple[float, float]] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3)),
+) -> Array:
+    """Starts as searched (S, F) from a fit, with gradual friction.
+
+    Their stick and creep times are nearly 0, MuJoCo's, and larger ones.
+    """
+    x = np.tile(motor.x, (len(times_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
     return x
 
 
@@ -344,7 +345,7 @@ def _search(
     problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Searches from all of ``x`` (S, F), and their losses (S,)."""
-    low, high, unit = problem.box
+    *ends, unit = problem.box
     free = list(problem.free)
     latest: dict[int, Array] = {}
 
@@ -379,10 +380,9 @@ def _search(
     minimum = minimise(
         expand,
         x[:, free] / unit,
-        np.tile(low / unit, (len(x), 1)),
-        np.tile(high / unit, (len(x), 1)),
+        *(np.tile(end / unit, (len(x), 1)) for end in ends),
         evaluations=steps,
-        settled=_SETTLED,
+        settled=1e-3,
         hopeless=partial(cannot_win, behind=problem.behind),
         losses=losses,
         look_every=1,

@@ -17,21 +17,6 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-_SHEET_SD = (0.35, 0.25)
-"""Standard deviations of the logarithms of stall torque and no-load speed about the data sheet."""
-_UNKNOWN_SD = 1.5
-"""Standard deviation of the logarithm of stall torque per unknown inertia."""
-_MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
-"""Time constant of small geared motors, rotor inertia times no-load speed over stall torque, and
-the standard deviation of its logarithm."""
-_BACK_EMF_SD = 0.3
-"""Scale of the logarithm of damping about that by the back-EMF, with long tails, as the controller
-may add damping."""
-_TICK_S = 2e-7
-"""Natural unit of a loop's period, which accumulates over thousands of samples."""
-_LOG_UNIT = 0.3
-"""Natural unit of a logarithm."""
-
 
 @dataclass(frozen=True)
 class MotorPrior:
@@ -63,16 +48,18 @@ class MotorPrior:
         log = np.array([parameter.log for parameter in self.parameters])
         return np.where(log, np.exp(np.where(log, x, 0.0)), x)
 
-    def terms(self, x: Array) -> Array:
+    def terms(self, x: Array, *, back_emf_sd: float = 0.3) -> Array:
         """Residuals whose squares are twice the negative logarithm of the prior, shape (B, F + 2).
 
         Args:
             x: Parameters as searched, shape (B, F).
+            back_emf_sd: Scale of the logarithm of damping about that by the back-EMF, with long
+                tails, as the controller may add damping.
         """
         parts = (x - column(self.parameters, "nominal")) / column(self.parameters, "prior_sd")
         kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
         if self.drive is None:
-            damping = (kd - stall + no_load_speed) / _BACK_EMF_SD
+            damping = (kd - stall + no_load_speed) / back_emf_sd
             # tails of a Cauchy distribution
             damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))
             ties = np.stack([damping, np.zeros_like(kp)], axis=1)
@@ -88,8 +75,14 @@ def motor_prior(
     servo: Servo,
     traces: Sequence[Trace],
     *,
+    stall_sd: float = 0.35,
+    unknown_stall_sd: float = 1.5,
+    speed_sd: float = 0.25,
+    motor_time_s: float = 0.03,
+    motor_time_sd: float = 0.8,
     loss_width: float = 1.0,
     reported_sd: float = MotorPrior.reported_sd,
+    log_unit: float = 0.3,
 ) -> MotorPrior:
     """The prior of a servo's law from its data sheet and, if it is reported, its drive.
 
@@ -103,35 +96,41 @@ def motor_prior(
     Args:
         servo: The data sheet.
         traces: The joint's recordings.
+        stall_sd: Standard deviation of the logarithm of stall torque about the data sheet.
+        unknown_stall_sd: The same where the inertia is unknown, to which the torque is relative.
+        speed_sd: Standard deviation of the logarithm of no-load speed about the data sheet.
+        motor_time_s: Time constant of small geared motors: rotor inertia times no-load speed over
+            stall torque.
+        motor_time_sd: Standard deviation of its logarithm.
         loss_width: Factor on the standard deviations of losses and friction.
         reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
             and of that of the damping; infinite to ignore the reported drive.
+        log_unit: Natural unit of a logarithm.
     """
     stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
-    stall_sd, speed_sd = _SHEET_SD
     if traces[0].load is PER_INERTIA:
-        stall, stall_sd = speed / _MOTOR_TIME_S, _UNKNOWN_SD
+        stall, stall_sd = speed / motor_time_s, unknown_stall_sd
     inertia = traces[0].load.inertia_kgm2
-    rotor_inertia = _MOTOR_TIME_S * (stall / speed)
+    rotor_inertia = motor_time_s * (stall / speed)
     drive = _common_drive(traces) if np.isfinite(reported_sd) else None
     latency = (0.0, np.inf) if drive is None else (drive.latency_s, drive.period_s)
 
     def log(name: str, middle: float, sd: float, room: float = 4.0) -> Parameter:
         low, high = float(middle * np.exp(-room)), float(middle * np.exp(room))
-        return Parameter(name, low, high, _LOG_UNIT, float(np.log(middle)), sd, log=True)
+        return Parameter(name, low, high, log_unit, float(np.log(middle)), sd, log=True)
 
     def share(name: str, sd: float, high: float, unit: float) -> Parameter:
         return Parameter(name, 0.0, high, unit, 0.0, loss_width * sd)
 
     return MotorPrior(
         (
-            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, _LOG_UNIT, log=True),
-            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, _LOG_UNIT, log=True),
+            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, log_unit, log=True),
+            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, log_unit, log=True),
             Parameter("latency_s", 0.0, 0.5, 0.02, *latency),
             log(LINE[0], stall, stall_sd),
             log(LINE[1], speed, speed_sd),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
-            log(ROTOR, rotor_inertia, _MOTOR_TIME_SD, 8.0),
+            log(ROTOR, rotor_inertia, motor_time_sd, 8.0),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
             share("motor.motor_friction", 0.4, 0.95, 0.2),
             share("motor.load_friction", 0.4, 2.0, 0.2),
@@ -140,7 +139,8 @@ def motor_prior(
             log("motor.stribeck_speed_rad_s", 0.05 * speed, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(Parameter(name, 0.0, 0.05, _TICK_S) for name in LOOP),
+            # the error of a period accumulates over thousands of samples
+            *(Parameter(name, 0.0, 0.05, 2e-7) for name in LOOP),
         ),
         drive,
         reported_sd,

@@ -16,14 +16,8 @@ from sim2real.servo.reported_drive import ReportedDrive, reported_drive
 
 Array = NDArray[np.float64]
 
-
-FEWEST_SAMPLES = 20
-"""Smallest number of measured angles for a fit."""
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
-
-HELD_OUT_SHARE = 0.25
-"""Share of a single recording, at its end, that is held out."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +44,14 @@ class Trace:
     used: NDArray[np.bool_]
     drive: ReportedDrive | None = None
 
-    def window(self, length_s: float) -> Trace:
+    def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
         moves = np.flatnonzero(np.diff(self.command))
         first = int(moves[0]) if moves.size else 0
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
         part = slice(first, max(last, first + 2))
-        return replace(
-            self,
-            t=self.t[part],
-            command=self.command[part],
-            position=self.position[part],
-            used=self.used[part],
-        )
+        arrays = {name: getattr(self, name)[part] for name in ("t", "command", "position", "used")}
+        return replace(self, **arrays)
 
     def activity(self) -> float:
         """Total variation of the command in rad."""
@@ -99,17 +88,16 @@ def sensor_noise(traces: Sequence[Trace]) -> float:
     return max(FINEST_NOISE_RAD, *floors)
 
 
-def check_samples(traces: Sequence[Trace], joint: str) -> None:
-    """Check that a joint has enough samples for a fit.
+def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> None:
+    """Check that a joint has at least ``fewest`` measured angles for a fit.
 
     Raises:
         InputError: If it has too few.
     """
     count = sum(int(trace.used.sum()) for trace in traces)
-    if count < FEWEST_SAMPLES:
+    if count < fewest:
         found = f"{count} measured angles while its torque is on"
-        expected = f"at least {FEWEST_SAMPLES}"
-        raise InputError(traces[0].file, f"{joint}.position_rad", found, expected)
+        raise InputError(traces[0].file, f"{joint}.position_rad", found, f"at least {fewest}")
 
 
 def check_runs(traces: Sequence[Trace], joint: str) -> None:
@@ -139,22 +127,21 @@ def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
     return [candidate for candidate in candidates if candidate.t.size > 1 and candidate.moves()]
 
 
-def split(traces: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
+def split(
+    traces: Sequence[Trace], held_out: str | None, *, share: float = 0.25
+) -> tuple[list[Trace], list[Trace], str]:
     """Traces to fit, traces to score, and a description of what is held out.
 
-    In the traces to score, ``used`` marks only samples that the fit does not use.
+    In the traces to score, ``used`` marks only samples that the fit does not use. Of a single
+    recording, a share at its end is held out.
     """
     if len(traces) > 1:
         last = next((trace for trace in traces if trace.name == held_out), traces[-1])
         return [trace for trace in traces if trace is not last], [last], last.name
     whole = traces[0]
-    until = whole.t[0] + (1 - HELD_OUT_SHARE) * (whole.t[-1] - whole.t[0])
+    until = whole.t[0] + (1 - share) * (whole.t[-1] - whole.t[0])
     early = whole.t < until
     if not replace(whole, position=np.where(early, whole.position, np.nan)).moves():
         return [whole], [], "nothing"
-    fitted_part = replace(whole, used=whole.used & early)
-    return (
-        [fitted_part],
-        [replace(whole, used=whole.used & ~early)],
-        f"{whole.name} after {until - whole.t[0]:.1f} s",
-    )
+    fitted, scored = (replace(whole, used=whole.used & part) for part in (early, ~early))
+    return [fitted], [scored], f"{whole.name} after {until - whole.t[0]:.1f} s"
