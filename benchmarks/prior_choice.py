@@ -12,20 +12,32 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
+from typing import NamedTuple
 
 import numpy as np
 from real_diagnosis import FOLDER as BENCH
 from real_diagnosis import GAINS, PROCESSES, ROOT, TRAJECTORIES, at_gain, error, read, read_robot
 
-from sim2real.identification import motor_choice, motor_prior
+from sim2real.identification import motor_choice
 from sim2real.identification.identify import identify
-from sim2real.identification.motor_prior import SPREADS, Spreads
+from sim2real.identification.motor_prior import MotorPrior, motor_prior
 
 REPORT = ROOT / "reports" / "prior_choice.md"
+
+
+class Spreads(NamedTuple):
+    """Arguments of ``motor_prior``, by default those of ``identify``."""
+
+    loss_width: float = 1.0
+    reported_sd: float = MotorPrior.reported_sd
+
+
+SHIPPED = Spreads()
 SETTINGS = [
-    Spreads(losses, reported)
-    for losses, reported in itertools.product((0.5, 1.0, 2.0), (0.05, np.inf))
+    Spreads(loss_width, reported_sd)
+    for loss_width, reported_sd in itertools.product((0.5, 1.0, 2.0), (SHIPPED.reported_sd, np.inf))
 ]
 TEXT = """# How wide a motor's prior is
 
@@ -43,8 +55,8 @@ in mrad.
 | each gain from the other | {across} | {across_shipped} |
 
 Chosen on gain 200: {chosen_200}; on gain 800: {chosen_800}. One gain hardly tells the settings
-apart, and they differ in what they foretell. So `identify` chooses none: it averages over the
-three spreads, with the drive wherever a servo reports it ([what that is worth](real_diagnosis.md)).
+apart, and they differ in what they foretell. So `identify` keeps the spreads of the last column,
+with the drive wherever a servo reports it ([what that is worth](real_diagnosis.md)).
 """
 
 Task = tuple[int, str, Spreads]
@@ -73,10 +85,10 @@ def main() -> None:
         return f"{np.mean(every):.1f}"
 
     told = {g: chosen[other[g]] for g in GAINS}
-    shipped = dict.fromkeys(GAINS, SPREADS)
+    shipped = dict.fromkeys(GAINS, SHIPPED)
     text = TEXT.format(
         table="\n".join("| " + " | ".join(row) + " |" for row in lines),
-        shipped=said(SPREADS),
+        shipped=said(SHIPPED),
         within=mean(told, False),
         within_shipped=mean(shipped, False),
         across=mean(told, True),
@@ -91,7 +103,7 @@ def main() -> None:
 def one(task: Task) -> float:
     """Mean absolute error in mrad: of what is left out, or of the other gain where nothing is."""
     gain, out, spreads = task
-    motor_prior.SPREADS, motor_choice.FACTORS = spreads, ()  # this setting alone
+    motor_choice.motor_prior = partial(motor_prior, **spreads._asdict())
     robot = read_robot(BENCH / "robot.toml")
     if out:
         known, asked = read(gain, [t for t in TRAJECTORIES if t != out]), read(gain, [out])
@@ -106,8 +118,8 @@ def one(task: Task) -> float:
 
 def said(spreads: Spreads) -> str:
     """A setting in words."""
-    drive = "reported drive" if np.isfinite(spreads.reported) else "no reported drive"
-    return f"x {spreads.losses:g}, {drive}"
+    drive = "reported drive" if np.isfinite(spreads.reported_sd) else "no reported drive"
+    return f"x {spreads.loss_width:g}, {drive}"
 
 
 if __name__ == "__main__":

@@ -18,34 +18,14 @@ from sim2real.robot import Joint, Robot, match_joints
 
 Array = NDArray[np.float64]
 
-_RANGE_RATIO = 6.0
-"""Largest distance of a command from the middle of the joint's range, in half ranges: degrees read
-as radians are 57 times too large."""
-_SPEED_RATIO = 4.0
-"""Largest speed relative to the data sheet's, which servos exceed by 50 % at a higher voltage."""
-_TORQUE_RATIO = 6.0
-"""Largest torque relative to the data sheet's, likewise."""
-_SPEED_WINDOW_S, _TORQUE_WINDOW_S = 0.1, 0.06
-"""Times over which a speed and an acceleration are measured."""
 _QUANTILE = 0.99
 """Quantile of speed and acceleration that is compared, to exclude outliers and end stops."""
 _FEWEST_SAMPLES = 20
 """With fewer samples speed and torque are not checked."""
-
-_LONGEST_LEAD_S, _LONGEST_LAG_S = 0.5, 1.0
-"""Largest shifts of a position that are compared with its command. The lag is longer, so that a
-periodic response, for which lead and lag are not distinguishable, counts as a lag."""
-_FINEST_SHIFT_S = 0.01
-_FEWEST_SHIFTED, _MOST_SHIFTED = 50, 4000
-"""With fewer samples, lead and lag are not compared; largest number of samples compared."""
 UNEXPLAINED_RATIO = 3.0
 """Smallest ratio of the variance unexplained by the best later shift to that by the best earlier
 one. It is at most 2.0 for the joints of shipped, real and generated recordings, and above 3 for
 99 % of them with command and position swapped (``benchmarks/causality.py``)."""
-_LARGEST_UNEXPLAINED = 0.5
-"""Largest share of variance unexplained by the best earlier shift."""
-_LEAST_UNEXPLAINED = 0.01
-"""Smallest share of variance unexplained by later shifts."""
 
 
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
@@ -68,16 +48,20 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
         measured = np.isfinite(recording.position[:, j])
         if sheet is not None and measured.sum() >= _FEWEST_SAMPLES:
             t, angle = recording.t[measured], recording.position[measured, j]
-            _check_speed(recording, sheet, t, angle)
+            _check_speed(recording.file, sheet, t, angle)
             _check_torque(recording, sheet, t, angle)
 
 
-def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
+def validate_commands(
+    recording: Recording, robot: Robot | None = None, *, range_ratio: float = 6.0
+) -> None:
     """Reject times and commands that can only be a mistake; measured angles are not checked.
 
     Args:
         recording: The recording.
         robot: The robot that was recorded; without it only the times are checked.
+        range_ratio: Largest distance of a command from the middle of the joint's range, in half
+            ranges: degrees read as radians are 57 times too large.
 
     Raises:
         InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, or a
@@ -94,7 +78,7 @@ def validate_commands(recording: Recording, robot: Robot | None = None) -> None:
         low, high = joint.limits_rad
         distance = np.abs(command - (low + high) / 2)
         row = int(np.nanargmax(distance))
-        if distance[row] > _RANGE_RATIO * (high - low) / 2:
+        if distance[row] > range_ratio * (high - low) / 2:
             raise InputError(
                 recording.file,
                 f"{name}.command_rad at {recording.t[row]:.4g} s",
@@ -112,11 +96,8 @@ def _check_columns(recording: Recording, j: int) -> None:
     t, command = recording.t[:powered], recording.command[:powered, j]
     position = recording.position[:powered, j]
     measured = np.isfinite(position)
-    if (
-        measured.sum() > 1
-        and np.ptp(command[measured]) > 0
-        and np.array_equal(command[measured], position[measured])
-    ):
+    sent = command[measured]
+    if sent.size > 1 and np.ptp(sent) > 0 and np.array_equal(sent, position[measured]):
         raise InputError(
             recording.file,
             f"{joint}.command_rad and {joint}.position_rad",
@@ -134,18 +115,21 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
 
 
-def lead_s(t: Array, command: Array, position: Array) -> float | None:
+def lead_s(
+    t: Array, command: Array, position: Array, *, most: float = 0.5, least: float = 0.01
+) -> float | None:
     """Time in s by which the position leads its command; None unless it clearly does.
 
-    Arguments are as for ``matches``. A servo is causal: no delay, filter or friction makes a
-    position match its command best at an earlier time.
+    Arrays are as for ``matches``. A servo is causal: no delay, filter or friction makes a position
+    match its command best at an earlier time. The best earlier shift leaves at most a share
+    ``most`` of the variance unexplained, the best later one more than ``least``.
     """
     best = matches(t, command, position)
     if best is None:
         return None
     lead, lag = best
-    significant = lag.unexplained > max(UNEXPLAINED_RATIO * lead.unexplained, _LEAST_UNEXPLAINED)
-    return -lead.shift_s if significant and lead.unexplained < _LARGEST_UNEXPLAINED else None
+    significant = lag.unexplained > max(UNEXPLAINED_RATIO * lead.unexplained, least)
+    return -lead.shift_s if significant and lead.unexplained < most else None
 
 
 class Match(NamedTuple):
@@ -160,24 +144,40 @@ class Match(NamedTuple):
     unexplained: float
 
 
-def matches(t: Array, command: Array, position: Array) -> tuple[Match, Match] | None:
+def matches(
+    t: Array,
+    command: Array,
+    position: Array,
+    *,
+    longest_lead_s: float = 0.5,
+    longest_lag_s: float = 1.0,
+    finest_shift_s: float = 0.01,
+    fewest: int = 50,
+    most: int = 4000,
+) -> tuple[Match, Match] | None:
     """The best match of a position that leads its command, and of one that follows it.
 
     Args:
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad, shape (T,), all finite.
         position: Measured angles in rad, shape (T,), NaN where a sample is missing.
+        longest_lead_s: Largest lead, s.
+        longest_lag_s: Largest lag, s: longer, so that a periodic response, for which lead and lag
+            are not distinguishable, counts as a lag.
+        finest_shift_s: Smallest step of the shifts, s.
+        fewest: Smallest number of samples.
+        most: Largest number of samples that are compared.
 
     Returns:
         None if the recording is too short for shifts, or the command or the position is constant.
     """
     measured = np.isfinite(position)
-    inside = np.flatnonzero((t >= t[0] + _LONGEST_LEAD_S) & (t <= t[-1] - _LONGEST_LAG_S))
-    inside = inside[:: -(-inside.size // _MOST_SHIFTED) or 1]
-    if inside.size < _FEWEST_SHIFTED or measured.sum() < _FEWEST_SHIFTED:
+    inside = np.flatnonzero((t >= t[0] + longest_lead_s) & (t <= t[-1] - longest_lag_s))
+    inside = inside[:: -(-inside.size // most) or 1]
+    if min(inside.size, measured.sum()) < fewest:
         return None
-    step = max(_FINEST_SHIFT_S, float(np.median(np.diff(t))))
-    shifts = step * np.arange(-int(_LONGEST_LEAD_S / step), int(_LONGEST_LAG_S / step) + 1)
+    step = max(finest_shift_s, float(np.median(np.diff(t))))
+    shifts = step * np.arange(-int(longest_lead_s / step), int(longest_lag_s / step) + 1)
     shifted = np.interp(t[inside] + shifts[:, None], t[measured], position[measured])
     shifted -= shifted.mean(axis=1, keepdims=True)
     sent = command[inside] - command[inside].mean()
@@ -187,26 +187,30 @@ def matches(t: Array, command: Array, position: Array) -> tuple[Match, Match] | 
     correlation = np.maximum(shifted @ sent / size, 0.0)
     unexplained = 1 - np.minimum(correlation, 1.0) ** 2
     leads = shifts < -0.5 * step
-    lead, lag = (int(np.argmin(np.where(side, unexplained, np.inf))) for side in (leads, ~leads))
-    return (
-        Match(float(shifts[lead]), float(unexplained[lead])),
-        Match(float(shifts[lag]), float(unexplained[lag])),
-    )
+    best = (int(np.argmin(np.where(side, unexplained, np.inf))) for side in (leads, ~leads))
+    lead, lag = (Match(float(shifts[k]), float(unexplained[k])) for k in best)
+    return lead, lag
 
 
-def _check_speed(recording: Recording, joint: Joint, t: Array, angle: Array) -> None:
-    """Reject angles that change much faster than the servo can turn, such as degrees."""
+def _check_speed(
+    file: str, joint: Joint, t: Array, angle: Array, *, window_s: float = 0.1, ratio: float = 4.0
+) -> None:
+    """Reject angles that change much faster than the servo can turn, such as degrees.
+
+    A speed over a window is compared with the data sheet's, which servos exceed by 50 % at a
+    higher voltage.
+    """
     if not joint.servo.states("no_load_speed_rad_s"):
         return
-    window = _window(t, _SPEED_WINDOW_S)
+    window = _window(t, window_s)
     early = t <= t[-1] - window
     change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     if change.size < _FEWEST_SAMPLES:
         return
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
-    if speed > _SPEED_RATIO * stated:
+    if speed > ratio * stated:
         raise InputError(
-            recording.file,
+            file,
             f"{joint.name}.position_rad",
             f"motion at {speed:.3g} rad/s",
             f"at most about the {stated:g} rad/s of no_load_speed_rad_s (are the angles in "
@@ -214,7 +218,15 @@ def _check_speed(recording: Recording, joint: Joint, t: Array, angle: Array) -> 
         )
 
 
-def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) -> None:
+def _check_torque(
+    recording: Recording,
+    joint: Joint,
+    t: Array,
+    angle: Array,
+    *,
+    window_s: float = 0.06,
+    ratio: float = 6.0,
+) -> None:
     """Reject a load whose measured acceleration needs far more torque than the servo has.
 
     The second difference over a window is a weighted mean of the acceleration, so it never exceeds
@@ -223,7 +235,7 @@ def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) ->
     load = recording.loads.get(joint.name, PER_INERTIA)
     if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
         return
-    window = _window(t, _TORQUE_WINDOW_S)
+    window = _window(t, window_s)
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
     if middle.size < _FEWEST_SAMPLES:
         return
@@ -231,7 +243,7 @@ def _check_torque(recording: Recording, joint: Joint, t: Array, angle: Array) ->
     acceleration = np.abs(after - 2 * mid + before) / window**2
     usual = float(np.quantile(acceleration, _QUANTILE)) - 2 * float(np.median(acceleration))
     torque, stated = load.inertia_kgm2 * usual - load.gravity_Nm, joint.servo.max_torque_Nm
-    if torque > _TORQUE_RATIO * stated:
+    if torque > ratio * stated:
         raise InputError(
             recording.file,
             f"loads.{joint.name}.inertia_kgm2",

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.play import play_between_pulls
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -17,6 +19,8 @@ from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
 from sim2real.units import readable_name
+
+Array = NDArray[np.float64]
 
 ABOVE_NOISE = 2.0
 """Multiple of the noise above which residuals are reported as a misfit."""
@@ -32,6 +36,21 @@ def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tupl
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
         notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
+    return tuple(notes)
+
+
+def on_play(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Notes on the play of joints that other servos pull to either side."""
+    notes = []
+    for recording in recordings:
+        for joint in recording.joints:
+            play = play_between_pulls(recording, joint)
+            if play is not None:
+                notes.append(
+                    f"{joint} in {recording.name} rests {1e3 * play.unloaded_rad:.1f} mrad apart "
+                    f"after pulls to either side (play with dead band and friction), and "
+                    f"{1e3 * play.loaded_rad:.1f} mrad while pulled (deflection included)"
+                )
     return tuple(notes)
 
 
@@ -125,6 +144,34 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
                 "type of the servo and the supply voltage"
             )
     return notes
+
+
+def on_optima(
+    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array]
+) -> list[str]:
+    """A note on the other optimum that differs most, if one fits the recordings as well.
+
+    Args:
+        names: Columns of the F fitted parameters.
+        values: Their values, shape (F,).
+        half_width: Half-widths of their 90 % intervals, shape (F,).
+        optima: Values at other optima with the same loss, each of shape (F,).
+    """
+    apart = [np.abs(other - values) > half_width for other in optima]
+    if not any(differs.any() for differs in apart):
+        return []
+    most = max(range(len(apart)), key=lambda k: int(apart[k].sum()))
+    differences = ", ".join(
+        f"{readable_name(name)} {other:.3g} instead of {value:.3g}"
+        for name, value, other, differs in zip(
+            names, values, optima[most], apart[most], strict=True
+        )
+        if differs
+    )
+    return [
+        f"another optimum fits these recordings as well, with {differences}; recordings of other "
+        "motions, loads or gains distinguish them"
+    ]
 
 
 def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> list[str]:

@@ -24,25 +24,11 @@ Array = NDArray[np.float64]
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
-_MOST_STEPS, _FEWEST_STEPS = 60, 12
-"""Largest number of steps of a recording whose delay is estimated, and smallest number of all."""
-_LEAST_STEP = 0.1
-"""Smallest of these steps, as a share of the largest."""
-_DELAY_S = 1e-3
-"""Delay of the finite differences."""
-_DELAY_SD_S = 0.004
-"""Prior standard deviation of the delays about their mean."""
-_IN_STEP = 0.95
-"""Length of the mean phase vector above which set-points are synchronous with a loop."""
-_CANDIDATES, _LATENCIES, _PHASES = 6, 16, 64
-"""Numbers of rates without their subharmonics, latencies of each, and phases about a fit."""
-_FIRST_STEPS = 8
-"""Largest number of steps of the first fits."""
-_BEST, _ROUNDS = 2, 3
-"""Number of the best phases, from which fits start, and rounds of phases and fits."""
 
 
-def fit_sampled_loop(motor: MotorFit) -> MotorFit | None:
+def fit_sampled_loop(
+    motor: MotorFit, *, fewest: int = 12, first_steps: int = 8, best: int = 2, rounds: int = 3
+) -> MotorFit | None:
     """Fit a sampled loop, without a test of its significance.
 
     The latency of a fit without a loop includes the mean wait for the next sample. All recordings
@@ -50,30 +36,37 @@ def fit_sampled_loop(motor: MotorFit) -> MotorFit | None:
 
     Args:
         motor: A fit without a loop.
+        fewest: Smallest number of large steps of the command in all recordings.
+        first_steps: Largest number of steps of the search in the first fits.
+        best: Number of the best phases, from which later fits start.
+        rounds: Rounds of phases and fits.
 
     Returns:
         The best fit; None if there are too few steps.
     """
     sent, delay, spread = _arrivals(motor)
-    if sent.size < _FEWEST_STEPS:
+    if sent.size < fewest:
         return None
     rates = _rates(sent + delay, spread)
     coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread) for hz in rates])
     loss = motor.losses(np.concatenate(coarse), coarse=True).reshape(coarse.shape[:2])
     starts = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    fit = refitted(motor, starts, _FIRST_STEPS)
-    for _ in range(_ROUNDS):
+    fit = refitted(motor, starts, first_steps)
+    for _ in range(rounds):
         candidates = np.concatenate([fit.x[None], _with_other_phases(fit)])
         order = np.argsort(fit.losses(candidates, coarse=True))
-        fit = refitted(fit, candidates[order[:_BEST]])
+        fit = refitted(fit, candidates[order[:best]])
     return fit
 
 
-def undetected_loop(motor: MotorFit) -> tuple[float, float, float] | None:
+def undetected_loop(
+    motor: MotorFit, *, synchronous: float = 0.95
+) -> tuple[float, float, float] | None:
     """The slowest sampled loop that is not distinguishable from a continuous one.
 
-    Its samples are synchronous with the set-points: the wait is then equal for all set-points and
-    equivalent to latency, and the delay of the measurement is equivalent to other gains.
+    Its samples are synchronous with the set-points, whose mean phase vector is longer than
+    ``synchronous``: the wait is then equal for all set-points and equivalent to latency, and the
+    delay of the measurement is equivalent to other gains.
 
     Returns:
         Its period in s and the gains kp and kd that it implies; None if set-points are sent at
@@ -88,33 +81,36 @@ def undetected_loop(motor: MotorFit) -> tuple[float, float, float] | None:
     sampling = float(np.median(np.concatenate([np.diff(t.t) for t in motor.problem.traces])))
     for n in range(1, 1 + int(_RATES_HZ[1] * sampling)):
         period = sampling / n
-        if 1 / period < _RATES_HZ[0]:
-            continue
-        if abs(np.exp(2j * np.pi * times / period).mean()) > _IN_STEP:
+        coherence = abs(np.exp(2j * np.pi * times / period).mean())
+        if coherence > synchronous and 1 / period >= _RATES_HZ[0]:
             return period, *_equivalent_gains(motor, period)
     return None
 
 
-def _arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
-    """Times of large steps of the command, their delays and standard deviations, in s, (K,)."""
+def _arrivals(
+    motor: MotorFit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
+) -> tuple[Array, Array, Array]:
+    """Times of large steps of the command, their delays and standard deviations, in s, (K,).
+
+    Of each recording these are ``most_steps`` at most, none smaller than a share ``least_step`` of
+    the largest. The prior standard deviation of a delay about the mean is ``delay_sd_s``.
+    """
     times, delays, spreads = [], [], []
     scale = motor.fit.scale_rad
     for trace, error, slopes in zip(
         motor.problem.traces, motor.fit.residuals, motor.fit.jacobians, strict=True
     ):
         jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
-        step = np.flatnonzero(jump > _LEAST_STEP * jump.max())
-        step = np.sort(step[np.argsort(-jump[step])[:_MOST_STEPS]])
+        step = np.flatnonzero(jump > least_step * jump.max())
+        step = np.sort(step[np.argsort(-jump[step])[:most_steps]])
         step = step[(step > 0) & (step < trace.t.size - 1)]
         if not step.size:
             continue
         delayed = _effect_of_delay(motor, trace, step)[trace.used]
         units = np.maximum(np.abs(slopes).max(axis=0), 1e-12)
         slope_matrix = np.hstack([delayed, slopes / units])
-        delay_precision = np.full(step.size, (scale / _DELAY_SD_S) ** 2)
-        prior_precision = np.concatenate([delay_precision, np.full(units.size, 1e-9)])
-        precision = slope_matrix.T @ slope_matrix + np.diag(prior_precision)
-        inverse = np.linalg.inv(precision)
+        prior = np.repeat([(scale / delay_sd_s) ** 2, 1e-9], [step.size, units.size])
+        inverse = np.linalg.inv(slope_matrix.T @ slope_matrix + np.diag(prior))
         delay = -(inverse @ (slope_matrix.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])
         delays.append(motor.fit.row[_LATENCY] + delay)
@@ -123,21 +119,21 @@ def _arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
     return sent, delay, spread
 
 
-def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> Array:
+def _effect_of_delay(
+    motor: MotorFit, trace: Trace, step: NDArray[np.intp], *, longest_s: float = 1e-3
+) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     shifted = [trace]
     for k in step:
-        delay = min(_DELAY_S, 0.5 * float(trace.t[k + 1] - trace.t[k]))
-        command = np.insert(trace.command, k, trace.command[k - 1])
-        shifted.append(
-            replace(
-                trace,
-                t=np.insert(trace.t, k + 1, trace.t[k] + delay),
-                command=command,
-                position=np.insert(trace.position, k, np.nan),
-                used=np.insert(trace.used, k, False),
-            )
+        delay = min(longest_s, 0.5 * float(trace.t[k + 1] - trace.t[k]))
+        variant = replace(
+            trace,
+            t=np.insert(trace.t, k + 1, trace.t[k] + delay),
+            command=np.insert(trace.command, k, trace.command[k - 1]),
+            position=np.insert(trace.position, k, np.nan),
+            used=np.insert(trace.used, k, False),
         )
+        shifted.append(variant)
     angle = Simulator(shifted).angles(motor.fit.row[None], motor.problem.substep_s)
     derivatives = [
         (np.delete(rollout[0], k + 1) - angle[0][0]) / (variant.t[k + 1] - variant.t[k])
@@ -146,8 +142,8 @@ def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> A
     return np.stack(derivatives, axis=1)
 
 
-def _rates(times: Array, spread: Array) -> Array:
-    """Rates in Hz of the lattices that fit the times best, best first."""
+def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
+    """Rates in Hz of the ``count`` lattices that fit the times best, and their subharmonics."""
     fine = 0.2 / max(float(np.ptp(times)), 1e-3)
     rates = np.arange(*_RATES_HZ, fine)
     power = np.empty(rates.size)
@@ -163,7 +159,7 @@ def _rates(times: Array, spread: Array) -> Array:
     for k in np.argsort(-power):
         if all(abs(rates[k] - other) > 5 * fine for other in chosen):
             chosen.append(float(rates[k]))
-        if len(chosen) == _CANDIDATES:
+        if len(chosen) == count:
             break
     for lower in [rate / n for rate in chosen for n in (2, 3)]:  # of harmonics
         if lower > _RATES_HZ[0] and all(abs(lower - other) > 5 * fine for other in chosen):
@@ -171,16 +167,18 @@ def _rates(times: Array, spread: Array) -> Array:
     return np.array(chosen)
 
 
-def _starts(motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array) -> Array:
-    """Parameters as searched with a loop of this period, one row per latency, (latencies, F).
+def _starts(
+    motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
+) -> Array:
+    """Parameters as searched with a loop of this period, one row per latency, (count, F).
 
     The phase is that of the arrivals; latencies are up to a period below the median delay.
     """
     prior = motor.problem.prior
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
-    x = np.tile(motor.x, (_LATENCIES, 1))
-    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, _LATENCIES)
+    x = np.tile(motor.x, (count, 1))
+    shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, count)
     x[:, _LATENCY] = np.maximum(shortest, 0.0)
     x[:, prior.index(LOOP[0])] = period_s
     x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
@@ -204,11 +202,11 @@ def _equivalent_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
     return ratio * kp, ratio * (kd + kp * half)
 
 
-def _with_other_phases(fit: MotorFit) -> Array:
+def _with_other_phases(fit: MotorFit, *, phases: int = 64) -> Array:
     """Parameters as searched in which set-points wait for earlier or later samples."""
     prior = fit.problem.prior
     length, phase = fit.x[prior.index(LOOP[0])], prior.index(LOOP[1])
-    shift = np.linspace(-0.5, 0.5, _PHASES + 1) * length
+    shift = np.linspace(-0.5, 0.5, phases + 1) * length
     x = np.tile(fit.x, (shift.size, 1))
     x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - shift, 0.0)  # the sampling times do not change
     x[:, phase] = (fit.x[phase] + fit.x[_LATENCY] - x[:, _LATENCY]) % length

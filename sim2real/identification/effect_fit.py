@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,41 +22,13 @@ STRENGTHS = (0.3, 1.0, 3.0, 10.0)
 """Multiples of the typical value from which each parameter of an effect starts."""
 
 
-@dataclass(frozen=True)
-class EffectScan:
-    """Settings of the scan for starting points.
-
-    Attributes:
-        grid: Largest number of points with the gains of the plain fit.
-        points: Number of points with other gains.
-        frequency_rad_s: Range of the servo's natural frequency there.
-        damping_ratio: Range of its damping ratio.
-        latency: Range of its latency, relative to that of the plain fit.
-        apart: Smallest distance between starting points, as the logarithm of a ratio.
-        descents: Number of starting points.
-        finalists: Number of short fits that are continued.
-    """
-
-    grid: int = 256
-    points: int = 768
-    frequency_rad_s: tuple[float, float] = (10.0, 60.0)
-    damping_ratio: tuple[float, float] = (0.25, 1.5)
-    latency: tuple[float, float] = (0.85, 1.05)
-    apart: float = 0.5
-    descents: int = 12
-    finalists: int = 3
-
-
-EFFECT_SCAN = EffectScan()
-
-
 def fit_effects(
     traces: Sequence[Trace],
     plain: Fit,
     effects: Sequence[Effect],
     rng: np.random.Generator,
     *,
-    scan: EffectScan = EFFECT_SCAN,
+    finalists: int = 3,
 ) -> Fit:
     """Fit gains, latency and the parameters of effects to all traces at once.
 
@@ -69,7 +40,7 @@ def fit_effects(
         plain: The fit of the plain servo.
         effects: The effects to add.
         rng: Generator for the scan.
-        scan: Settings of the scan.
+        finalists: Number of short fits that are continued.
     """
 
     def fitted(row: Array, *, rounds: int, evaluations: int) -> Fit:
@@ -79,13 +50,9 @@ def fit_effects(
     def loss(candidate: Fit) -> float:
         return candidate.loss(plain.scale_rad)
 
-    short = [
-        fitted(row, rounds=0, evaluations=12) for row in _starts(traces, plain, effects, rng, scan)
-    ]
-    longer = [
-        fitted(candidate.row, rounds=0, evaluations=40)
-        for candidate in sorted(short, key=loss)[: scan.finalists]
-    ]
+    starts = _starts(traces, plain, effects, rng)
+    short = sorted((fitted(row, rounds=0, evaluations=12) for row in starts), key=loss)
+    longer = [fitted(start.row, rounds=0, evaluations=40) for start in short[:finalists]]
     return fitted(min(longer, key=loss).row, rounds=3, evaluations=40)
 
 
@@ -94,45 +61,60 @@ def _starts(
     plain: Fit,
     effects: Sequence[Effect],
     rng: np.random.Generator,
-    scan: EffectScan,
+    *,
+    grid_points: int = 256,
+    scan_points: int = 768,
+    frequency_rad_s: tuple[float, float] = (10.0, 60.0),
+    damping_ratio: tuple[float, float] = (0.25, 1.5),
+    latency: tuple[float, float] = (0.85, 1.05),
+    apart: float = 0.5,
+    most: int = 12,
 ) -> Array:
     """Rows (N, P) with the smallest losses of a grid and a scan, each apart from the others.
 
     Every fourth value of a parameter in the scan is the smallest one.
+
+    Args:
+        traces: The joint's recordings.
+        plain: The fit of the plain servo.
+        effects: The effects to add.
+        rng: Generator for the scan.
+        grid_points: Largest number of points with the gains of the plain fit.
+        scan_points: Number of points with other gains.
+        frequency_rad_s: Range of the servo's natural frequency there.
+        damping_ratio: Range of its damping ratio.
+        latency: Range of its latency, relative to that of the plain fit.
+        apart: Smallest distance between starting points, as the logarithm of a ratio.
+        most: Largest number of starting points.
     """
     added = of_effects(effects, plain.row, plain.inertia)
     columns = [COLUMNS.index(p.name) for p in added]
     choices = [[min(max(s * p.nominal, p.low), p.high) for s in STRENGTHS] for p in added]
-    full_grid = len(STRENGTHS) ** len(choices) <= scan.grid
+    full_grid = len(STRENGTHS) ** len(choices) <= grid_points
     grid = list(itertools.product(*choices)) if full_grid else list(zip(*choices, strict=True))
-    rows = np.tile(plain.row, (len(grid) + scan.points, 1))
+    rows = np.tile(plain.row, (len(grid) + scan_points, 1))
     rows[: len(grid), columns] = grid
     sizes = np.tile([p.nominal for p in added], (len(rows), 1))
-    points = kronecker(scan.points, len(added) + 3, rng)
+    points = kronecker(scan_points, len(added) + 3, rng)
     for row, size, point in zip(rows[len(grid) :], sizes[len(grid) :], points, strict=True):
         frequency, ratio = (
             low * (high / low) ** share
-            for (low, high), share in zip(
-                (scan.frequency_rad_s, scan.damping_ratio), point, strict=False
-            )
+            for (low, high), share in zip((frequency_rad_s, damping_ratio), point, strict=False)
         )
         row[0] = plain.inertia * frequency**2
         row[1] = 2 * ratio * plain.inertia * frequency
-        row[2] *= scan.latency[0] + (scan.latency[1] - scan.latency[0]) * point[2]
+        row[2] *= latency[0] + (latency[1] - latency[0]) * point[2]
         own = of_effects(effects, row, plain.inertia)
         for k, (p, share) in enumerate(zip(own, point[3:], strict=True)):
             strength = STRENGTHS[0] * (STRENGTHS[-1] / STRENGTHS[0]) ** (share * 4 / 3)
-            row[columns[k]] = (
-                p.low if share > 0.75 else np.clip(strength * p.nominal, p.low, p.high)
-            )
-            size[k] = p.nominal
+            value = np.clip(strength * p.nominal, p.low, p.high)
+            row[columns[k]], size[k] = p.low if share > 0.75 else value, p.nominal
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     losses = [robust_loss(error, OUTLIER_SD * plain.scale_rad) for error in residuals]
     places = np.log(0.1 + np.abs(rows[:, columns]) / sizes)
     chosen: list[int] = []
     for k in np.argsort(losses):
-        if len(chosen) < scan.descents and all(
-            np.abs(places[k] - places[other]).max() > scan.apart for other in chosen
-        ):
+        distance = np.abs(places[chosen] - places[k]).max(axis=1)
+        if len(chosen) < most and (distance > apart).all():
             chosen.append(int(k))
     return np.asarray(rows[chosen])

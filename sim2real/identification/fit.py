@@ -33,27 +33,12 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-WINDOW_S = 8.0
 FREQUENCY_RAD_S = (2.0, 300.0)
 DAMPING_RATIO = (0.05, 4.0)
 LATENCY_S = (0.0, 0.3)
-_GUESSES, _ELITE = 1024, 16
-"""Number of servos in the first round, and of the best ones, about which further ones are drawn."""
-_SPREADS = (0.1, 0.04, 0.015)
-"""Standard deviations of candidates about the best ones in each round, as shares of the ranges."""
-_RIVAL_ERROR = 1.03
-"""Largest error of a rival, relative to the smallest error."""
-_RIVAL_DISTANCE, _MOST_RIVALS = 0.08, 4
-"""Smallest difference of a rival's gain, as a share of the range, and largest number of rivals."""
-_GUESS_STEPS_PER_RADIAN, _GUESS_SUBSTEP_S = 6.0, (1e-3, 4e-3)
-"""Sub-steps per radian of a candidate's fastest mode, and shortest and longest sub-step. Faster
-modes of strongly damped candidates decay within the shortest one."""
+"""Ranges of the natural frequency, damping ratio and latency of a first guess."""
 STEPS_PER_RADIAN = 64.0
 """Sub-steps per radian of the fastest mode, where there is no exact solution."""
-_DIFFERENCE = 1e-4
-"""Step of the central differences, in natural units."""
-_SETTLED = 1e-3
-"""Expected gain in log-likelihood below which a search ends."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +82,17 @@ class Fit:
         return robust_loss(np.concatenate(self.residuals), OUTLIER_SD * scale_rad)
 
 
-def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array]:
+def first_guess(
+    traces: Sequence[Trace],
+    rng: np.random.Generator,
+    *,
+    guesses: int = 1024,
+    elite: int = 16,
+    spreads: Sequence[float] = (0.1, 0.04, 0.015),
+    rival_error: float = 1.03,
+    rival_distance: float = 0.08,
+    most_rivals: int = 4,
+) -> tuple[Array, Array]:
     """Parameters of a servo that approximately fits the recordings, and of very different rivals.
 
     Simulates a low-discrepancy set of servos over the segment with most motion in one batch, then,
@@ -107,35 +102,41 @@ def first_guess(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Arra
     Args:
         traces: The recorded joint, one trace per recording.
         rng: Generator for the candidates.
+        guesses: Number of servos in the first round.
+        elite: Number of the best servos, about which further ones are drawn.
+        spreads: Standard deviations of further ones in each round, as shares of the ranges.
+        rival_error: Largest error of a rival, relative to the smallest error.
+        rival_distance: Smallest difference of a rival's gain, as a share of the range.
+        most_rivals: Largest number of rivals.
 
     Returns:
         The best candidate, shape (P,), and rivals with nearly the same error but very different
         gains, shape (R, P): none if the recordings determine the gain.
     """
-    windows = [trace.window(WINDOW_S) for trace in traces]
+    windows = [trace.window() for trace in traces]
     moving = [window for window in windows if window.moves() and window.used.any()]
     trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
-    points = kronecker(_GUESSES, 3, rng)
+    points = kronecker(guesses, 3, rng)
     error = _guess_errors(points, trace)
-    for spread in _SPREADS:
-        best = np.argsort(error)[:_ELITE]
+    for spread in spreads:
+        best = np.argsort(error)[:elite]
         points, error = points[best], error[best]
-        around = np.repeat(points, _GUESSES // (4 * _ELITE), axis=0)
+        around = np.repeat(points, guesses // (4 * elite), axis=0)
         drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
         error = np.append(error, _guess_errors(drawn, trace))
         points = np.vstack([points, drawn])
     order = np.argsort(error)
-    equal = order[error[order] < _RIVAL_ERROR * error[order[0]]]
+    equal = order[error[order] < rival_error * error[order[0]]]
     chosen = [equal[0]]
     for candidate in equal[1:]:
         distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
-        if distance > _RIVAL_DISTANCE and len(chosen) <= _MOST_RIVALS:
+        if distance > rival_distance and len(chosen) <= most_rivals:
             chosen.append(candidate)
     rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
     return rows[0], rows[1:]
 
 
-def _guess_errors(points: Array, trace: Trace) -> Array:
+def _guess_errors(points: Array, trace: Trace, *, shortest_s: float = 1e-3) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
     theta = np.zeros((points.shape[0], len(COLUMNS)))
     theta[:, :3] = servos_at(points, trace.load.inertia_kgm2)
@@ -144,9 +145,8 @@ def _guess_errors(points: Array, trace: Trace) -> Array:
     if exact.is_linear(theta):
         (angle,) = exact.angles(theta, np.inf)
     else:
-        shortest, longest = _GUESS_SUBSTEP_S
-        substep = longest_substep(theta, theta[:, 3], _GUESS_STEPS_PER_RADIAN, longest)
-        step = np.maximum(substep, shortest)
+        substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
+        step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
         angle = rollout(theta, trace.t, trace.command, substep_s=step, threads=2)
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
@@ -163,11 +163,11 @@ def servos_at(points: Array, inertia: float | Array) -> Array:
         kp, kd and latency in SI units, shape (..., N, 3).
     """
     ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
-    scaled = ranges[:, 0] + points * np.diff(ranges, axis=1).T
-    frequency, damping = np.exp(scaled[:, :2]).T
+    values = ranges[:, 0] + points * np.diff(ranges, axis=1).T
+    frequency, damping = np.exp(values[:, :2]).T
     kp = frequency**2 * inertia
     kd = 2 * damping * frequency * inertia
-    return np.stack([kp, kd, np.broadcast_to(scaled[:, 2], kp.shape)], axis=-1)
+    return np.stack([kp, kd, np.broadcast_to(values[:, 2], kp.shape)], axis=-1)
 
 
 def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
@@ -189,13 +189,11 @@ def inertia_left_out(row: Array, inertia: float) -> Parameter:
 
 def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
     """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
-    parameters = []
-    for effect in effects:
-        for parameter in effect.parameters:
-            p = scaled(parameter, float(row[0]), inertia)
-            name = f"{effect.name}.{p.name}"
-            parameters.append(Parameter(name, p.low, p.high, p.typical or p.high / 10, p.typical))
-    return tuple(parameters)
+    pairs = [(e.name, scaled(p, float(row[0]), inertia)) for e in effects for p in e.parameters]
+    return tuple(
+        Parameter(f"{effect}.{p.name}", p.low, p.high, p.typical or p.high / 10, p.typical)
+        for effect, p in pairs
+    )
 
 
 def fit(
@@ -205,6 +203,8 @@ def fit(
     *,
     rounds: int = 3,
     evaluations: int = 60,
+    difference: float = 1e-4,
+    settled: float = 1e-3,
 ) -> Fit:
     """Fit some parameters to all traces at once, with the others of the row fixed.
 
@@ -217,12 +217,14 @@ def fit(
         free: Parameters to fit.
         rounds: Largest number of robust rounds after the first one.
         evaluations: Largest number of evaluations in one round.
+        difference: Step of the central differences, in natural units.
+        settled: Expected gain in log-likelihood below which a search ends.
     """
     simulator = Simulator(traces)
     columns = [COLUMNS.index(p.name) for p in free]
     unit, low, high = (column(free, name) for name in ("typical", "low", "high"))
     box = low / unit, high / unit
-    step = np.full(len(free), _DIFFERENCE)
+    step = np.full(len(free), difference)
 
     def rows(x: Array) -> Array:
         filled = np.tile(row, (len(x), 1))
@@ -251,7 +253,7 @@ def fit(
 
     start = np.clip(row[columns] / unit, *box)
     x, converged = minimise_robustly(
-        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=_SETTLED
+        evaluate, start, *box, rounds=rounds, evaluations=evaluations, settled=settled
     )
     error, slope = expanded(x, fine(x))
     return Fit(
@@ -309,12 +311,11 @@ def best_of(
         names: Those of gains and latency to fit.
     """
     inertia = fitted[0].load.inertia_kgm2
-    free = [[p for p in gains(start, inertia) if p.name in names] for start in starts]
-    fits = [fit(fitted, starts[0], free[0])]
-    fits += [
-        fit(fitted, other, other_free, rounds=1, evaluations=20)
-        for other, other_free in zip(starts[1:], free[1:], strict=True)
-    ]
+    fits: list[Fit] = []
+    for start in starts:
+        free = [p for p in gains(start, inertia) if p.name in names]
+        limits = {"rounds": 1, "evaluations": 20} if fits else {}
+        fits.append(fit(fitted, start, free, **limits))
     scale = min(candidate.scale_rad for candidate in fits)
     fits.sort(key=lambda candidate: candidate.loss(scale))
     return fits[0], fits[1:]

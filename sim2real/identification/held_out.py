@@ -18,8 +18,6 @@ from sim2real.servo.trace import Trace, split
 Array = NDArray[np.float64]
 
 _INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
-_STEPS_PER_RADIAN = 16.0
-"""Sub-steps per radian of the fastest mode."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ def held_out(
     ]
 
 
-def simulated(trace: Trace, theta: Array) -> Array:
+def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> Array:
     """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
     rows = np.array(theta)
     rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
@@ -98,5 +96,5 @@ def simulated(trace: Trace, theta: Array) -> Array:
     inertia = trace.load.inertia_kgm2 + rows[0, INERTIA_LEFT_OUT]
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
     # A common sub-step, so that integration errors cancel in differences of servos.
-    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
+    step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
     return rollout(rows, trace.t, trace.command, substep_s=step, threads=2)

@@ -28,6 +28,7 @@ from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.servo_type import ServoType, learn, type_of
 from sim2real.identification.uncertainty import (
     Uncertainty,
+    as_good,
     intervals,
     motor_intervals,
     symmetric_intervals,
@@ -132,7 +133,8 @@ def identify(
     return Model(
         joints={joint: result.model for joint, result in results.items()},
         fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
-        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving]),
+        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving])
+        + advice.on_play(recordings),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
     )
 
@@ -218,7 +220,7 @@ def _identify_joint(
     best, rivals, without_influence = _fit_plain(fitted, noise, rng)
     motor = None
     if servo is not None and not without_influence:
-        motor = choose_motor(fitted, best, servo, noise, rng, prior, average=True)
+        motor = choose_motor(fitted, best, servo, noise, rng, prior)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
@@ -236,12 +238,16 @@ def _identify_joint(
     elif motor is not None and motor.with_gains:
         spread = uncertainty(best, motor.units)
         ends = motor_intervals(motor, spread)
+        optima = list(motor.other_values)
+        notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     else:
         if load is not PER_INERTIA and shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, load)
         units = np.array([p.typical for p in gains(best.row, best.inertia) if p.name in best.names])
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
+        optima = [other.values for other in as_good(rivals, best, spread)]
+        notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     if motor is not None and servo is not None:
         motor_spread = uncertainty(motor.fit, motor.units)
         notes += advice.on_motor(motor, motor_spread, servo)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, averaged, fit_motor, soft_starts
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.inference.correlated_noise import whiteness
@@ -15,17 +15,6 @@ from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
-
-FACTORS = (0.5, 2.0)
-"""Factors on the width of the prior of losses, for the average of fits."""
-_MIN_GAIN = 6.0
-"""Smallest decrease of the loss beyond chance for which parameters are added."""
-_LOOP_PARAMETERS = 12
-"""Effective parameters of a loop, the best of a thousand periods and phases."""
-_WHITE = 0.1
-"""Lag-1 autocorrelation below which a residual counts as white."""
-_LOOP_ERROR_BEFORE, _LOOP_ERROR_AFTER = 15.0, 1.5
-"""Largest residuals over noise without a loop, for which one is searched, and with it."""
 
 
 def choose_motor(
@@ -36,14 +25,17 @@ def choose_motor(
     rng: np.random.Generator,
     servo_type: ServoType | None = None,
     *,
-    average: bool = False,
+    white: float = 0.1,
+    error_before_loop: float = 15.0,
+    error_with_loop: float = 1.5,
+    loop_parameters: int = 12,
 ) -> MotorFit:
     """Fit the motor's line and, if that does not explain the recordings, its losses.
 
     Where the linear servo explains them, its gains are kept and only the line is fitted. Losses are
-    included if they decrease the loss by more than twice their number (Akaike's criterion) plus
-    ``_MIN_GAIN``. The same applies to gradual friction and a sampled loop if a residual remains. A
-    servo of a known type has the losses of its type.
+    included if they decrease the loss by clearly more than twice their number (Akaike's criterion).
+    The same applies to gradual friction and a sampled loop if a residual remains. A servo of a
+    known type has the losses of its type.
 
     Args:
         fitted: The joint's recordings.
@@ -52,8 +44,10 @@ def choose_motor(
         noise: Standard deviation of its sensor noise in rad.
         rng: Generator for starts.
         servo_type: Prior from other servos of its type.
-        average: Whether fits with losses that do not explain the recordings are averaged over
-            priors of the usual, half and twice the width, if the load is known.
+        white: Lag-1 autocorrelation below which a residual counts as white.
+        error_before_loop: Largest residual over noise for which a sampled loop is searched.
+        error_with_loop: Largest residual over noise with a loop.
+        loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
     """
     prior = motor_prior(servo, fitted)
     if servo_type is not None:
@@ -62,17 +56,11 @@ def choose_motor(
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
     chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
     ratio = rms(chosen.fit.residuals) / noise
-    explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < _WHITE
-    looped = None if explained or ratio > _LOOP_ERROR_BEFORE else fit_sampled_loop(chosen)
-    if looped is not None and rms(looped.fit.residuals) <= _LOOP_ERROR_AFTER * noise:
-        return _better(chosen, looped, _LOOP_PARAMETERS)
-    names = [prior.names[k] for k in chosen.problem.free[3:]]
-    stated = fitted[0].load is not PER_INERTIA  # else minima are too far apart to be averaged
-    unclear = servo_type is None and ratio >= EXPLAINED and LOSSES[0] in names
-    if not (average and stated and unclear):
-        return chosen
-    others = [fit_motor(fitted, plain, prior.loosened(factor), names, rng) for factor in FACTORS]
-    return averaged([chosen, *others])
+    explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < white
+    looped = None if explained or ratio > error_before_loop else fit_sampled_loop(chosen)
+    if looped is not None and rms(looped.fit.residuals) <= error_with_loop * noise:
+        return _better(chosen, looped, loop_parameters)
+    return chosen
 
 
 def _fit_continuous(
@@ -91,7 +79,19 @@ def _fit_continuous(
     first = fit_motor(fitted, plain, prior, line, rng)
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
-    full = fit_motor(fitted, plain, prior, (*line, *LOSSES), rng, start=first.x)
+    full = fit_motor(
+        fitted,
+        plain,
+        prior,
+        (*line, *LOSSES),
+        rng,
+        start=first.x,
+        candidates=512,
+        searches=24,
+        first_steps=40,
+        later_steps=25,
+        behind=200.0,
+    )
     chosen = _better(first, full)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
@@ -99,10 +99,12 @@ def _fit_continuous(
     return _better(chosen, soft)
 
 
-def _better(fewer: MotorFit, more: MotorFit, added: int | None = None) -> MotorFit:
+def _better(
+    fewer: MotorFit, more: MotorFit, added: int | None = None, *, beyond_chance: float = 6.0
+) -> MotorFit:
     """The fit with more parameters if they decrease the loss significantly, else the other."""
     scale, inflation = more.fit.scale_rad, more.inflation
     gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
     if added is None:
         added = len(more.problem.free) - len(fewer.problem.free)
-    return more if gain > 2 * added + _MIN_GAIN else fewer
+    return more if gain > 2 * added + beyond_chance else fewer

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.identification.fit import WINDOW_S, Fit, errors, plain_row, split_by_trace
+from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import (
@@ -20,7 +21,7 @@ from sim2real.inference.least_squares import (
     stacked,
 )
 from sim2real.inference.parameters import Parameter, column
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, SOFT, motor_of
+from sim2real.servo.parameters import BASE, COLUMNS, LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
 
@@ -28,20 +29,6 @@ Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_CANDIDATES, _STARTS = 64, 4
-"""Number of servos drawn from the prior, and of the best ones, from which searches start."""
-_ROUNDS = 4
-"""Number of rounds, between which the scale of the residual is estimated again."""
-_FIRST_STEPS, _LATER_STEPS = 20, 10
-"""Largest number of steps of a search in the first and in later rounds."""
-_SOFT_S = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3))
-"""Starting values of stick and creep time: nearly 0, MuJoCo's, and larger ones."""
-_DIFFERENCE = 1e-3
-"""Step of the derivatives, in units."""
-_SETTLED = 1e-3
-"""Expected gain in log-likelihood below which a search ends."""
-_LONGEST_SUBSTEP_S, _STEPS_PER_RADIAN = 0.002, 32.0
-"""Longest sub-step, and sub-steps per radian of the fastest mode."""
 _LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
 
 
@@ -55,6 +42,8 @@ class MotorProblem:
         free: Indices of the F fitted ones.
         substep_s: Longest sub-step of a rollout, s.
         simulator: Simulator of these traces.
+        steps: Largest number of steps of a search after the first round.
+        behind: Largest difference of log-likelihood to the best search at which one continues.
     """
 
     traces: Sequence[Trace]
@@ -62,6 +51,8 @@ class MotorProblem:
     free: tuple[int, ...]
     substep_s: float
     simulator: Simulator
+    steps: int
+    behind: float
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -122,24 +113,25 @@ class MotorProblem:
         times = [correlation_samples(part) for part in parts]
         return float(np.average(times, weights=[part.size for part in parts]))
 
-    def slopes(self, x: Array) -> tuple[Array, Array]:
+    def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
         _, high, unit = self.box
-        ahead = x[list(self.free)] + _DIFFERENCE * unit
-        step = np.where(ahead > high, -_DIFFERENCE, _DIFFERENCE)
-        base, *moved = self.residuals(np.stack([x, *self._perturbed(x, step)]))
-        return base, np.asarray((np.array(moved) - base).T / step)
+        ahead = x[list(self.free)] + difference * unit
+        step = np.where(ahead > high, -difference, difference)
+        return self._differences(self.residuals, x, step)
 
-    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+    def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
         """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        base, *moved = self.terms(np.stack([x, *self._perturbed(x, np.full(len(self.free), 1e-5))]))
-        return base, np.asarray((np.array(moved) - base).T / 1e-5)
+        return self._differences(self.terms, x, np.full(len(self.free), difference))
 
-    def _perturbed(self, x: Array, step: Array) -> Array:
-        """Points that differ from ``x`` by a step of one free parameter each, (F, N)."""
+    def _differences(
+        self, evaluate: Callable[[Array], Array], x: Array, step: Array
+    ) -> tuple[Array, Array]:
+        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
         points = np.tile(x, (len(self.free), 1))
         points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        return points
+        base, *moved = evaluate(np.stack([x, *points]))
+        return base, np.asarray((np.array(moved) - base).T / step)
 
 
 @dataclass(frozen=True)
@@ -151,12 +143,14 @@ class MotorFit:
         x: Parameters as searched.
         problem: The problem.
         inflation: Number of samples per independent sample.
+        others: Other minima that fit as well or better, as searched, shape (M, F).
     """
 
     fit: Fit
     x: Array
     problem: MotorProblem
     inflation: float
+    others: Array
 
     @property
     def with_gains(self) -> bool:
@@ -185,6 +179,11 @@ class MotorFit:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
         return np.array([p.log for p in self.fit.parameters])
 
+    @property
+    def other_values(self) -> Array:
+        """Free parameters at the other minima, in SI units, shape (M, F)."""
+        return self.problem.prior.values(self.others)[:, list(self.problem.free)]
+
     def losses(self, x: Array, *, coarse: bool = False) -> Array:
         """Losses of parameters as searched (B, F), with the scale of this fit, shape (B,).
 
@@ -211,11 +210,21 @@ def fit_motor(
     start: Array | None = None,
     starts: Array | None = None,
     gains: bool = True,
+    candidates: int = 64,
+    searches: int = 4,
+    rounds: int = 4,
+    first_steps: int = 20,
+    later_steps: int = 10,
+    behind: float = 30.0,
+    longest_substep_s: float = 0.002,
+    steps_per_radian: float = 32.0,
 ) -> MotorFit:
     """Fit gains, latency and ``free_names``; other parameters have no effect.
 
     Candidates drawn from the prior about the plain servo are ranked by their error. Simultaneous
     Levenberg-Marquardt searches start from the best ones and from the plain servo without a limit.
+    With losses among the parameters the loss has many minima, as a servo sticks or just does not;
+    of those that fit the recordings the one is taken whose neighbours fit best (``_robust_order``).
     The likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh
     the prior; its scale is estimated again between rounds.
 
@@ -228,90 +237,100 @@ def fit_motor(
         start: A further start as searched, shape (F,).
         starts: The only starts as searched, shape (S, F).
         gains: Whether gains and latency are fitted; else those of the plain servo are kept.
+        candidates: Number of servos drawn from the prior.
+        searches: Number of the best candidates, from which searches start.
+        rounds: Number of rounds, between which the scale of the residual is estimated again.
+        first_steps: Largest number of steps of a search in the first round.
+        later_steps: Largest number of steps of a search in later rounds.
+        behind: Largest difference of log-likelihood to the best search at which one continues.
+        longest_substep_s: Longest sub-step of a rollout, s.
+        steps_per_radian: Sub-steps per radian of the fastest mode.
     """
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(_LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest)))
-    problem = MotorProblem(traces, prior, free, substep, Simulator(traces))
-    x = _candidates(problem, plain, rng, start) if starts is None else starts
+    substep = float(min(longest_substep_s, 1 / (steps_per_radian * fastest)))
+    simulator = Simulator(traces)
+    problem = MotorProblem(traces, prior, free, substep, simulator, later_steps, behind)
+    x = _candidates(problem, plain, rng, start, candidates) if starts is None else starts
     if not gains:
         x = x[:1]  # the linear servo fits: one search, from its values
     elif starts is None:
-        window = max((trace.window(WINDOW_S) for trace in traces), key=Trace.activity)
+        window = max((trace.window() for trace in traces), key=Trace.activity)
         windowed = replace(problem, traces=[window], simulator=Simulator([window]))
         size = np.mean(np.abs(windowed.residuals(x)), axis=1)
         size[0] = 0.0
-        x = x[np.argsort(size)[:_STARTS]]
+        x = x[np.argsort(size)[:searches]]
     error = problem.residuals(x)
     error = error[np.argmin(np.mean(np.abs(error), axis=1))]
     scale, inflation = 1.0, 1.0
-    for number in range(_ROUNDS):
+    for number in range(rounds):
         before = scale
         scale, inflation = robust_scale(error), problem.inflation(error)
-        if number:
-            x, loss = _search(problem, x, scale, inflation, _LATER_STEPS)
-        else:
-            x, loss = _search(problem.coarse, x, scale, inflation, _FIRST_STEPS)
+        searched, steps = (problem, later_steps) if number else (problem.coarse, first_steps)
+        x, loss = _search(searched, x, scale, inflation, steps)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
         error = problem.residuals(x[:1])[0]
         if number:
-            x = x[loss < loss[0] + 30]
+            x, loss = x[loss < loss[0] + behind], loss[loss < loss[0] + behind]
         if number and abs(scale / before - 1) < 0.05:
             break
-    return _result(problem, x[0], scale, inflation)
+    if not set(LOSSES).isdisjoint(free_names):
+        order = _robust_order(problem, x, scale, inflation, rng)
+        x, loss = x[order], loss[order]
+    return _result(problem, x, loss, scale, inflation)
 
 
-def refitted(motor: MotorFit, x: Array, steps: int = _LATER_STEPS) -> MotorFit:
-    """The best refit with a sampled loop from starts ``x`` (B, F) as searched."""
+def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> MotorFit:
+    """The best refit with a sampled loop from starts ``x`` (B, F) as searched.
+
+    A search has at most ``steps`` steps, by default those of the motor's later rounds.
+    """
+    steps = motor.problem.steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     problem = replace(motor.problem, free=tuple(sorted({*motor.problem.free, period})))
     x, loss = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
-    best = x[np.argsort(loss)[0]]
-    inflation = problem.inflation(problem.residuals(best[None])[0])
-    return _result(problem, best, motor.fit.scale_rad, inflation)
+    best = np.argsort(loss)[:1]
+    inflation = problem.inflation(problem.residuals(x[best])[0])
+    return _result(problem, x[best], loss[best], motor.fit.scale_rad, inflation)
 
 
-def averaged(fits: Sequence[MotorFit]) -> MotorFit:
-    """Mean of fits with the same free parameters, evaluated with the prior of the first.
+def soft_starts(
+    motor: MotorFit,
+    times_s: Sequence[tuple[float, float]] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3)),
+) -> Array:
+    """Starts as searched (S, F) from a fit, with gradual friction.
 
-    The mean is that of the searched variables: the logarithms of gains, torque and speed.
+    Their stick and creep times are nearly 0, MuJoCo's, and larger ones.
     """
-    first = fits[0]
-    x = np.mean([fit.x for fit in fits], axis=0)
-    return _result(first.problem, x, first.fit.scale_rad, first.inflation)
-
-
-def soft_starts(motor: MotorFit) -> Array:
-    """Starts as searched (S, F) from a fit, with gradual friction."""
-    x = np.tile(motor.x, (len(_SOFT_S), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = _SOFT_S
+    x = np.tile(motor.x, (len(times_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
     return x
 
 
 def _candidates(
-    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None
+    problem: MotorProblem, plain: Fit, rng: np.random.Generator, start: Array | None, B: int
 ) -> Array:
     """Candidates (B, F) as searched; the first is ``start`` or the plain servo."""
     prior = problem.prior
     kp, kd = np.maximum(plain.row[:2], 1e-9)
     latency = float(plain.row[2])
-    x = np.full((_CANDIDATES, len(prior.parameters)), -np.inf)
+    x = np.full((B, len(prior.parameters)), -np.inf)
     for k, parameter in enumerate(prior.parameters):
         x[:, k] = -np.inf if parameter.log else 0.0
         if k not in problem.free:
             continue
         width = parameter.prior_sd if np.isfinite(parameter.prior_sd) else 0.0
-        drawn = parameter.nominal + width * rng.standard_normal(_CANDIDATES)
+        drawn = parameter.nominal + width * rng.standard_normal(B)
         x[:, k] = drawn if parameter.log or parameter.nominal else 0.5 * np.abs(drawn)
     damping = prior.parameters[3].nominal - prior.parameters[4].nominal
-    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, _CANDIDATES)
-    x[:, 1] = damping + 0.3 * rng.standard_normal(_CANDIDATES)
-    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), _CANDIDATES)
-    x[: _CANDIDATES // 2, :3] = np.log(kp), np.log(kd), latency
+    x[:, 0] = np.log(kp) + rng.uniform(0.0, 1.2, B)
+    x[:, 1] = damping + 0.3 * rng.standard_normal(B)
+    x[:, 2] = rng.uniform(0.0, max(latency, 0.01), B)
+    x[: B // 2, :3] = np.log(kp), np.log(kd), latency
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
         missing = [k for k in problem.free if np.isneginf(start[k])]
@@ -326,7 +345,7 @@ def _search(
     problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
 ) -> tuple[Array, Array]:
     """Searches from all of ``x`` (S, F), and their losses (S,)."""
-    low, high, unit = problem.box
+    *ends, unit = problem.box
     free = list(problem.free)
     latest: dict[int, Array] = {}
 
@@ -361,19 +380,75 @@ def _search(
     minimum = minimise(
         expand,
         x[:, free] / unit,
-        np.tile(low / unit, (len(x), 1)),
-        np.tile(high / unit, (len(x), 1)),
+        *(np.tile(end / unit, (len(x), 1)) for end in ends),
         evaluations=steps,
-        settled=_SETTLED,
-        hopeless=cannot_win,
+        settled=1e-3,
+        hopeless=partial(cannot_win, behind=problem.behind),
         losses=losses,
         look_every=1,
     )
     return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
 
 
-def _result(problem: MotorProblem, x: Array, scale: float, inflation: float) -> MotorFit:
-    """The fit, in SI units of the parameters."""
+def _robust_order(
+    problem: MotorProblem,
+    x: Array,
+    scale: float,
+    inflation: float,
+    rng: np.random.Generator,
+    *,
+    neighbours: int = 128,
+    distance: float = 0.1,
+) -> NDArray[np.intp]:
+    """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
+
+    Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow
+    minimum owes its small loss to a coincidence, for instance of the moment at which the shaft
+    sticks, and predicts other motions badly; so the expected loss of uncertain parameters is what
+    counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied Mechanics and
+    Engineering 196 (2007) 3190-3218, sec. 2.2).
+
+    Args:
+        problem: The problem.
+        x: The minima as searched.
+        scale: Scale of the residual in rad.
+        inflation: Number of samples per independent sample.
+        rng: Generator for the neighbours.
+        neighbours: Number of neighbours of a minimum.
+        distance: Their standard deviation relative to the prior's.
+    """
+    free = list(problem.free)
+    varied = [k for k in free if problem.prior.names[k] in (ROTOR, *LOSSES)]
+    width = distance * column([problem.prior.parameters[k] for k in varied], "prior_sd")
+    offset = width * rng.standard_normal((neighbours, len(varied)))
+    low, high, _ = problem.box
+    means = np.empty(len(x))
+    for k, minimum in enumerate(x):
+        nearby = np.tile(minimum, (neighbours, 1))
+        nearby[:, varied] += offset
+        # A loss below 0 is reflected.
+        moved = np.maximum(nearby[:, free], 2 * low - nearby[:, free])
+        nearby[:, free] = np.minimum(moved, high)
+        error = problem.coarse.residuals(nearby)
+        means[k] = problem.loss(nearby, error, scale, inflation).mean()
+    return np.argsort(means)
+
+
+def _result(
+    problem: MotorProblem,
+    minima: Array,
+    loss: Array,
+    scale: float,
+    inflation: float,
+    *,
+    as_good: float = 2.0,
+) -> MotorFit:
+    """The fit at the first of some minima (M, F), in SI units of the parameters.
+
+    Others count as fitting as well if their ``loss`` (M,), twice the negative log-posterior, is
+    larger by less than ``as_good``.
+    """
+    x = minima[0]
     error, slopes = problem.slopes(x)
     row, unit = problem.rows(x[None])[0], problem.box[2]
     values = problem.prior.values(x)
@@ -390,4 +465,5 @@ def _result(problem: MotorProblem, x: Array, scale: float, inflation: float) -> 
         prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )
-    return MotorFit(fit, x, problem, inflation)
+    others = minima[1:][loss[1:] < loss[0] + as_good]
+    return MotorFit(fit, x, problem, inflation, others)

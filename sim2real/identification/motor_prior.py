@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,41 +12,10 @@ from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
+from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
-
-_SHEET_SD = (0.35, 0.25)
-"""Standard deviations of the logarithms of stall torque and no-load speed about the data sheet."""
-_UNKNOWN_SD = 1.5
-"""Standard deviation of the logarithm of stall torque per unknown inertia."""
-_MOTOR_TIME_S, _MOTOR_TIME_SD = 0.03, 0.8
-"""Time constant of small geared motors, rotor inertia times no-load speed over stall torque, and
-the standard deviation of its logarithm."""
-_BACK_EMF_SD = 0.3
-"""Scale of the logarithm of damping about that by the back-EMF, with long tails, as the controller
-may add damping."""
-_TICK_S = 2e-7
-"""Natural unit of a loop's period, which accumulates over thousands of samples."""
-_LOG_UNIT = 0.3
-"""Natural unit of a logarithm."""
-
-
-@dataclass(frozen=True)
-class Spreads:
-    """Standard deviations of the prior that were chosen (see ``benchmarks/prior_choice.py``).
-
-    Attributes:
-        losses: Factor on the standard deviations of losses and friction below.
-        reported: Standard deviation of the logarithm of the drive that the servo reports; infinite
-            to ignore it.
-    """
-
-    losses: float = 1.0
-    reported: float = 0.05
-
-
-SPREADS = Spreads()
 
 
 @dataclass(frozen=True)
@@ -55,11 +24,15 @@ class MotorPrior:
 
     Attributes:
         parameters: Prior of each column of the law (``servo.parameters``), gains and latency first.
-        per_rad: Drive per radian of error that the servo reports, if it does.
+        drive: Controller that the reported drive shows; None if the servo does not report it, or
+            if it is ignored.
+        reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
+            and of that of the damping.
     """
 
     parameters: tuple[Parameter, ...]
-    per_rad: float | None
+    drive: ReportedDrive | None
+    reported_sd: float = 0.01
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,63 +43,94 @@ class MotorPrior:
         """Index of a parameter."""
         return self.names.index(name)
 
-    def loosened(self, factor: float) -> MotorPrior:
-        """The prior with the standard deviations of losses and friction multiplied by a factor."""
-        wider = [p if p.log else replace(p, prior_sd=factor * p.prior_sd) for p in self.parameters]
-        return replace(self, parameters=tuple(wider))
-
     def values(self, x: Array) -> Array:
         """Parameters in SI units from those searched, shape (..., F)."""
         log = np.array([parameter.log for parameter in self.parameters])
         return np.where(log, np.exp(np.where(log, x, 0.0)), x)
 
-    def terms(self, x: Array) -> Array:
+    def terms(self, x: Array, *, back_emf_sd: float = 0.3) -> Array:
         """Residuals whose squares are twice the negative logarithm of the prior, shape (B, F + 2).
 
         Args:
             x: Parameters as searched, shape (B, F).
+            back_emf_sd: Scale of the logarithm of damping about that by the back-EMF, with long
+                tails, as the controller may add damping.
         """
         parts = (x - column(self.parameters, "nominal")) / column(self.parameters, "prior_sd")
         kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        damping = (kd - stall + no_load_speed) / _BACK_EMF_SD
-        damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))  # tails of a Cauchy distribution
-        drive = np.zeros_like(kp)
-        if self.per_rad is not None:
-            drive = (kp - stall - np.log(self.per_rad)) / SPREADS.reported
-        return np.hstack([parts, damping[:, None], drive[:, None]])
+        if self.drive is None:
+            damping = (kd - stall + no_load_speed) / back_emf_sd
+            # tails of a Cauchy distribution
+            damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))
+            ties = np.stack([damping, np.zeros_like(kp)], axis=1)
+        else:
+            back_emf = np.exp(stall - no_load_speed)
+            damping = kd - np.log(back_emf + self.drive.lead_s * np.exp(kp))
+            gain = kp - stall - np.log(self.drive.per_rad)
+            ties = np.stack([damping, gain], axis=1) / self.reported_sd
+        return np.hstack([parts, ties])
 
 
-def motor_prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
+def motor_prior(
+    servo: Servo,
+    traces: Sequence[Trace],
+    *,
+    stall_sd: float = 0.35,
+    unknown_stall_sd: float = 1.5,
+    speed_sd: float = 0.25,
+    motor_time_s: float = 0.03,
+    motor_time_sd: float = 0.8,
+    loss_width: float = 1.0,
+    reported_sd: float = MotorPrior.reported_sd,
+    log_unit: float = 0.3,
+) -> MotorPrior:
     """The prior of a servo's law from its data sheet and, if it is reported, its drive.
 
-    Torque and speed of the data sheet are those of the motor's line without friction, within the
-    prior's width. The rotor inertia follows from a motor's time constant; the ratios of friction
-    are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA 2025: 0.05 to 0.4).
+    A servo that reports its drive shows its controller: kp is that gain times the stall torque, the
+    damping that of the back-EMF and of the controller's derivative term, and the latency is known
+    to a sampling period. Torque and speed of the data sheet are those of the motor's line without
+    friction, within the prior's width. The rotor inertia follows from a motor's time constant; the
+    ratios of friction are those of spur gears with ratios of hundreds (Duclusaud and others, ICRA
+    2025: 0.05 to 0.4).
+
+    Args:
+        servo: The data sheet.
+        traces: The joint's recordings.
+        stall_sd: Standard deviation of the logarithm of stall torque about the data sheet.
+        unknown_stall_sd: The same where the inertia is unknown, to which the torque is relative.
+        speed_sd: Standard deviation of the logarithm of no-load speed about the data sheet.
+        motor_time_s: Time constant of small geared motors: rotor inertia times no-load speed over
+            stall torque.
+        motor_time_sd: Standard deviation of its logarithm.
+        loss_width: Factor on the standard deviations of losses and friction.
+        reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
+            and of that of the damping; infinite to ignore the reported drive.
+        log_unit: Natural unit of a logarithm.
     """
     stall, speed = servo.max_torque_Nm, servo.no_load_speed_rad_s
-    stall_sd, speed_sd = _SHEET_SD
     if traces[0].load is PER_INERTIA:
-        stall, stall_sd = speed / _MOTOR_TIME_S, _UNKNOWN_SD
+        stall, stall_sd = speed / motor_time_s, unknown_stall_sd
     inertia = traces[0].load.inertia_kgm2
-    rotor_inertia = _MOTOR_TIME_S * (stall / speed)
-    per_rad = [t.drive_per_rad for t in traces if t.drive_per_rad is not None]
+    rotor_inertia = motor_time_s * (stall / speed)
+    drive = _common_drive(traces) if np.isfinite(reported_sd) else None
+    latency = (0.0, np.inf) if drive is None else (drive.latency_s, drive.period_s)
 
     def log(name: str, middle: float, sd: float, room: float = 4.0) -> Parameter:
         low, high = float(middle * np.exp(-room)), float(middle * np.exp(room))
-        return Parameter(name, low, high, _LOG_UNIT, float(np.log(middle)), sd, log=True)
+        return Parameter(name, low, high, log_unit, float(np.log(middle)), sd, log=True)
 
     def share(name: str, sd: float, high: float, unit: float) -> Parameter:
-        return Parameter(name, 0.0, high, unit, 0.0, SPREADS.losses * sd)
+        return Parameter(name, 0.0, high, unit, 0.0, loss_width * sd)
 
     return MotorPrior(
         (
-            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, _LOG_UNIT, log=True),
-            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, _LOG_UNIT, log=True),
-            Parameter("latency_s", 0.0, 0.5, 0.02),
+            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, log_unit, log=True),
+            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, log_unit, log=True),
+            Parameter("latency_s", 0.0, 0.5, 0.02, *latency),
             log(LINE[0], stall, stall_sd),
             log(LINE[1], speed, speed_sd),
             share("motor.resistance_rise", 1.5, 8.0, 1.0),
-            log(ROTOR, rotor_inertia, _MOTOR_TIME_SD, 8.0),
+            log(ROTOR, rotor_inertia, motor_time_sd, 8.0),
             share("motor.coulomb_Nm", 0.03 * stall, 0.5 * stall, 0.03 * stall),
             share("motor.motor_friction", 0.4, 0.95, 0.2),
             share("motor.load_friction", 0.4, 2.0, 0.2),
@@ -135,7 +139,15 @@ def motor_prior(servo: Servo, traces: Sequence[Trace]) -> MotorPrior:
             log("motor.stribeck_speed_rad_s", 0.05 * speed, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
-            *(Parameter(name, 0.0, 0.05, _TICK_S) for name in LOOP),
+            # the error of a period accumulates over thousands of samples
+            *(Parameter(name, 0.0, 0.05, 2e-7) for name in LOOP),
         ),
-        float(np.median(per_rad)) if per_rad else None,
+        drive,
+        reported_sd,
     )
+
+
+def _common_drive(traces: Sequence[Trace]) -> ReportedDrive | None:
+    """Median of the controllers that the recordings show; None if none reports its drive."""
+    drives = [astuple(trace.drive) for trace in traces if trace.drive is not None]
+    return ReportedDrive(*(float(x) for x in np.median(drives, axis=0))) if drives else None

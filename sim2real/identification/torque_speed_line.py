@@ -23,8 +23,6 @@ Array = NDArray[np.float64]
 
 _LINE = [COLUMNS.index(name) for name in LINE]
 _LARGER = np.linspace(1.0, 2.0, 26)
-_LARGEST_COST = 2.0
-"""Log-likelihood that a line may cost, about the effect of chance on one parameter."""
 
 
 def on_its_line(
@@ -57,13 +55,15 @@ def on_its_line(
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
-def with_stated_line(traces: Sequence[Trace], servo: Servo, row: Array) -> Array:
+def with_stated_line(
+    traces: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
+) -> Array:
     """A servo's parameters (P,) with its data sheet's line, if the recordings do not determine it.
 
     Without a line, faster motions would be predicted with unlimited torque. If the recordings
     exclude the stated torque, the smallest larger one that they allow is used, up to twice the
     stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
-    more than ``_LARGEST_COST`` of log-likelihood.
+    more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
     """
     if row[_LINE].any() or traces[0].load is PER_INERTIA:
         return row
@@ -72,5 +72,5 @@ def with_stated_line(traces: Sequence[Trace], servo: Servo, row: Array) -> Array
     rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     squares = np.sum(residuals**2, axis=1)
-    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < _LARGEST_COST
+    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)

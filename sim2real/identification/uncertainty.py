@@ -5,6 +5,7 @@ Ends of intervals are infinite where the recordings set no bound.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,18 +21,8 @@ from sim2real.servo.trace import Trace
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.90
-"""Probability of the intervals."""
-_OPEN_SD = 1.0
-"""Standard deviation in natural units above which a direction is open: not determined."""
-_PART = 0.25
-"""Share of an open direction from which a parameter counts as part of it."""
 _CHI2_90 = 6.251
 """90 % quantile of chi-square with three degrees of freedom, as regions may be disconnected."""
-_LARGEST_SYMMETRIC = 0.15
-"""Half-width in natural units above which symmetric ends are not used."""
-_STEPS, _BISECTIONS = 24, 3
-"""Largest number of steps outwards, and of bisections, for an end by profile likelihood."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +49,9 @@ class Uncertainty:
         return {k for direction in self.open_directions for k in direction}
 
 
-def uncertainty(best: Fit, units: Array) -> Uncertainty:
+def uncertainty(
+    best: Fit, units: Array, *, probability: float = 0.90, open_sd: float = 1.0, part: float = 0.25
+) -> Uncertainty:
     """Sandwich covariance of a robust fit whose residuals are correlated in time.
 
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
@@ -69,6 +62,9 @@ def uncertainty(best: Fit, units: Array) -> Uncertainty:
     Args:
         best: The fit.
         units: Natural units of the free parameters, shape (F,).
+        probability: Probability of the intervals.
+        open_sd: Standard deviation in natural units above which a direction is open.
+        part: Share of an open direction from which a parameter counts as part of it.
     """
     size = OUTLIER_SD * best.scale_rad
     curvature = np.zeros((units.size, units.size))
@@ -103,20 +99,21 @@ def uncertainty(best: Fit, units: Array) -> Uncertainty:
     )
     # curvature without information is round-off of either sign
     along_sd = np.where(level > least, np.sqrt(np.maximum(along, 0.0)) / level, np.inf)
-    determined = along_sd < _OPEN_SD
+    determined = along_sd < open_sd
     inverse = directions[:, determined] / level[determined] @ directions[:, determined].T
     at_least = inverse @ independent @ inverse
     covariance = _raised_to(inverse @ spread @ inverse, at_least)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     freedom = max(effective - units.size, 1.0)
-    quantile = float(stdtrit(freedom, 0.5 + LEVEL / 2)) * fixed_b(float(np.mean(spans)), samples)
+    student = float(stdtrit(freedom, 0.5 + probability / 2))
+    quantile = student * fixed_b(float(np.mean(spans)), samples)
     correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)
     return Uncertainty(
         sd=sd * units,
         correlation=correlation,
         half_width=quantile * sd * units,
         open_directions=tuple(
-            tuple(int(i) for i in np.flatnonzero(np.abs(directions[:, k]) > _PART))
+            tuple(int(i) for i in np.flatnonzero(np.abs(directions[:, k]) > part))
             for k in np.flatnonzero(~determined)
         ),
         inflation=float(np.max(_ratio(sd**2, np.diag(at_least)))),
@@ -139,6 +136,8 @@ def intervals(
     spread: Uncertainty,
     units: Array,
     fitted: list[Trace],
+    *,
+    largest_symmetric: float = 0.15,
 ) -> dict[str, tuple[float, float]]:
     """90 % intervals of gains, latency and, if it is free, inertia, by name.
 
@@ -152,15 +151,16 @@ def intervals(
         spread: Covariance of the fit.
         units: Natural unit of each fitted parameter, shape (F,).
         fitted: The recordings.
+        largest_symmetric: Half-width in natural units above which symmetric ends are not used.
     """
-    equal = [rival for rival in rivals if _excess(rival, best, spread.inflation) < _CHI2_90]
+    equal = as_good(rivals, best, spread)
     result = {p.name: (p.low, np.inf) for p in gains(best.row, best.inertia)}
     for k, p in enumerate(best.parameters):
         value, half = float(best.values[k]), float(spread.half_width[k])
         ends = (max(value - half, p.low), min(value + half, p.high))
         values = [float(rival.row[COLUMNS.index(p.name)]) for rival in (best, *equal)]
         elsewhere = any(abs(other - value) > half for other in values)
-        if k in spread.undetermined or elsewhere or half > _LARGEST_SYMMETRIC * units[k]:
+        if k in spread.undetermined or elsewhere or half > largest_symmetric * units[k]:
             first = max(min(half, units[k]), 0.1 * units[k]) / 2
             ends = (
                 _profiled(best, k, -first, p.low, fitted, spread.inflation),
@@ -169,6 +169,11 @@ def intervals(
         ends = (min(ends[0], *values), max(ends[1], *values))
         result[p.name] = (ends[0], np.inf if ends[1] == p.high else ends[1])
     return result
+
+
+def as_good(others: Sequence[Fit], best: Fit, spread: Uncertainty) -> list[Fit]:
+    """The fits that explain the recordings as well as the best one, at 90 % confidence."""
+    return [other for other in others if _excess(other, best, spread.inflation) < _CHI2_90]
 
 
 def symmetric_intervals(
@@ -207,12 +212,15 @@ def _profiled(
     limit: float,
     fitted: list[Trace],
     inflation: float,
+    *,
+    steps: int = 24,
+    bisections: int = 3,
 ) -> float:
     """End of the interval of one parameter, or ``limit`` if the recordings do not determine it.
 
     Profile likelihood: the parameter is moved by increasing steps, starting with ``first``, and the
-    others are refitted, until twice the decrease of the log-likelihood exceeds ``_CHI2_90``. The
-    proportional gain is moved by factors, the others by differences.
+    others are refitted, until twice the decrease of the log-likelihood exceeds ``_CHI2_90``; then
+    the end is bisected. The proportional gain is moved by factors, the others by differences.
     """
     value, name = float(best.values[k]), best.names[k]
     row = best.row.copy()
@@ -232,13 +240,13 @@ def _profiled(
         return True
 
     inside, outside = 0.0, first
-    for _ in range(_STEPS):
+    for _ in range(steps):
         if not accounts(moved(outside)):
             break
         if moved(outside) == limit:
             return limit
         inside, outside = outside, 2 * outside
-    for _ in range(_BISECTIONS):
+    for _ in range(bisections):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if accounts(moved(middle)) else (inside, middle)
     return moved(0.5 * (inside + outside))

@@ -27,12 +27,6 @@ _LARGEST_STEP = 3.0
 """Longest step of a parameter, in units."""
 _SAME_SCALE = 0.05
 """Relative change of the scale below which robust rounds end."""
-_SAME = 0.1
-"""Distance in units below which two searches approach the same minimum."""
-_BEHIND = 30.0
-"""Largest difference to the best loss at which a search continues."""
-_OPTIMISM = 5.0
-"""Assumed remaining decrease of a loss as a multiple of that expected from the next step."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +176,16 @@ def _step(
     return np.asarray(step), np.asarray(gain)
 
 
-def cannot_win(active: Index, points: Array, losses: Array, promised: Array) -> Mask:
+def cannot_win(
+    active: Index,
+    points: Array,
+    losses: Array,
+    promised: Array,
+    *,
+    same: float = 0.1,
+    behind: float = 30.0,
+    optimism: float = 5.0,
+) -> Mask:
     """Searches that approach the minimum of a better one, or cannot reach the best loss.
 
     For the argument ``hopeless`` of ``minimise``.
@@ -192,16 +195,19 @@ def cannot_win(active: Index, points: Array, losses: Array, promised: Array) -> 
         points: Current points of all searches, in natural units, shape (S, F).
         losses: Their losses, shape (S,).
         promised: Decrease of the loss expected from the next step of each active search, (M,).
+        same: Distance in units below which two searches approach the same minimum.
+        behind: Largest difference to the best loss at which a search continues.
+        optimism: Assumed remaining decrease of a loss as a multiple of ``promised``.
 
     Returns:
         Mask of the active searches to stop, shape (M,).
     """
     rank = np.empty(losses.size, dtype=np.intp)
     rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
-    near = np.abs(points[active, None] - points).max(axis=2) < _SAME
+    near = np.abs(points[active, None] - points).max(axis=2) < same
     follows = (near & (rank < rank[active, None])).any(axis=1)
-    reachable = losses[active] - _OPTIMISM * np.maximum(promised, 0.5)
-    return np.asarray(follows | (reachable > losses.min() + _BEHIND))
+    reachable = losses[active] - optimism * np.maximum(promised, 0.5)
+    return np.asarray(follows | (reachable > losses.min() + behind))
 
 
 def central(

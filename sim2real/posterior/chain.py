@@ -22,17 +22,10 @@ Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
 FORMAT = "sim2real.chain/1"
-SMALLEST_BLOCK, BLOCK_SHARE = 100, 0.1
-"""Smallest number of steps in a block, and share of the previous steps: the total cost of writing
-grows only in proportion to the length of the chain."""
-FREEDOM, SCALE = 5.0, 1.1
-"""Degrees of freedom and scale of the independent proposals, which have heavy tails."""
-SHARES = (0.6, 0.2, 0.2)
-"""Shares of steps with independent proposals, stretch moves and differential evolution."""
 LEAST_TIMES = 50
 """Smallest length of a chain, in autocorrelation times, for its samples to be used."""
 BURN_IN_TIMES = 5
-_ROUND = 500
+"""Number of initial steps to discard, in autocorrelation times."""
 
 
 def chain_file(out: Path, joint: str) -> Path:
@@ -92,6 +85,9 @@ def run_chain(
     steps: int,
     file: Path | None = None,
     progress: Callable[[int], None] = lambda steps: None,
+    *,
+    smallest_block: int = 100,
+    block_share: float = 0.1,
 ) -> Chain:
     """Continue a chain to ``steps`` steps, writing it to ``file`` after every block.
 
@@ -101,6 +97,9 @@ def run_chain(
         steps: Total number of steps.
         file: File of the chain; None keeps it in memory only.
         progress: Called with the number of completed steps after every block.
+        smallest_block: Smallest number of steps in a block.
+        block_share: Length of a block as a share of the previous steps: the total cost of writing
+            grows only in proportion to the length of the chain.
 
     Raises:
         InputError: If the file can't be written.
@@ -115,14 +114,14 @@ def run_chain(
     else:
         state = State(chain.origin["start"], random_state=chain.random)
     while chain.steps < steps:
-        block = min(max(SMALLEST_BLOCK, int(BLOCK_SHARE * chain.steps)), steps - chain.steps)
+        block = min(max(smallest_block, int(block_share * chain.steps)), steps - chain.steps)
         coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
         before = state.coords.copy()
-        for k, new in enumerate(sampler.sample(state, iterations=block, store=False)):
-            coordinates[k], log_posterior[k] = new.coords, new.log_prob
-            accepted += np.any(new.coords != before, axis=1)
-            before = new.coords.copy()
-            state = new
+        samples = sampler.sample(state, iterations=block, store=False)
+        for k, state in enumerate(samples):
+            coordinates[k], log_posterior[k] = state.coords, state.log_prob
+            accepted += np.any(state.coords != before, axis=1)
+            before = state.coords.copy()
         chain = replace(
             chain,
             coordinates=np.concatenate([chain.coordinates, coordinates]),
@@ -197,7 +196,9 @@ def read_chain(file: Path) -> Chain:
         raise InputError(file, "", f"no chain ({reason})", "a chain, or no such file") from None
 
 
-def moves(free: int) -> list[tuple[Any, float]]:
+def moves(
+    free: int, *, shares: tuple[float, float, float] = (0.6, 0.2, 0.2)
+) -> list[tuple[Any, float]]:
     """Moves of ``emcee`` for F standardised coordinates, each with its share of the steps.
 
     Where the posterior is nearly normal, independent proposals from the Laplace approximation are
@@ -210,23 +211,29 @@ def moves(free: int) -> list[tuple[Any, float]]:
     from emcee.moves import DEMove, MHMove, StretchMove  # type: ignore[import-untyped]
 
     proposals = (MHMove(independent, ndim=free), StretchMove(), DEMove())
-    return list(zip(proposals, SHARES, strict=True))
+    return list(zip(proposals, shares, strict=True))
 
 
 def independent(
     coordinates: Array,
     random: np.random.RandomState,  # noqa: NPY002 - the generator that emcee uses
+    *,
+    freedom: float = 5.0,
+    scale: float = 1.1,
 ) -> tuple[Array, Array]:
-    """New coordinates (W, F) from a Student distribution about the optimum, and their log-ratio."""
+    """New coordinates (W, F) from a Student distribution about the optimum, and their log-ratio.
+
+    The distribution has few degrees of ``freedom``, hence heavy tails.
+    """
     W, F = coordinates.shape
-    tail = np.sqrt(random.chisquare(FREEDOM, size=(W, 1)) / FREEDOM)
-    new = SCALE * random.normal(size=(W, F)) / tail
-    return new, _log_student(coordinates) - _log_student(new)
+    tail = np.sqrt(random.chisquare(freedom, size=(W, 1)) / freedom)
+    new = scale * random.normal(size=(W, F)) / tail
 
+    def log_student(w: Array) -> Array:
+        square = np.sum((w / scale) ** 2, axis=1)
+        return np.asarray(-0.5 * (freedom + F) * np.log1p(square / freedom))
 
-def _log_student(w: Array) -> Array:
-    square = np.sum((w / SCALE) ** 2, axis=1)
-    return np.asarray(-0.5 * (FREEDOM + w.shape[1]) * np.log1p(square / FREEDOM))
+    return new, log_student(coordinates) - log_student(new)
 
 
 @dataclass(frozen=True)
@@ -271,17 +278,20 @@ def convergence(chain: Chain) -> Convergence:
     return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
 
 
-def require(convergence: Convergence, what: str, names: tuple[str, ...]) -> None:
+def require(
+    convergence: Convergence, what: str, names: tuple[str, ...], *, multiple: int = 500
+) -> None:
     """Check that a chain is long enough.
 
     Raises:
-        InputError: If it spans less than 50 autocorrelation times, with the number of steps needed.
+        InputError: If it spans less than 50 autocorrelation times, with the number of steps needed
+            (a multiple of ``multiple``).
     """
     if convergence.reached:
         return
     slowest = names[int(convergence.times.argmax())]
-    needed = math.ceil(1.2 * LEAST_TIMES * convergence.times.max() / _ROUND) * _ROUND
-    needed = max(needed, convergence.steps + _ROUND)
+    needed = math.ceil(1.2 * LEAST_TIMES * convergence.times.max() / multiple) * multiple
+    needed = max(needed, convergence.steps + multiple)
     raise InputError(
         what,
         slowest,

@@ -16,21 +16,6 @@ from sim2real.posterior.likelihood import ServoData
 Array = NDArray[np.float64]
 
 
-_ITERATIONS = 40
-"""Iterations of the fit."""
-_WIDEST_SD = 2.0
-"""Largest standard deviation of a coordinate, where the recordings do not constrain it."""
-_REACH_SD = 1.0
-"""Step of the central differences, in standard deviations."""
-_ROUNDS = 8
-"""Largest number of steps of Newton's method."""
-_LONGEST_STEP_SD, _SETTLED_SD = 4.0, 0.1
-"""Longest step, and length below which the search ends, in standard deviations."""
-_CURVATURE = 0.02, 50.0
-"""Limits of the curvature relative to the previous estimate, beyond which it is attributed to noise
-of the differences."""
-
-
 @dataclass(frozen=True)
 class Laplace:
     """A normal distribution in unbounded coordinates, and the noise model fitted with it.
@@ -52,11 +37,12 @@ class Laplace:
         return np.asarray(self.centre + w @ self.factor.T)
 
 
-def laplace(data: ServoData) -> Laplace:
+def laplace(data: ServoData, *, iterations: int = 40, widest_sd: float = 2.0) -> Laplace:
     """Fit the joint and compute the curvature of its log-posterior at the optimum.
 
     The curvature is that of the whitened sum of squares (Gauss-Newton) plus the priors'. Source:
-    Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86.
+    Tierney and Kadane, Journal of the American Statistical Association 81 (1986) 82-86. Coordinates
+    that the recordings do not constrain have the standard deviation ``widest_sd``.
     """
     priors = data.priors
     start = priors.values(priors.coordinates(data.row[data.columns]))
@@ -65,15 +51,15 @@ def laplace(data: ServoData) -> Laplace:
     theta = data.theta(start[None])
     columns = np.array([data.columns], dtype=np.int32)
     servos = Servos(np.zeros(1, dtype=np.int32), theta, columns, unit, low, high)
-    fits = minimise(data.batch, servos, iterations=_ITERATIONS)
+    fits = minimise(data.batch, servos, iterations=iterations)
     gram = fits.gram[0].sum(axis=0)
     variance = gram[0, 0] / max(float(fits.count[0]) - fits.autoregression.shape[1], 1.0)
     centre = priors.coordinates(fits.servos.theta[0, data.columns])
     slope = priors.slope(centre) / unit[0]
     information = gram[1:, 1:] / variance * np.outer(slope, slope)
-    information += np.diag(priors.curvature(centre) + 1 / _WIDEST_SD**2)
+    information += np.diag(priors.curvature(centre) + 1 / widest_sd**2)
     level, directions = np.linalg.eigh(information)
-    covariance = (directions / np.maximum(level, 1 / _WIDEST_SD**2)) @ directions.T
+    covariance = (directions / np.maximum(level, 1 / widest_sd**2)) @ directions.T
     return Laplace(
         centre=centre,
         factor=np.linalg.cholesky(covariance),
@@ -82,7 +68,15 @@ def laplace(data: ServoData) -> Laplace:
     )
 
 
-def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplace:
+def sharpened(
+    start: Laplace,
+    log_posterior: Callable[[Array], Array],
+    *,
+    rounds: int = 8,
+    longest_step_sd: float = 4.0,
+    settled_sd: float = 0.1,
+    limits: tuple[float, float] = (0.02, 50.0),
+) -> Laplace:
     """Refine the optimum with the log-posterior that is sampled, and the curvature there.
 
     The rollouts of the fit have longer sub-steps than those of the sampler, so that the optimum of
@@ -92,17 +86,22 @@ def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplac
     Args:
         start: Result of the fit.
         log_posterior: Log-posterior of unbounded coordinates (B, F), shape (B,).
+        rounds: Largest number of steps.
+        longest_step_sd: Longest step, in standard deviations.
+        settled_sd: Length of a step below which the search ends, likewise.
+        limits: Smallest and largest curvature relative to the previous estimate, beyond which it is
+            attributed to noise of the differences.
     """
     best, current = float(log_posterior(start.centre[None])[0]), start
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         differences = _differences(current, log_posterior)
         if differences is None:
             break
         slope, curvature = differences
         level, directions = np.linalg.eigh(curvature)
-        level = np.clip(level, *_CURVATURE)
+        level = np.clip(level, *limits)
         step = directions @ ((directions.T @ slope) / level)
-        step *= min(1.0, _LONGEST_STEP_SD / max(float(np.linalg.norm(step)), 1e-12))
+        step *= min(1.0, longest_step_sd / max(float(np.linalg.norm(step)), 1e-12))
         centre = current.coordinates(step)
         value = float(log_posterior(centre[None])[0])
         covariance = current.factor @ (directions / level) @ directions.T @ current.factor.T
@@ -110,19 +109,19 @@ def sharpened(start: Laplace, log_posterior: Callable[[Array], Array]) -> Laplac
         if not value > best:
             break
         best, current = value, replace(current, centre=centre)
-        if np.linalg.norm(step) < _SETTLED_SD:
+        if np.linalg.norm(step) < settled_sd:
             break
     return current
 
 
 def _differences(
-    at: Laplace, log_posterior: Callable[[Array], Array]
+    at: Laplace, log_posterior: Callable[[Array], Array], *, step_sd: float = 1.0
 ) -> tuple[Array, Array] | None:
     """Slope (F,) of the log-posterior and minus its curvature (F, F), standardised.
 
     None where the log-posterior is not finite at all points of the differences.
     """
-    F, h = at.centre.size, _REACH_SD
+    F, h = at.centre.size, step_sd
     unit, pairs = h * np.eye(F), list(combinations(range(F), 2))
     corners = [a * unit[i] + b * unit[j] for i, j in pairs for a in (1, -1) for b in (1, -1)]
     points = np.array([np.zeros(F), *unit, *-unit, *corners])

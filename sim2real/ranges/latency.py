@@ -20,61 +20,57 @@ from sim2real.servo.trace import Trace, traces
 
 Array = NDArray[np.float64]
 
-
-_GAIN_SD = 0.02
-"""Relative standard deviation of the gains of one episode about the shared gains."""
-_ITERATIONS, _ROUNDS = 30, 3
-"""Iterations of a fit, and number of steps of the shared gains."""
-_LARGEST_CHANGE = 0.5
-"""Largest relative change of a gain in one step."""
-_SMALLEST_SPREAD_S = 1e-4
-"""Smallest half-width of the distribution of latencies that is resolved."""
-_LAW_SD_S, _LARGEST_SD_S = 2e-4, 0.01
-"""Smallest standard deviation of a latency, due to errors of the servo's law, and the largest one
-with which a latency is used."""
-_ENOUGH_RECORDINGS = 5
-"""With fewer, windows of them count as episodes, as latency may drift within a recording."""
-_WINDOW_S, _LEAST_SAMPLES = 6.0, 100
-"""Length of such a window, and its smallest number of samples for a fit."""
+_LAW_SD_S = 2e-4
+"""Smallest standard deviation of a latency, due to errors of the servo's law."""
 
 
 def episode_latencies(
-    traces: Sequence[Trace], joints: Sequence[JointModel], group: NDArray[np.intp]
+    traces: Sequence[Trace],
+    joints: Sequence[JointModel],
+    group: NDArray[np.intp],
+    *,
+    gain_sd: float = 0.02,
+    iterations: int = 30,
+    rounds: int = 3,
 ) -> tuple[Array, Array]:
     """Latency of each trace and its standard deviation in s, each of shape (N,).
 
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
     shared by the traces of a group and fitted together with one latency per trace, by Gauss-Newton
     steps from which the latencies are eliminated (Golub and Pereyra, SIAM Journal on Numerical
-    Analysis 10 (1973) 413-432). The error of a latency includes that due to ``_GAIN_SD``.
+    Analysis 10 (1973) 413-432).
 
     Args:
         traces: The traces.
         joints: Models of their joints, from which the search starts; effects are fixed.
         group: Index of the group of each trace that shares gains, shape (N,).
+        gain_sd: Relative standard deviation of the gains of one episode about the shared gains,
+            which the error of a latency includes.
+        iterations: Largest number of iterations of a fit.
+        rounds: Number of steps of the shared gains.
     """
     batch = Batch([[trace] for trace in traces])
     rows = np.array([joint_row(joint, x.load) for x, joint in zip(traces, joints, strict=True)])
     inertia = np.array([trace.load.inertia_kgm2 for trace in traces])
     servos = plain_servos(np.arange(len(traces)), rows, inertia, batch.period)
-    single_fits = minimise(batch, servos, iterations=_ITERATIONS)
+    single_fits = minimise(batch, servos, iterations=iterations)
     gains = _pooled(single_fits, _weights(single_fits, batch.lags), group)
-    for _ in range(_ROUNDS):
-        fits = _with_gains(batch, servos, single_fits, gains)
+    for _ in range(rounds):
+        fits = _with_gains(batch, servos, single_fits, gains, iterations)
         change = _step(_weights(fits, batch.lags), group, gains / servos.unit[:, :2])
         gains = gains * (1 + change)
-    fits = _with_gains(batch, servos, single_fits, gains)
-    sd = _errors(fits, _weights(fits, batch.lags)[1])
+    fits = _with_gains(batch, servos, single_fits, gains, iterations)
+    sd = _errors(fits, _weights(fits, batch.lags)[1], gain_sd)
     return fits.servos.theta[:, 2], sd * servos.unit[:, 2]
 
 
-def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array) -> Fits:
+def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array, iterations: int) -> Fits:
     """Latencies fitted with fixed gains (N, 2), and the curvature by all three parameters."""
     x = start.servos.values()
     x[:, :2] = gains / servos.unit[:, :2]
     fixed = servos.at(x)
     free = {name: getattr(fixed, name)[:, 2:] for name in ("columns", "unit", "low", "high")}
-    latency_fits = minimise(batch, replace(fixed, **free), iterations=_ITERATIONS)
+    latency_fits = minimise(batch, replace(fixed, **free), iterations=iterations)
     x[:, 2] = latency_fits.servos.values()[:, 0]
     return minimise(batch, servos.at(x), iterations=1)
 
@@ -108,7 +104,9 @@ def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -
     return np.asarray(np.maximum(out, 1e-3) * unit)
 
 
-def _step(weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -> Array:
+def _step(
+    weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array, *, largest: float = 0.5
+) -> Array:
     """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
     slope, inner = _eliminated(weights)
     out = np.empty_like(slope)
@@ -116,14 +114,14 @@ def _step(weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -
         members = group == g
         change = np.linalg.lstsq(inner[members].sum(axis=0), -slope[members].sum(axis=0))[0]
         out[members] = change / gains[members]
-    return np.clip(out, -_LARGEST_CHANGE, _LARGEST_CHANGE)
+    return np.clip(out, -largest, largest)
 
 
-def _errors(fits: Fits, curvature: Array) -> Array:
-    """Standard deviation of each latency in units, for gains with ``_GAIN_SD``."""
+def _errors(fits: Fits, curvature: Array, gain_sd: float) -> Array:
+    """Standard deviation of each latency in units."""
     penalised = curvature.copy()
     gains = np.maximum(fits.servos.values()[:, :2], 1e-9)
-    penalised[:, [0, 1], [0, 1]] += 1 / (_GAIN_SD * gains) ** 2
+    penalised[:, [0, 1], [0, 1]] += 1 / (gain_sd * gains) ** 2
     return np.asarray(np.sqrt(np.linalg.inv(penalised)[:, 2, 2]))
 
 
@@ -142,7 +140,7 @@ class Spread:
     half_width_90: tuple[float, float]
 
 
-def spread(seconds: Array, sd: Array) -> Spread:
+def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
     """Estimate the uniform distribution of latencies with known standard deviations.
 
     Posterior medians of centre and half-width, on a grid, under a prior that is flat in the centre
@@ -152,9 +150,10 @@ def spread(seconds: Array, sd: Array) -> Spread:
     Args:
         seconds: Latencies in s, shape (E,).
         sd: Their standard deviations in s, shape (E,).
+        smallest_s: Smallest half-width that is resolved, s.
     """
-    reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * _SMALLEST_SPREAD_S
-    half = np.geomspace(_SMALLEST_SPREAD_S, 3 * reach, 160)
+    reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * smallest_s
+    half = np.geomspace(smallest_s, 3 * reach, 160)
     middle = 0.5 * float(seconds.max() + seconds.min())
     centre = middle + np.linspace(-1.0, 1.0, 201) * reach
     log_density = np.zeros((half.size, centre.size))  # the prior is uniform on the grid
@@ -194,7 +193,9 @@ class Latencies:
     dropped: int
 
 
-def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None:
+def latencies(
+    recordings: Sequence[Recording], model: Model, *, enough: int = 5, largest_sd_s: float = 0.01
+) -> Latencies | None:
     """Fit the latency of every episode; None where no joint of the model moves.
 
     Gains are fitted as well and shared by all episodes of a joint with the same load and medium, as
@@ -203,6 +204,9 @@ def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None
     Args:
         recordings: Recordings of any kind with commands and measured angles.
         model: The fitted servos.
+        enough: Number of recordings below which windows of them count as episodes, as latency may
+            drift within a recording.
+        largest_sd_s: Largest standard deviation of a latency that is used, s.
     """
     labels = labelled(recordings)
     episodes = [
@@ -211,7 +215,7 @@ def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None
         for joint in model.joints
         for trace in traces([recording], joint)
     ]
-    windows = len({name for _, name, _, _ in episodes}) < _ENOUGH_RECORDINGS
+    windows = len({name for _, name, _, _ in episodes}) < enough
     if windows:
         episodes = [
             (r, n, j, part) for r, name, j, trace in episodes for n, part in _windows(name, trace)
@@ -222,20 +226,22 @@ def latencies(recordings: Sequence[Recording], model: Model) -> Latencies | None
     group = np.array([conditions.index(condition) for condition in conditions])
     models = [model.joints[joint] for _, _, joint, _ in episodes]
     value, sd = episode_latencies([x for *_, x in episodes], models, group)
-    used = sd < _LARGEST_SD_S
+    used = sd < largest_sd_s
     if not used.any():
         return None
     kept = [(n, j) for (_, n, j, _), good in zip(episodes, used, strict=True) if good]
     return _combined(kept, value[used], sd[used], windows, int(np.sum(~used)))
 
 
-def _windows(name: str, whole: Trace) -> list[tuple[str, Trace]]:
+def _windows(
+    name: str, whole: Trace, *, length_s: float = 6.0, fewest: int = 100
+) -> list[tuple[str, Trace]]:
     """Windows of one recording, simulated from its start but scored separately."""
     windows = []
-    for start in np.arange(whole.t[0], whole.t[-1], _WINDOW_S):
-        within = (whole.t >= start) & (whole.t < start + _WINDOW_S)
+    for start in np.arange(whole.t[0], whole.t[-1], length_s):
+        within = (whole.t >= start) & (whole.t < start + length_s)
         inside = whole.used & within
-        if inside.sum() >= _LEAST_SAMPLES and np.ptp(whole.command[within]) > 0:
+        if inside.sum() >= fewest and np.ptp(whole.command[within]) > 0:
             windows.append((f"{name} from {start:.0f} s", replace(whole, used=inside)))
     return windows
 

@@ -12,21 +12,12 @@ from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load, Recording
+from sim2real.servo.reported_drive import ReportedDrive, reported_drive
 
 Array = NDArray[np.float64]
 
-
-_FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
-_FEWEST, _PROPORTIONAL = 50, 0.02
-"""Fewest samples of a drive; largest share of its power that the error does not explain."""
-
-FEWEST_SAMPLES = 20
-"""Smallest number of measured angles for a fit."""
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
-
-HELD_OUT_SHARE = 0.25
-"""Share of a single recording, at its end, that is held out."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +32,7 @@ class Trace:
         position: Measured angles in rad, shape (T,), NaN where missing.
         load: The stated load, or ``PER_INERTIA``.
         used: Mask of the samples that the fit may use, shape (T,).
-        drive_per_rad: Reported drive, as a share of the full drive, per radian of error; None if
-            the servo does not report its drive.
+        drive: Controller that the reported drive shows; None if the servo does not report it.
     """
 
     name: str
@@ -52,21 +42,16 @@ class Trace:
     position: Array
     load: Load
     used: NDArray[np.bool_]
-    drive_per_rad: float | None = None
+    drive: ReportedDrive | None = None
 
-    def window(self, length_s: float) -> Trace:
+    def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
         moves = np.flatnonzero(np.diff(self.command))
         first = int(moves[0]) if moves.size else 0
         last = int(np.searchsorted(self.t, self.t[first] + length_s))
         part = slice(first, max(last, first + 2))
-        return replace(
-            self,
-            t=self.t[part],
-            command=self.command[part],
-            position=self.position[part],
-            used=self.used[part],
-        )
+        arrays = {name: getattr(self, name)[part] for name in ("t", "command", "position", "used")}
+        return replace(self, **arrays)
 
     def activity(self) -> float:
         """Total variation of the command in rad."""
@@ -83,39 +68,18 @@ def trace(recording: Recording, joint: str) -> Trace:
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
-    error = recording.command[powered, j] - position
-    reported = recording.columns.get(f"{joint}.load")
+    t, command = recording.t[powered], recording.command[powered, j]
+    load = recording.columns.get(f"{joint}.load")
     return Trace(
         name=recording.name,
         file=recording.file,
-        t=recording.t[powered],
-        command=recording.command[powered, j],
+        t=t,
+        command=command,
         position=position,
         load=recording.loads.get(joint, PER_INERTIA),
         used=np.isfinite(position),
-        drive_per_rad=None if reported is None else drive_slope(error, reported[powered]),
+        drive=None if load is None else reported_drive(t, command, position, load[powered]),
     )
-
-
-def drive_slope(error: Array, load: Array) -> float | None:
-    """Slope of the load that a servo reports against its control error, if the load is its drive.
-
-    The reported load is assumed to be the drive, as a share of the full drive, if it is between -1
-    and 1 and proportional to the error until it saturates; a measured torque or current is not.
-    """
-    valid = np.isfinite(error) & np.isfinite(load)
-    if np.count_nonzero(valid) < _FEWEST or np.abs(load[valid]).max() > _FULL + _ROUNDING:
-        return None
-    e, d = error[valid], load[valid]
-    unsaturated = (np.abs(d) < _NEARLY_FULL) & (np.abs(e) > 0)
-    if np.count_nonzero(unsaturated) < _FEWEST:
-        return None
-    slope = float(e[unsaturated] @ d[unsaturated] / (e[unsaturated] @ e[unsaturated]))
-    residual = d - np.clip(slope * e, -_FULL, _FULL)
-    power = float(np.sum(d**2))
-    if slope <= 0 or power == 0 or np.sum(residual**2) > _PROPORTIONAL * power:
-        return None
-    return slope
 
 
 def sensor_noise(traces: Sequence[Trace]) -> float:
@@ -124,17 +88,16 @@ def sensor_noise(traces: Sequence[Trace]) -> float:
     return max(FINEST_NOISE_RAD, *floors)
 
 
-def check_samples(traces: Sequence[Trace], joint: str) -> None:
-    """Check that a joint has enough samples for a fit.
+def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> None:
+    """Check that a joint has at least ``fewest`` measured angles for a fit.
 
     Raises:
         InputError: If it has too few.
     """
     count = sum(int(trace.used.sum()) for trace in traces)
-    if count < FEWEST_SAMPLES:
+    if count < fewest:
         found = f"{count} measured angles while its torque is on"
-        expected = f"at least {FEWEST_SAMPLES}"
-        raise InputError(traces[0].file, f"{joint}.position_rad", found, expected)
+        raise InputError(traces[0].file, f"{joint}.position_rad", found, f"at least {fewest}")
 
 
 def check_runs(traces: Sequence[Trace], joint: str) -> None:
@@ -164,22 +127,21 @@ def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
     return [candidate for candidate in candidates if candidate.t.size > 1 and candidate.moves()]
 
 
-def split(traces: Sequence[Trace], held_out: str | None) -> tuple[list[Trace], list[Trace], str]:
+def split(
+    traces: Sequence[Trace], held_out: str | None, *, share: float = 0.25
+) -> tuple[list[Trace], list[Trace], str]:
     """Traces to fit, traces to score, and a description of what is held out.
 
-    In the traces to score, ``used`` marks only samples that the fit does not use.
+    In the traces to score, ``used`` marks only samples that the fit does not use. Of a single
+    recording, a share at its end is held out.
     """
     if len(traces) > 1:
         last = next((trace for trace in traces if trace.name == held_out), traces[-1])
         return [trace for trace in traces if trace is not last], [last], last.name
     whole = traces[0]
-    until = whole.t[0] + (1 - HELD_OUT_SHARE) * (whole.t[-1] - whole.t[0])
+    until = whole.t[0] + (1 - share) * (whole.t[-1] - whole.t[0])
     early = whole.t < until
     if not replace(whole, position=np.where(early, whole.position, np.nan)).moves():
         return [whole], [], "nothing"
-    fitted_part = replace(whole, used=whole.used & early)
-    return (
-        [fitted_part],
-        [replace(whole, used=whole.used & ~early)],
-        f"{whole.name} after {until - whole.t[0]:.1f} s",
-    )
+    fitted, scored = (replace(whole, used=whole.used & part) for part in (early, ~early))
+    return [fitted], [scored], f"{whole.name} after {until - whole.t[0]:.1f} s"

@@ -16,8 +16,8 @@ from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import joint_row
+from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
-from sim2real.servo.trace import drive_slope
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
@@ -198,12 +198,26 @@ def test_the_linear_servo_can_be_asked_for():
 
 
 def test_a_drive_is_told_from_a_torque():
-    error = np.random.default_rng(0).normal(0.0, 0.5, 500)
-    drive = np.clip(2.3 * error, -1, 1)
-    assert drive_slope(error, drive) == pytest.approx(2.3, rel=0.02)
-    assert drive_slope(error, 3 * drive) is None  # more than the full drive
-    assert drive_slope(error, np.roll(drive, 100)) is None  # something else
-    assert drive_slope(error, np.zeros(500)) is None
+    t = np.arange(500) / 200.0
+    error = 0.6 * np.sin(3.1 * t) + 0.2 * np.sin(11.0 * t)
+    position, drive = np.zeros(500), np.clip(2.3 * error, -1, 1)
+    assert reported_drive(t, error, position, drive).per_rad == pytest.approx(2.3, rel=0.02)
+    for other in (3 * drive, np.roll(drive, 100), np.zeros(500)):
+        assert reported_drive(t, error, position, other) is None
+
+
+def test_a_reported_drive_shows_latency_and_derivative_term():
+    t = np.cumsum(np.random.default_rng(3).uniform(0.004, 0.006, 800))
+    command, late = (np.sin(3 * x) + 0.3 * np.sin(14 * x) for x in (t, t - 0.005))
+    position, speed = 0.8 * np.sin(3 * t - 0.4), 2.4 * np.cos(3 * t - 0.4)
+    drive = np.clip(1.5 * (late - position - 0.02 * speed), -1, 1)
+    shown = reported_drive(t, command, position, drive)
+    assert shown.per_rad == pytest.approx(1.5, rel=0.01)
+    assert shown.latency_s == pytest.approx(0.005, abs=0.0005)
+    assert shown.lead_s == pytest.approx(0.02, abs=0.002)
+    assert shown.period_s == pytest.approx(0.005, rel=0.05)
+    alone = reported_drive(t, np.sin(3 * t), position, 1.5 * (np.sin(3 * t) - position))
+    assert alone.per_rad == pytest.approx(1.5, rel=0.01)  # one frequency, terms dependent
 
 
 def test_a_model_file_says_its_law_and_old_ones_mean_pd(tmp_path):
@@ -317,36 +331,25 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
         assert "at 100 Hz" in said[0]
 
 
-def test_a_loosened_prior_is_wider_for_losses_only():
-    from sim2real.identification.motor_prior import motor_prior
-    from sim2real.servo.trace import trace
+def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
+    from sim2real.identification.motor_fit import MotorProblem, _robust_order
+    from sim2real.identification.motor_prior import MotorPrior
+    from sim2real.inference.parameters import Parameter
 
-    command = SQUARE[:, None]
-    made = Recording("a", "servo", ("j1",), T, command, command, {"j1": Load(INERTIA)})
-    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), [trace(made, "j1")])
-    for before, after in zip(prior.parameters, prior.loosened(2.0).parameters, strict=True):
-        assert after.prior_sd == (before.prior_sd if before.log else 2 * before.prior_sd)
-        assert after.nominal == before.nominal
+    class Problem(MotorProblem):
+        """A narrow minimum of 0 at 0.2 and a wide one of 0.1 at 0.6."""
 
+        def residuals(self, x):
+            narrow = np.minimum(np.abs(x - 0.2) / 0.005, 1.0)
+            wide = np.minimum(0.1 + np.abs(x - 0.6), 1.0)
+            return np.minimum(narrow, wide)
 
-def test_an_average_of_fits_lies_between_them():
-    from sim2real.identification.fit import best_of, plain_row
-    from sim2real.identification.motor_fit import averaged, fit_motor
-    from sim2real.identification.motor_prior import motor_prior
-    from sim2real.servo.parameters import LINE as COLUMNS_OF_LINE
-    from sim2real.servo.trace import trace
+        def terms(self, x):
+            return np.zeros_like(x)
 
-    rng = np.random.default_rng(2)
-    angle = simulate(**LINE, coulomb_Nm=0.05)[:, None] + rng.normal(0, 1e-3, (T.size, 1))
-    made = Recording("a", "servo", ("j1",), T, SQUARE[:, None], angle, {"j1": Load(INERTIA)})
-    given = [trace(made, "j1")]
-    prior = motor_prior(Servo("small", 1.6, 5.2, 0.0), given)
-    plain, _ = best_of(given, [plain_row(KP, KD, LATENCY)], ("kp_Nm_per_rad", "kd_Nms_per_rad"))
-    names = (*COLUMNS_OF_LINE, "motor.coulomb_Nm", "motor.motor_friction")
-    fits = [fit_motor(given, plain, prior.loosened(f), names, rng) for f in (1.0, 0.02)]
-    both = averaged(fits)
-    np.testing.assert_allclose(both.x[:4], np.mean([one.x[:4] for one in fits], axis=0))
-    dry = [one.values.get("coulomb_Nm", 0.0) for one in (*fits, both)]
-    assert dry[2] == pytest.approx(0.5 * (dry[0] + dry[1]))
-    assert dry[1] < 0.9 * dry[0]  # a prior fifty times narrower allows less
-    assert both.fit.residuals[0].shape == fits[0].fit.residuals[0].shape
+    friction = Parameter("motor.motor_friction", 0.0, 0.9, 0.2, 0.0, 0.4)
+    problem = Problem((), MotorPrior((friction,), None), (0,), 0.001, None, 10, 30.0)
+    minima = np.array([[0.2], [0.6]])
+    assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
+    order = _robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
+    assert list(order) == [1, 0]
