@@ -194,6 +194,13 @@ def test_recovers_the_length_of_bursts():
     assert single.burst < 1.3
 
 
+def test_says_when_set_points_were_lost():
+    given, lost = recording(7, loss=0.03)
+    (of_joint,) = uneven([given])[1].lost_s
+    seen = lost[np.abs(np.diff(given.command)[lost - 1]) > 0.005]
+    assert np.isin(given.t[seen], of_joint[0]).mean() > 0.8
+
+
 def test_finds_whether_one_packet_carries_all_joints():
     first, lost = recording(7, loss=0.05)
     same = uneven([first], [recording(8, lost=lost, scale=0.5)[0]])[1]

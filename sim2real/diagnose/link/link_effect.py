@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -53,6 +54,7 @@ class Uneven:
         shares: Gain at each joint by itself.
         common: Whether a set-point is lost for all joints at once.
         burst: Mean number of set-points that are lost in succession.
+        lost_s: For each joint, by recording, when set-points were lost that it would have shown.
         unexplained: For each joint, by recording, the residual in rad without what the irregular
             timing is expected to do, shape (T,).
     """
@@ -64,6 +66,7 @@ class Uneven:
     shares: tuple[float, ...] = ()
     common: bool = False
     burst: float = 1.0
+    lost_s: tuple[tuple[Array, ...], ...] = ()
     unexplained: tuple[tuple[Array, ...], ...] = ()
 
 
@@ -174,16 +177,20 @@ class LinkFit:
             zip(options, events.run(options, width=1), strict=True), key=lambda x: _total(x[1])
         )
 
+    def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
+        """Values of the filter's channels, by joint and recording."""
+        if self.common:
+            return [list(values[j :: len(self.joints)]) for j in range(len(self.joints))]
+        remaining = iter(values)
+        return [list(islice(remaining, len(joint.segments))) for joint in self.joints]
+
     def _explained(
         self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
     ) -> list[tuple[NoisyJoint, Array]]:
         """The joints without the expected deviations, and the covariances of these."""
         deviations = events.expected([x.active for x in results], arrivals)
-        J, ends = len(self.joints), np.cumsum([len(joint.segments) for joint in self.joints])
         out = []
-        for j, joint in enumerate(self.joints):
-            own = slice(ends[j] - len(joint.segments), ends[j])
-            some = deviations[slice(j, None, J) if self.common else own]
+        for joint, some in zip(self.joints, self._by_joint(deviations), strict=True):
             segments = tuple(
                 replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
                 for s, x in zip(joint.segments, some, strict=True)
@@ -222,6 +229,14 @@ class LinkFit:
         curvature = (2 * here - below - above) / _STEP**2
         value = arrivals.delay_sd_s * np.sqrt(3) if name == "delay_sd_s" else arrivals.long_run_loss
         explained = self._explained(events, arrivals, results[1])
+        of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
+        lost_s = tuple(
+            tuple(
+                segment.source.t[np.setdiff1d(np.arange(x.active.size), x.active)]
+                for segment, x in zip(joint.segments, of_joint, strict=True)
+            )
+            for joint, of_joint in zip(self.joints, of_joints, strict=True)
+        )
         return Uneven(
             self.effect,
             self.gain,
@@ -230,6 +245,7 @@ class LinkFit:
             tuple(fitted([joint], self.effect)[0].gain for joint in self.joints),
             self.common,
             1 / (1 - arrivals.repeated_loss),
+            lost_s,
             tuple(
                 tuple(s.left(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noises, strict=True)

@@ -139,7 +139,7 @@ def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedE
         heldout=result.heldout(),
         baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
         stability=group.stability,
-        statement=_statement(entry, parameters, per_inertia=per_inertia),
+        statement=_statement(entry, parameters, per_inertia=per_inertia) + _of_link(results, entry),
     )
 
 
@@ -175,6 +175,30 @@ def _statement(entry: _Named, parameters: Mapping[str, Estimate], *, per_inertia
     others = ", or ".join(plain(name) for name in entry.group.members[1:])
     doubt = f" (or {others}; these recordings cannot tell)" if others else ""
     return f"{', '.join(entry.joints)}: {clause}{doubt}."
+
+
+def _of_link(results: Mapping[str, JointFindings], entry: _Named, *, listed: int = 3) -> str:
+    """Further sentences on lost set-points: in bursts or singly, for which joints, and when."""
+    finding = results[entry.joints[0]].finding
+    link = finding.link
+    if link is None or entry.group.members[0] != link.effect or link.effect != "packet_loss":
+        return ""
+    bursts = f" They are lost in bursts of {link.burst:.1f} on average." if link.burst > 1.5 else ""
+    packets = ""
+    if len(link.shares) > 1:
+        packets = f" {'One packet carries' if link.common else 'Each joint has packets with'}"
+        packets += " the set-points of all joints." if link.common else " its own set-points."
+    traces = results[entry.joints[0]].joint.traces
+    times = [
+        f"{time:.2f} s of {trace.name}"
+        for trace, some in zip(traces, link.lost_s[finding.place], strict=True)
+        for time in some
+    ]
+    if not times:
+        return bursts + packets
+    more = f" and {len(times) - listed} more" if len(times) > listed else ""
+    of_joint = "" if link.common else f" of {entry.joints[0]}"
+    return f"{bursts}{packets} Set-points{of_joint} lost at {', '.join(times[:listed])}{more}."
 
 
 def _verdict(
