@@ -84,13 +84,15 @@ def hold(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, c: int, z: Row, s: 
     return x + p[c + 2]
 
 
+NEGLIGIBLE_NM = 1e-4
+"""Friction on the output below which it is not stated."""
 EFFECT = Effect(
     name="backlash",
     plain="backlash",
     says=lambda p: (
         "the gear train has {gap_rad} of backlash, and friction of {output_friction_Nm} acts on "
         "its output"
-        if p["output_friction_Nm"] > 0
+        if p["output_friction_Nm"] > NEGLIGIBLE_NM
         else "the gear train has {gap_rad} of backlash"
     ),
     site="motor",
