@@ -43,6 +43,13 @@ BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
 )
 """What is measured, and the bars of the tiers, of T2 and T3 from the third sets on; None is only
 reported. In T2 what counts as detectable is what the oracle could see (``real_oracle.py``)."""
+BARS_OF_SET = {
+    "sixth": {
+        "detection": 0.97, "group_first": 0.94, "outside_abstains": 0.90, "at_noise": 0.92,
+        "doubles_both": 0.85,
+    },
+}  # fmt: skip
+"""Bars of a set by itself, where they differ from those of its tier."""
 ALSO = (
     ("Nulls with any verdict but consistent", "nulls_flagged"),
     ("Noticed, the undetectable too", "detection_all"),
@@ -81,19 +88,17 @@ def done(found: list[Row]) -> Section:
     for one in found:
         for tier, results in one["tiers"].items():
             header.append(f"{set_name(one, tier)}\n{TIERS.get(tier, tier)}")
-            columns.append((tier, results["metrics"]))
+            columns.append((tier, results["metrics"], BARS_OF_SET.get(str(one["set"]), {})))
             cases = ", ".join(f"{n} {kind}" for kind, n in results["counts"].items())
             captions.append(f"{set_name(one, tier)}: {cases.replace('_', ' ')}.")
-    rows = [
-        (bar[0], *(_against(*bar[1:], tier, metrics) for tier, metrics in columns)) for bar in BARS
-    ]
+    rows = [(bar[0], *(_against(*bar[1:], *column) for column in columns)) for bar in BARS]
     also = [
-        (label, *(_plain(metrics[name], name) for _, metrics in columns)) for label, name in ALSO
+        (label, *(_plain(metrics[name], name) for _, metrics, _ in columns)) for label, name in ALSO
     ]
     cells = [cell.partition("\n")[0] for row in rows for cell in row[1:]]
     met, missed = (sum(cell.startswith(start) for cell in cells) for start in ("met", "MISSED"))
     lead = f"{met} of {met + missed} bars are met" + (f", {missed} missed." if missed else ".")
-    every = [h.partition("\n")[0] for h, (_, m) in zip(header[1:], columns, strict=True)
+    every = [h.partition("\n")[0] for h, (_, m, _) in zip(header[1:], columns, strict=True)
              if m["nulls_flagged"]["value"] == 1]  # fmt: skip
     if every:
         captions.append(
@@ -130,10 +135,15 @@ def set_name(one: Row, tier: str) -> str:
 
 
 def _against(
-    name: str, relation: str, bars: tuple[float | None, ...], tier: str, metrics: Row
+    name: str,
+    relation: str,
+    bars: tuple[float | None, ...],
+    tier: str,
+    metrics: Row,
+    of_set: dict[str, float],
 ) -> str:
     """A cell: what was measured and whether that is enough; below it bar, interval and counts."""
-    bar = bars[list(TIERS).index(tier) if tier in TIERS else 0]
+    bar = of_set.get(name, bars[list(TIERS).index(tier) if tier in TIERS else 0])
     metric = metrics.get(name, {"value": None})  # of results from before it was measured
     first, _, below = value(metric, name).partition("\n")
     if metric.get("value") is None:
