@@ -64,13 +64,16 @@ def check_sampling(
 ) -> None:
     """Check that the intervals of the times ``t`` (T,) are plausible for samples of a servo.
 
+    The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
+    angle a few microseconds later.
+
     Raises:
-        InputError: If the median step is below 20 us or above ``longest_s``; the message names the
+        InputError: If that step is below 20 us or above ``longest_s``; the message names the
             unit in which the times would be plausible.
     """
     if t.size < 2:
         raise InputError(file, "t_s", f"{t.size} sample", "at least two")
-    usual = float(np.median(np.diff(t)))
+    usual = float(np.quantile(np.diff(t), 0.75))
     if SHORTEST_PERIOD_S <= usual <= longest_s:
         return
     plausible = (unit for unit, size in UNITS if 1e-4 <= usual * size <= LONGEST_PERIOD_S)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim2real.clock import Timing, clock_findings, timing
+from sim2real.clock import Timing, check_sampling, clock_findings, timing
 
 T = np.arange(0, 10, 0.02)
 
@@ -43,6 +43,10 @@ def test_an_even_clock() -> None:
 )
 def test_an_odd_clock(t: np.ndarray, words: str) -> None:
     assert words in " ".join(clock_findings(t, measure(t)))
+
+
+def test_a_set_point_and_an_angle_may_have_rows_of_their_own() -> None:
+    check_sampling("log.csv", np.sort(np.concatenate([T, T + 5e-6])))
 
 
 @pytest.mark.parametrize("jitter_s", [1e-4, 1e-3])

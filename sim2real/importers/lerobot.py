@@ -61,6 +61,7 @@ def read_lerobot(
     chosen = tuple(joints) if joints else tuple(n for n in names[STATE] if n in names[ACTION])
     if len(set(chosen)) != len(chosen):
         raise InputError("--joints", "", ", ".join(chosen), "each joint once")
+    conversion.check_joints(chosen)
     for feature, available in names.items():
         for joint in chosen or available[:1]:
             if joint not in available or not chosen:

@@ -86,6 +86,7 @@ def read_table(
         found = f"{t[decreasing[0] + 1]:g} s after {t[decreasing[0]]:g} s"
         raise InputError(file, f"row {decreasing[0] + 2} of the data", found, "times that increase")
     joints = _joints(columns)
+    conversion.check_joints(joints)
     sent, measured = (
         np.stack([conversion.radians(j, table[f"{j}.{q}"], file) for j in joints], axis=1)
         for q in ANGLES

@@ -38,6 +38,16 @@ class Conversion:
     zero_count: float | None = None
     calibration: str | os.PathLike[str] | None = None
 
+    def check_joints(self, joints: Sequence[str]) -> None:
+        """Check that units are stated for joints of the log only.
+
+        Raises:
+            InputError: If one is stated for a joint that the log lacks.
+        """
+        unknown = [joint for joint in self.units if joint and joint not in joints]
+        if unknown:
+            raise InputError("--units", "", ", ".join(unknown), f"joints of {', '.join(joints)}")
+
     def radians(self, joint: str, values: Array, where: str | os.PathLike[str]) -> Array:
         """Angles of a joint in rad, of the shape of ``values``.
 

@@ -102,6 +102,8 @@ def test_units_of_times_and_counts_are_asked_for(tmp_path: Path) -> None:
     message(lambda: read_table(file, columns, some, time_unit="ms"), "--zero-count")
     some = conversion(["counts"], None, 2048)
     message(lambda: read_table(file, columns, some, time_unit="ms"), "--counts-per-turn")
+    tilted = conversion(["counts", "tilt=deg"], 4096, 2048)
+    message(lambda: read_table(file, columns, tilted, time_unit="ms"), "--units", "tilt", "pan")
 
 
 def test_bad_arrays(tmp_path: Path) -> None:
