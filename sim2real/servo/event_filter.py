@@ -59,18 +59,20 @@ class Channel:
 class Arrivals:
     """How set-points arrive.
 
-    Losses are those of Gilbert, Bell System Technical Journal 39 (1960) 1253-1265; delays are
-    independent and Gaussian.
+    Losses are those of Gilbert, Bell System Technical Journal 39 (1960) 1253-1265; delays are a
+    Gaussian autoregression of first order.
 
     Attributes:
         loss: Probability of losing a set-point after one that arrived.
         repeated_loss: Probability of losing one after one that was lost.
         delay_sd_s: Standard deviation of the delays.
+        correlation: Of successive delays.
     """
 
     loss: float = 0.0
     repeated_loss: float = 0.0
     delay_sd_s: float = 0.0
+    correlation: float = 0.0
 
     @property
     def long_run_loss(self) -> float:
@@ -170,8 +172,8 @@ class EventFilter:
         Returns:
             For each arrivals the result of each group.
         """
-        G, S, n, K = len(self.groups), len(options), self.order + 2, int(self._slots.max())
-        rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s] for x in options])
+        G, S, n, K = len(self.groups), len(options), self.order + 3, int(self._slots.max())
+        rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s, x.correlation] for x in options])
         pool = 3 * width  # those kept, and two continuations of each
         joints = max(len(group) for group in self.groups)
         results: tuple[Any, ...] = (
@@ -229,7 +231,7 @@ class EventFilter:
         path = np.zeros((len(active), int(self._slots.max())), dtype=np.int32)
         for row, some in zip(path, active, strict=True):
             row[: some.size] = some
-        n, N = order + 2, len(channels)
+        n, N = order + 3, len(channels)
         mean: Any = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
         covariance: Any = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
         scratch = [
@@ -238,7 +240,7 @@ class EventFilter:
         ]
         inputs = [*self._inputs[:_MODEL], model, self._inputs[-1], path, rest]
         arrays = [to_warp(x, "cpu") for x in inputs]
-        sizes = p, arrivals.delay_sd_s
+        sizes = p, arrivals.delay_sd_s, arrivals.correlation
         wp.launch(expect, N, [*arrays, *sizes, *scratch, mean, covariance], device="cpu")
         parts = np.split(mean.numpy(), np.cumsum([channel.t.size for channel in channels])[:-1])
         sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)

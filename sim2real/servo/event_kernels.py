@@ -1,8 +1,9 @@
 """Kernels of the event filter: many hypotheses of which set-point was in force, each filtered.
 
-The state of a joint is the deviation of its angle in rad, its speed, and the deviations at the last
-samples, one for each coefficient of the autoregression of the noise. A covariance (n, n) is stored
-by rows, with its product with the observation after it.
+The state of a joint is the deviation of its angle in rad, its speed, the delay of the last
+set-point in s, and the deviations at the last samples, one for each coefficient of the
+autoregression of the noise and one more where they are smoothed. A covariance (n, n) is stored by
+rows, with its product with the observation after it.
 """
 
 import warp as wp
@@ -51,19 +52,19 @@ def _observe(
     """Update by a sample; its log-likelihood and the square of its normalised innovation."""
     a = j * n
     error = innovation - x[m, a]
-    for c in range(2, n):
-        error += model[track, c - 2] * x[m, a + c]
+    for c in range(3, n):
+        error += model[track, c - 3] * x[m, a + c]
     variance = sd * sd
     if spread > 0:
         b = j * n * (n + 1)
         k = b + n * n  # covariance of the state with the predicted innovation
         for c in range(n):
             P[m, k + c] = P[m, b + c]
-            for d in range(2, n):
-                P[m, k + c] = P[m, k + c] - model[track, d - 2] * P[m, b + d * n + c]
+            for d in range(3, n):
+                P[m, k + c] = P[m, k + c] - model[track, d - 3] * P[m, b + d * n + c]
         variance += P[m, k]
-        for d in range(2, n):
-            variance -= model[track, d - 2] * P[m, k + d]
+        for d in range(3, n):
+            variance -= model[track, d - 3] * P[m, k + d]
         for c in range(n):
             weight = P[m, k + c] / variance
             x[m, a + c] = x[m, a + c] + weight * error
@@ -77,22 +78,44 @@ def _observe(
 def _remember(x: Matrix, P: Matrix, m: int, j: int, n: int, spread: int):
     """Shift the deviations at the last samples by one."""
     a = j * n
-    for c in range(n - 3):
+    for c in range(n - 4):
         x[m, a + n - 1 - c] = x[m, a + n - 2 - c]
-    x[m, a + 2] = x[m, a]
+    x[m, a + 3] = x[m, a]
     if spread > 0:
         b = j * n * (n + 1)
-        for c in range(n - 3):
+        for c in range(n - 4):
             r = n - 1 - c
             for d in range(n):
                 P[m, b + r * n + d] = P[m, b + (r - 1) * n + d]
         for d in range(n):
-            P[m, b + 2 * n + d] = P[m, b + d]
+            P[m, b + 3 * n + d] = P[m, b + d]
         for d in range(n):
-            for c in range(n - 3):
+            for c in range(n - 4):
                 r = n - 1 - c
                 P[m, b + d * n + r] = P[m, b + d * n + r - 1]
-            P[m, b + d * n + 2] = P[m, b + d * n]
+            P[m, b + d * n + 3] = P[m, b + d * n]
+
+
+@wp.func
+def _delay(
+    x: Matrix, P: Matrix, m: int, j: int, n: int, k: int, sd: wp.float64, correlation: wp.float64,
+    kick: wp.float64,
+):  # fmt: skip
+    """A set-point takes effect: its delay, and the speed that this adds, ``kick`` per s."""
+    a = j * n
+    b = j * n * (n + 1)
+    keep = wp.where(k == 0, wp.float64(0.0), correlation)
+    x[m, a + 2] = keep * x[m, a + 2]
+    for c in range(n):
+        P[m, b + 2 * n + c] = keep * P[m, b + 2 * n + c]
+    for c in range(n):
+        P[m, b + c * n + 2] = keep * P[m, b + c * n + 2]
+    P[m, b + 2 * n + 2] = P[m, b + 2 * n + 2] + (wp.float64(1.0) - keep * keep) * sd * sd
+    x[m, a + 1] = x[m, a + 1] + kick * x[m, a + 2]
+    for c in range(n):
+        P[m, b + n + c] = P[m, b + n + c] + kick * P[m, b + 2 * n + c]
+    for c in range(n):
+        P[m, b + c * n + 1] = P[m, b + c * n + 1] + kick * P[m, b + c * n + 2]
 
 
 @wp.kernel(enable_backward=False)
@@ -120,7 +143,7 @@ def run_filter(
     w = sums[th]
     mark = marks[th]
     past = history[th]
-    n = model.shape[1] + 2
+    n = model.shape[1] + 3
     J = first[g + 1] - first[g]
     spread = int(0)
     if rates[s, 2] > wp.float64(0.0):
@@ -168,9 +191,8 @@ def run_filter(
                             b = j * n * (n + 1)
                             for d in range(n * n):
                                 P[c, b + d] = P[m, b + d]
-                            change = command[at + new] - command[at + old]
-                            jump = gain[track] * rates[s, 2] * change
-                            P[c, b + n + 1] = P[c, b + n + 1] + jump * jump
+                            kick = gain[track] * (command[at + new] - command[at + old])
+                            _delay(x, P, c, j, n, k, rates[s, 2], rates[s, 3], kick)
                         below = command[at + k] - command[at + new]
                         for i in range(samples[at + track + k], samples[at + track + k + 1]):
                             _propagate(x, P, c, j, n, within, i, below, spread)
@@ -208,7 +230,7 @@ def run_filter(
                             alike = int(0)
                         for q in range(n):
                             size = tolerance[track, wp.where(q == 1, 1, 0)]
-                            if wp.abs(x[d, j * n + q] - x[c, j * n + q]) > size:
+                            if q != 2 and wp.abs(x[d, j * n + q] - x[c, j * n + q]) > size:
                                 alike = int(0)
                     if alike > 0 and twin < 0:
                         twin = int(d)
@@ -257,6 +279,7 @@ def expect(
     within: Matrix, tail: Matrix, samples: Whole, innovation: wp.array(dtype=wp.float64),
     noise: wp.array(dtype=wp.float64), model: Matrix, gain: wp.array(dtype=wp.float64),
     path: wp.array2d(dtype=wp.int32), rest: Whole, p: int, delay_sd_s: wp.float64,
+    correlation: wp.float64,
     states: wp.array3d(dtype=wp.float64), covariances: wp.array3d(dtype=wp.float64),
     mean: wp.array(dtype=wp.float64), sums: wp.array3d(dtype=wp.float64),
 ):  # fmt: skip
@@ -268,13 +291,12 @@ def expect(
     at = start[track]
     x = states[track]
     P = covariances[track]
-    n = model.shape[1] + 2
+    n = model.shape[1] + 3
     behind = model.shape[1] - p - 1
     for k in range(slots[g]):
         new = path[g, k]
-        if k > 0:
-            jump = gain[track] * delay_sd_s * (command[at + new] - command[at + path[g, k - 1]])
-            P[0, n + 1] = P[0, n + 1] + jump * jump
+        kick = gain[track] * (command[at + new] - command[at + path[g, wp.max(k - 1, 0)]])
+        _delay(x, P, 0, 0, n, k, delay_sd_s, correlation, kick)
         below = command[at + k] - command[at + new]
         for i in range(samples[at + track + k], samples[at + track + k + 1]):
             _propagate(x, P, 0, 0, n, within, i, below, 1)
@@ -283,12 +305,12 @@ def expect(
             _remember(x, P, 0, 0, n, 1)
             mean[i] = x[0, 2]
             for d in range(wp.min(i - at, behind) + 1):
-                mean[i - d] = x[0, 2 + d]
+                mean[i - d] = x[0, 3 + d]
             back = i - behind
             if back >= at + p and noise[wp.max(back, at)] > wp.float64(0.0):
                 for c in range(p + 1):
                     for d in range(p + 1):
-                        q = (2 + behind + c) * n + 2 + behind + d
+                        q = (3 + behind + c) * n + 3 + behind + d
                         sums[track, rest[back], c * (p + 1) + d] = (
                             sums[track, rest[back], c * (p + 1) + d] + P[0, q]
                         )

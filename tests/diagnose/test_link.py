@@ -88,6 +88,20 @@ def test_recovers_jitter(size):
     assert 0 < jitter.sd < 0.15 * size
 
 
+def test_recovers_jitter_whose_delays_are_alike():
+    rng, late = np.random.default_rng(3), np.zeros(T)
+    for k in range(1, T):
+        late[k] = 0.7 * late[k - 1] + 0.003 * np.sqrt(1 - 0.7**2) * rng.normal()
+    t = np.arange(T) / 50
+    u = command(t)
+    on_time, moved = angle(t, u, t + LATENCY), angle(t, u, t + LATENCY + late)
+    residual = on_time - measured(moved, rng)
+    given = Residual(t, u, np.ones(T, dtype=bool), residual, KP, KD, LATENCY, INERTIA)
+    jitter = uneven([given])[0]
+    assert jitter.value == pytest.approx(0.003 * np.sqrt(3), rel=0.2)
+    assert jitter.correlation == pytest.approx(0.7, abs=0.2)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.15])
 def test_recovers_lost_set_points(share):
     loss = uneven([recording(2, loss=share)[0]])[1]
@@ -229,11 +243,13 @@ def exact(track, timing):
         lost = [False, *(bool(code >> k & 1) for k in range(slots - 1))]
         active = np.maximum.accumulate(np.where(lost, 0, np.arange(slots)))
         chance, deviation, covariance = 0.0, np.zeros(K), np.diag(track.variance * track.scale**2)
+        delays = np.zeros((K, slots))
         for k in range(1, slots):
             q = timing.repeated_loss if active[k - 1] < k - 1 else timing.loss
             chance += np.log(q if lost[k] else 1 - q)
-            delay = impulse(t - begins[k]) * (u[active[k]] - u[active[k - 1]])
-            covariance += timing.delay_sd_s**2 * np.outer(delay, delay)
+            delays[:, k] = impulse(t - begins[k]) * (u[active[k]] - u[active[k - 1]])
+        lag = np.abs(np.subtract.outer(np.arange(slots), np.arange(slots)))
+        covariance += timing.delay_sd_s**2 * delays @ timing.correlation**lag @ delays.T
         for k in range(slots):
             end = begins[k + 1] if k + 1 < K else np.inf
             held = step(t - (t[0] if k == 0 else begins[k])) - step(t - end)
@@ -245,7 +261,7 @@ def exact(track, timing):
 
 
 @pytest.mark.parametrize(
-    "timing", [Arrivals(0.2, 0.4), Arrivals(0.1, 0.1, 0.004), Arrivals(1e-12, 1e-12, 0.006)]
+    "timing", [Arrivals(0.2, 0.4), Arrivals(0.1, 0.1, 0.004), Arrivals(1e-12, 1e-12, 0.006, 0.7)]
 )
 def test_the_filter_sums_over_all_histories(timing):
     rng = np.random.default_rng(5)

@@ -26,6 +26,8 @@ MOST_LAGS = 6
 EFFECTS = ("latency_jitter", "packet_loss")
 HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
 """Halfwidths of the delays from which the search for jitter starts."""
+CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+"""Steps by which the correlation of successive delays is refined."""
 FIRST_LOSS = Arrivals(0.02, 0.1)
 """Losses from which the search for them starts."""
 _STEP = 0.1
@@ -54,6 +56,7 @@ class Uneven:
         shares: Gain at each joint by itself.
         common: Whether a set-point is lost for all joints at once.
         burst: Mean number of set-points that are lost in succession.
+        correlation: Of successive delays.
         lost_s: For each joint, by recording, when set-points were lost that it would have shown.
         unexplained: For each joint, by recording, the residual in rad without what the irregular
             timing is expected to do, shape (T,).
@@ -66,6 +69,7 @@ class Uneven:
     shares: tuple[float, ...] = ()
     common: bool = False
     burst: float = 1.0
+    correlation: float = 0.0
     lost_s: tuple[tuple[Array, ...], ...] = ()
     unexplained: tuple[tuple[Array, ...], ...] = ()
 
@@ -168,11 +172,16 @@ class LinkFit:
         return before, results
 
     def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
-        """The likeliest size of the delays on a grid, which is finer once one is known."""
-        trials = HALFWIDTHS_S / np.sqrt(3)
+        """The likeliest size and correlation of the delays, of a grid that is finer once known."""
+        sizes, correlations = HALFWIDTHS_S / np.sqrt(3), np.array([0.0, 0.5, 0.8])
         if arrivals.delay_sd_s:
-            trials = arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 9)
-        options = [Arrivals(delay_sd_s=float(x)) for x in trials]
+            sizes = arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7)
+            correlations = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
+        options = [
+            Arrivals(delay_sd_s=float(sd), correlation=float(r))
+            for sd in sizes
+            for r in correlations
+        ]
         return max(
             zip(options, events.run(options, width=1), strict=True), key=lambda x: _total(x[1])
         )
@@ -227,7 +236,10 @@ class LinkFit:
         results = events.run(options)
         below, here, above = map(_total, results)
         curvature = (2 * here - below - above) / _STEP**2
+        burst = 1 / (1 - arrivals.repeated_loss)
         value = arrivals.delay_sd_s * np.sqrt(3) if name == "delay_sd_s" else arrivals.long_run_loss
+        # What is not known of the length of bursts adds to the standard deviation of a loss.
+        widened = float(value) * np.sqrt(2 - 1 / burst)
         explained = self._explained(events, arrivals, results[1])
         of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
         lost_s = tuple(
@@ -241,10 +253,11 @@ class LinkFit:
             self.effect,
             self.gain,
             float(value),
-            float(value / np.sqrt(curvature)) if curvature > 0 else np.inf,
+            float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf,
             tuple(fitted([joint], self.effect)[0].gain for joint in self.joints),
             self.common,
-            1 / (1 - arrivals.repeated_loss),
+            burst,
+            arrivals.correlation,
             lost_s,
             tuple(
                 tuple(s.left(noise.refit) for s in joint.segments)

@@ -178,11 +178,14 @@ def _statement(entry: _Named, parameters: Mapping[str, Estimate], *, per_inertia
 
 
 def _of_link(results: Mapping[str, JointFindings], entry: _Named, *, listed: int = 3) -> str:
-    """Further sentences on lost set-points: in bursts or singly, for which joints, and when."""
+    """Further sentences on the link: correlation of delays, bursts and times of losses."""
     finding = results[entry.joints[0]].finding
     link = finding.link
-    if link is None or entry.group.members[0] != link.effect or link.effect != "packet_loss":
+    if link is None or entry.group.members[0] != link.effect:
         return ""
+    if link.effect == "latency_jitter":
+        alike = f" Successive delays have a correlation of {link.correlation:.1f}."
+        return alike if link.correlation > 0.25 else ""
     bursts = f" They are lost in bursts of {link.burst:.1f} on average." if link.burst > 1.5 else ""
     packets = ""
     if len(link.shares) > 1:
