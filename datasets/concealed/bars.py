@@ -11,19 +11,19 @@ ONE_CASE = -1.0
 
 BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
     (
-        "A name at 0.9 where nothing is missing",
+        "False positives at probability 0.9",
         "false_alarm",
         "≤",
         (0.01, 0.02, ONE_CASE, 0.01),
     ),
-    ("Detectable physics noticed", "detection", "≥", (0.98, 0.95, 0.90, 0.96)),
-    ("First ambiguity group holds the truth", "group_first", "≥", (0.95, 0.70, 0.80, 0.93)),
-    ("First name is the truth", "exact_first", "≥", (0.88, 0.80, None, None)),
-    ("Right component", "component", "≥", (0.98, 0.95, 0.90, None)),
-    ("Wrong among what is named at 0.9", "confident_wrong", "≤", (0.01, 0.05, ONE_CASE, 0.02)),
+    ("Detectable effects flagged", "detection", "≥", (0.98, 0.95, 0.90, 0.96)),
+    ("True effect in the first group", "group_first", "≥", (0.95, 0.70, 0.80, 0.93)),
+    ("True effect ranked first", "exact_first", "≥", (0.88, 0.80, None, None)),
+    ("Correct component", "component", "≥", (0.98, 0.95, 0.90, None)),
+    ("False discoveries at probability 0.9", "confident_wrong", "≤", (0.01, 0.05, ONE_CASE, 0.02)),
     ("Expected calibration error", "ece", "≤", (0.05, 0.07, None, 0.05)),
     (
-        "Says unlisted of what the catalogue lacks",
+        "Abstains where the catalogue lacks the effect",
         "outside_abstains",
         "≥",
         (0.90, 0.85, None, 0.88),
@@ -36,10 +36,10 @@ BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
         (0.95, 0.90, None, None),
     ),
     ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25, None)),
-    ("Over 1 % worse where nothing is missing", "harm", "≤", (0.01, 0.01, None, None)),
-    ("Nothing said where there is nothing", "nulls_quiet", "≥", (None, 0.90, 0.90, 0.95)),
-    ("Held-out error at the noise, in the catalogue", "at_noise", "≥", (None, None, None, 0.95)),
-    ("Two effects, both named", "doubles_both", "≥", (0.80, 0.50, None, 0.80)),
+    ("Null cases whose held-out error grows by over 1 %", "harm", "≤", (0.01, 0.01, None, None)),
+    ("Null cases with the verdict consistent", "nulls_quiet", "≥", (None, 0.90, 0.90, 0.95)),
+    ("Held-out error within 10 % of the noise", "at_noise", "≥", (None, None, None, 0.95)),
+    ("Both of two effects named", "doubles_both", "≥", (0.80, 0.50, None, 0.80)),
 )
 """What is measured, and the bars of the tiers, of T2 and T3 from the third sets on; None is only
 reported. In T2 what counts as detectable is what the oracle could see (``real_oracle.py``)."""
@@ -51,27 +51,27 @@ BARS_OF_SET = {
 }  # fmt: skip
 """Bars of a set by itself, where they differ from those of its tier."""
 ALSO = (
-    ("Nulls with any verdict but consistent", "nulls_flagged"),
-    ("Noticed, the undetectable too", "detection_all"),
-    ("First group right, the undetectable too", "group_first_all"),
+    ("Null cases with another verdict", "nulls_flagged"),
+    ("Flagged, undetectable effects included", "detection_all"),
+    ("True effect in the first group, undetectable included", "group_first_all"),
     ("First name in the oracle's group", "first_in_oracle_group"),
     ("Mean size of the first group", "group_size"),
     ("Brier score", "brier"),
-    ("Outside: a name at 0.9", "outside_confident_wrong"),
+    ("Outside the catalogue: a name at 0.9", "outside_confident_wrong"),
     ("Recoverable error removed, tenth percentile", "recovered_p10"),
-    ("The same without jitter and loss", "recovered_p10_but_chance"),
-    ("Mean held-out change where nothing is missing", "harm_mean"),
-    ("Two effects, the undetectable too: both named", "doubles_both_all"),
+    ("The same without jitter and packet loss", "recovered_p10_but_chance"),
+    ("Null cases: mean change of the held-out error", "harm_mean"),
+    ("Both of two effects named, undetectable included", "doubles_both_all"),
     ("Two effects: F1", "doubles_f1"),
     ("Parameters of exact names: median relative error", "parameter_error_median"),
-    ("90 % intervals that hold the truth", "parameter_covered"),
+    ("Coverage of the 90 % intervals", "parameter_covered"),
 )
 IN_FULL = ("window_iou", "recovered_median", "recovered_p10", "recovered_p10_but_chance")
 TIERS = {
     "T1": "simulated",
-    "T2": "put into real recordings",
-    "T3": "really changed",
-    "T1'": "simulated by others",
+    "T2": "injected into real recordings",
+    "T3": "real changes",
+    "T1'": "independent simulators",
 }
 WEAKEST_PLANT = 0.9
 """What a plant must reach, relative to the mean of all."""
@@ -102,7 +102,7 @@ def done(found: list[Row]) -> Section:
              if m["nulls_flagged"]["value"] == 1]  # fmt: skip
     if every:
         captions.append(
-            f"In {' and '.join(every)} all nulls were flagged, too: noticing means little."
+            f"In {' and '.join(every)} all null cases were flagged as well: flagging means little."
         )
     captions.append("Intervals are 95 %; of shares by Clopper and Pearson.")
     tables = [Table(header, rows, " ".join(captions)), Table(["Also measured", *header[1:]], also)]

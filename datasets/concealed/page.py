@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_page(
         options.out,
         "Find the missing physics",
-        "Sealed cases, graded by script: what was to be reached, what was, and what failed.",
+        "Sealed cases, graded by script: acceptance thresholds, results, and every failed case.",
         sections,
         provenance([*options.results, *options.rivals], None),
     )
@@ -92,7 +92,7 @@ def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
             "given, in units of its noise. Grey the plain servo, red with what was named; 1 is the "
             "floor.",
         )
-        lead = "Whether naming it helps on another motion."
+        lead = "Held-out error of the plain and of the enriched model."
         sections.append(Section(f"Held out: {label}", lead, [ladder]))
     return sections
 
@@ -154,8 +154,8 @@ def _effects_table(rows: list[Row], right: str, heading: str) -> Table:
                    for r in some)  # fmt: skip
         counts = [sum(bool(row[key]) for row in seen) for key in ("flagged", right)]
         lines.append([name, *map(str, [len(some), len(seen), *counts, sure])])
-    header = ("", "cases", "detectable", "noticed", heading, "wrong at 0.9")
-    return Table(header, lines, "Counts; noticed and right are of the detectable ones.")
+    header = ("", "cases", "detectable", "flagged", heading, "wrong at 0.9")
+    return Table(header, lines, "Counts; flagged and right are those of the detectable cases.")
 
 
 def _confusion_figure(said: Row, oracle: Row) -> str:
@@ -164,7 +164,7 @@ def _confusion_figure(said: Row, oracle: Row) -> str:
     others |= {name for counts in oracle.values() for name in counts}
     columns = [*sorted(others | set(rows) - {"nothing", "outside"}), "unlisted", "nothing"]
     with house_style():
-        figure = new_figure(110 + 13 * len(rows), "first name by what is there")
+        figure = new_figure(110 + 13 * len(rows), "first name by concealed effect")
         panels = figure.subplots(1, 2 if oracle else 1, sharey=True, squeeze=False)[0]
         for axes, table in zip(panels, (said, oracle), strict=False):
             for y, true in enumerate(rows):
@@ -176,7 +176,7 @@ def _confusion_figure(said: Row, oracle: Row) -> str:
                     axes.scatter(columns.index(name), y, s=area, color=colour, linewidths=0)
             axes.set_xticks(range(len(columns)), columns, rotation=90, size=7.5)
             axes.set_xlim(-0.7, len(columns) - 0.3)
-            axes.set_title("said" if table is said else "oracle's groups")
+            axes.set_title("diagnosis" if table is said else "oracle's groups")
         panels[0].set_yticks(range(len(rows)), rows, size=8)
         panels[0].set_ylim(len(rows) - 0.4, -0.6)
     return svg(figure)
@@ -195,7 +195,7 @@ def _probability_figure(bins: list[Row], single: list[Row], outside: list[Row]) 
                           color=MUTED)  # fmt: skip
         points = risk_coverage([row for row in single if detectable(row)] + outside)
         right.plot([p[0] for p in points], [p[1] for p in points], color=INK, linewidth=1.4)
-        for axes, title in ((left, "there, by stated probability"),
+        for axes, title in ((left, "share present, by stated probability"),
                             (right, "accuracy, by share answered")):  # fmt: skip
             axes.set(xlim=(0, 1.03), ylim=(0, 1.03), title=title)
     return svg(figure)
@@ -212,7 +212,7 @@ def _power_figure(rows: list[Row]) -> str:
                 axes.plot(at, [one[name]["value"] for one in found], color=colour, linewidth=1.2)
                 if name == "group_right":
                     _whiskers(axes, at, [one[name] for one in found], colour)
-            axes.set(xscale="log", ylim=(0, 1.03), title=f"share found, by {_SPELLED[by]}")
+            axes.set(xscale="log", ylim=(0, 1.03), title=f"share named, by {_SPELLED[by]}")
             axes.set_xticks((0.1, 0.3, 1, 3) if by == "strength" else (1, 10, 100, 1e3, 1e4, 1e5))
             axes.set_xlim(edges[0], edges[-1])
             _plain_ticks(axes.xaxis)
@@ -267,7 +267,7 @@ def _rivals(found: list[Row], rivals: list[Row]) -> Section:
         cells = [value(metrics[name], name) for metrics in columns]
         short = [cell.rpartition(",")[0] or cell.partition("\n")[0] for cell in cells]
         lines.append([label, *("–" if cell == "not measured" else cell for cell in short)])
-    lead = "What a user would do today, on the same recordings, graded by the same script."
+    lead = "Common practice on the same recordings, graded by the same script."
     caption = f"{len(answered)} cases of {rivals[0]['set']}. Small: 95 % intervals."
     return Section("Baselines", lead, [Table(header, lines, caption)])
 
@@ -289,7 +289,9 @@ def _failures(found: list[Row]) -> Section:
                 ))  # fmt: skip
     total = sum(len(one["cases"]) for one in found)
     lead = f"{len(lines)} of {total} cases failed in some respect. All of them:"
-    return Section("Every failed case", lead, [Table(("case", "there", "said", "failed"), lines)])
+    return Section(
+        "Every failed case", lead, [Table(("case", "concealed", "diagnosis", "failed"), lines)]
+    )
 
 
 def _hashes(found: list[Row]) -> Section:
@@ -304,7 +306,7 @@ def _hashes(found: list[Row]) -> Section:
                 False: "The answers graded are NOT those published.",
                 None: "No hashes were published."}[one["answers_as_published"]]  # fmt: skip
         blocks += [Text(same, one["set"]), Table(("file", "SHA-256"), rows)]
-    return Section("Hashes", "Published before the run, so that nothing could be changed.", blocks)
+    return Section("Hashes", "Committed before the run.", blocks)
 
 
 if __name__ == "__main__":

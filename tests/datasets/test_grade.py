@@ -377,9 +377,9 @@ def test_bars_side_by_side(code):
     section = bars.done(found)
     assert section.lead == "1 of 2 bars are met, 1 missed."
     rows = {row[0]: row[1:] for row in section.blocks[0].rows}
-    assert rows["A name at 0.9 where nothing is missing"][1].startswith("met, 12.5 %\n")
+    assert rows["False positives at probability 0.9"][1].startswith("met, 12.5 %\n")
     assert rows["Held-out error removed, median"][1].startswith("MISSED, 40.0 %\n")
-    assert rows["Detectable physics noticed"][0] == "–\nbar ≥ 98 %; not measured"
+    assert rows["Detectable effects flagged"][0] == "–\nbar ≥ 98 %; not measured"
 
 
 def test_curves_and_page(code, challenge, tmp_path):
