@@ -10,14 +10,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
 from sim2real.errors import InputError
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
 
 
 def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:

@@ -6,8 +6,8 @@ import textwrap
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.clock import Timing, clock_findings, timing
 from sim2real.display import NotebookDisplay
 from sim2real.findings import joint_findings, moves
@@ -171,7 +171,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     )
 
 
-def _range(values: NDArray[np.float64]) -> float:
+def _range(values: Array) -> float:
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else 0.0
 

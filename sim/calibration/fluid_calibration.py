@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from sim.calibration.emulator import ROLLOUTS, Emulator, rollouts
@@ -21,12 +20,11 @@ from sim.calibration.fluid_fit import Fitted, fit, rmse
 from sim.calibration.swim_parameters import body_parameters, servo_parameters, water_parameters
 from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 2
 

@@ -15,7 +15,6 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
@@ -26,12 +25,11 @@ from sim.inference.linear_fit import together
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, SwimPrior, TwinSwims
 from sim.inference.unlisted import gains
+from sim2real.arrays import Array
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 MOST = 2
 """Largest number of effects of a set, lost frames not counted."""

@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull
+from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.effects import BODY
 from sim2real.effects.body_effect import BodyEffect, Forces
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

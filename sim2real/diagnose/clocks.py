@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.identification.held_out import simulated
 from sim2real.identification.servo_problem import Hypothesis, variants
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
-
-Array = NDArray[np.float64]
 
 _DRIFT = COLUMNS.index("clock_drift.s_per_s")
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.case import Case, JointCase, lines_beside, on_their_lines, prepared
 from sim2real.diagnose.changed.references import against_references, with_known_servos
 from sim2real.diagnose.clocks import on_one_clock
@@ -35,7 +35,6 @@ from sim2real.servo.batch import Batch
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 _ALIKE = 1.25

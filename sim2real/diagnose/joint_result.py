@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
@@ -22,8 +22,6 @@ from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import COLUMNS, stated
-
-Array = NDArray[np.float64]
 
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""

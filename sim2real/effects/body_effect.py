@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 """Parameters of one effect, by name."""
 

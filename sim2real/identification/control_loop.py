@@ -12,14 +12,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index
 from sim2real.identification.motor_fit import MotorFit, refitted
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 _RATES_HZ = (90.0, 1100.0)
@@ -123,7 +121,7 @@ def _arrivals(motor: MotorFit) -> tuple[Array, Array, Array]:
     return sent, delay, spread
 
 
-def _effect_of_delay(motor: MotorFit, trace: Trace, step: NDArray[np.intp]) -> Array:
+def _effect_of_delay(motor: MotorFit, trace: Trace, step: Index) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     shifted = [trace]
     for k in step:

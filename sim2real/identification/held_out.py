@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.servo_problem import Servos, minimise, residual_angles, stacked
 from sim2real.inference.least_squares import rms
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import BASE, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
-
-Array = NDArray[np.float64]
 
 _INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 _STEPS_PER_RADIAN = 16.0

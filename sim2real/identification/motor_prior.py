@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _SHEET_SD = (0.35, 0.25)
 """Standard deviations of the logarithms of stall torque and no-load speed about the data sheet."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.fit import best_of, errors, first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
 from sim2real.identification.motor_prior import motor_prior
@@ -18,8 +18,6 @@ from sim2real.robot import Servo
 from sim2real.servo.parameters import COLUMNS, LINE, stated
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace, sensor_noise
-
-Array = NDArray[np.float64]
 
 _LINE = [COLUMNS.index(name) for name in LINE]
 _LARGER = np.linspace(1.0, 2.0, 26)

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.posterior.likelihood import loaded
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 LEVELS = (0.5, 0.8, 0.95)
 TOO_NARROW = 0.85

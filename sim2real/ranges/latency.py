@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sim2real.arrays import Array, Index
 from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
 from sim2real.model import JointModel, Model
 from sim2real.posterior.likelihood import loaded
@@ -17,9 +17,6 @@ from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import Trace, traces
-
-Array = NDArray[np.float64]
-
 
 _GAIN_SD = 0.02
 """Relative standard deviation of the gains of one episode about the shared gains."""
@@ -39,7 +36,7 @@ _WINDOW_S, _LEAST_SAMPLES = 6.0, 100
 
 
 def episode_latencies(
-    traces: Sequence[Trace], joints: Sequence[JointModel], group: NDArray[np.intp]
+    traces: Sequence[Trace], joints: Sequence[JointModel], group: Index
 ) -> tuple[Array, Array]:
     """Latency of each trace and its standard deviation in s, each of shape (N,).
 
@@ -96,7 +93,7 @@ def _eliminated(weights: tuple[Array, Array]) -> tuple[Array, Array]:
     return slope[:, :2] - cross * slope[:, 2:], inner
 
 
-def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -> Array:
+def _pooled(fits: Fits, weights: tuple[Array, Array], group: Index) -> Array:
     """Gains (N, 2) of the group of each trace: means of single fits, weighted by precision."""
     _, inner = _eliminated(weights)
     value, unit = fits.servos.values()[:, :2], fits.servos.unit[:, :2]
@@ -108,7 +105,7 @@ def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -
     return np.asarray(np.maximum(out, 1e-3) * unit)
 
 
-def _step(weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array) -> Array:
+def _step(weights: tuple[Array, Array], group: Index, gains: Array) -> Array:
     """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
     slope, inner = _eliminated(weights)
     out = np.empty_like(slope)

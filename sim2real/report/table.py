@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 from sim2real.report.quantity import (
     Quantity,
     correlations,

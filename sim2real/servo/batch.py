@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
 from sim2real.servo.parameters import BASE, COLUMNS
@@ -22,9 +23,6 @@ from sim2real.servo.rollout import (
     to_warp,
 )
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int32]
 
 STEPS_PER_RADIAN = 16.0
 """Sub-steps per radian of the fastest mode: an error of 1e-4 rad, mostly absorbed by the gains."""
@@ -50,7 +48,7 @@ class Problems:
             absent variant.
     """
 
-    joint: Whole
+    joint: Integers
     theta: Array
     scale: Array
 
@@ -132,7 +130,7 @@ class Batch:
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
 
-    def count(self, joint: Whole) -> Array:
+    def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
         per_joint = np.add.reduceat(self.samples, self.first_signal).astype(np.float64)
         return np.asarray(per_joint[joint])
@@ -230,7 +228,7 @@ class Batch:
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
 
-        def run(substep: Array, selected: NDArray[np.intp] | None = None) -> None:
+        def run(substep: Array, selected: Index | None = None) -> None:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
             longest = substep[problem, recording]
             simulate(on, latency, theta, signal, self._signals, longest, angle, selected)
@@ -289,7 +287,7 @@ class Batch:
         )
         return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
 
-    def _fetch(self, angle: Any, first: Whole, count: Whole, recordings: Whole) -> Array:  # noqa: ANN401
+    def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
         angles = _values(angle)
         out = np.zeros((first.size, int(self.recordings.max()), angles.shape[1]))
@@ -323,7 +321,7 @@ class Batch:
         return coarse if rough else fine, coarse
 
 
-def _unstable(angles: Array, servos: NDArray[np.bool_], exact: Array) -> NDArray[np.bool_]:
+def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
     """Rows that are unstable with long sub-steps, as under strong nonlinear damping, (rows,).
 
     Args:
@@ -331,7 +329,7 @@ def _unstable(angles: Array, servos: NDArray[np.bool_], exact: Array) -> NDArray
         servos: Mask of the rows that are servos, not variants, shape (rows,).
         exact: Angles of the servos with short sub-steps in rad, shape (servos, T).
     """
-    unstable: NDArray[np.bool_] = np.logical_not(np.isfinite(angles).all(axis=1))
+    unstable: Mask = np.logical_not(np.isfinite(angles).all(axis=1))
     with np.errstate(over="ignore", invalid="ignore"):
         close = np.mean((angles[servos] - exact) ** 2, axis=1) < _SAME_RAD**2
     unstable[servos] |= ~close
@@ -345,7 +343,7 @@ def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
 
 
 def _unpacked(
-    packed: Array, deep: int, count: Whole, order: NDArray[np.int64]
+    packed: Array, deep: int, count: Integers, order: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Inner products in the order of the variants, 0 for absent ones."""
     N, B, _ = packed.shape

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sim2real.arrays import Array, Mask
 
 _SETTLED, _LONGEST = 0.003, 80
 """Share of a response at which it is truncated, and its largest number of samples."""

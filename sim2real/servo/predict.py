@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Load
 from sim2real.servo.parameters import joint_row
-
-Array = NDArray[np.float64]
 
 
 def predict(

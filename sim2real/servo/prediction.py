@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.recording import Recording
@@ -17,8 +17,6 @@ from sim2real.servo.trace import split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class Replay:
     recording: Recording
     joint: str
     predicted: Array
-    held_out: NDArray[np.bool_]
+    held_out: Mask
 
 
 def replay(

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
@@ -25,8 +26,6 @@ from sim2real.servo.parameters import (
 )
 from sim2real.servo.trace import Trace
 from sim2real.servo.whitening import innovation_energy
-
-Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
@@ -199,7 +198,7 @@ class WhitenedServo(Simulator):
     def __init__(
         self,
         traces: Sequence[Trace],
-        counts: Sequence[NDArray[np.bool_]],
+        counts: Sequence[Mask],
         autoregression: Array,
         substep_s: float = np.inf,
         threads: int = 2,
@@ -272,11 +271,11 @@ def simulate(
     active: NDArray[np.int64],
     latency: Array,
     theta: Any,  # noqa: ANN401 - Warp has no stubs
-    signal: NDArray[np.int32],
+    signal: Integers,
     signals: Sequence[Any],
     longest: Array,
     out: Any,  # noqa: ANN401
-    rows: NDArray[np.intp] | None = None,
+    rows: Index | None = None,
 ) -> None:
     """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
 

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load, Recording
-
-Array = NDArray[np.float64]
-
 
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
 _FEWEST, _PROPORTIONAL = 50, 0.02
@@ -51,7 +48,7 @@ class Trace:
     command: Array
     position: Array
     load: Load
-    used: NDArray[np.bool_]
+    used: Mask
     drive_per_rad: float | None = None
 
     def window(self, length_s: float) -> Trace:

@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from sim2real.arrays import Array
 from sim2real.diagnose.changed.contrast import (
     BANKS,
     Contrast,
@@ -46,8 +46,6 @@ from sim2real.inference.segments import Window
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _MOST = 10
 """Changes that are fitted to the case; those of them that a second one is looked for beside."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.changed.explained import DIFFERENCE, GAINS, Explained
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import candidate, candidates
@@ -17,8 +18,6 @@ from sim2real.inference.evidence import student
 from sim2real.inference.least_squares import Expansion, expansion, minimise, stacked
 from sim2real.servo.parameters import COLUMNS
 from sim2real.structured import Fields, read_json
-
-Array = NDArray[np.float64]
 
 BANK = Path(__file__).with_name("unchanged.json")
 
@@ -67,7 +66,7 @@ class Directions:
 
     names: tuple[str, ...]
     rows: Array
-    signed: NDArray[np.bool_]
+    signed: Mask
     moved: tuple[Array, ...]
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import CATALOGUE
@@ -26,7 +26,6 @@ from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INE
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
-Array = NDArray[np.float64]
 Way = Literal["repeat", "rest", "law"]
 
 DIFFERENCE = 1e-3
@@ -66,7 +65,7 @@ class Explained:
         """Places of the recordings in question."""
         return list(range(self.references, len(self.traces)))
 
-    def seen(self, r: int) -> NDArray[np.bool_]:
+    def seen(self, r: int) -> Mask:
         """Samples of a recording that are looked at, shape (T,)."""
         return np.isfinite(self.left[r])
 

@@ -10,13 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
 from sim2real.servo.linearised import Residual, gain_derivatives
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
@@ -17,7 +16,6 @@ from sim2real.inference.normal import SD_PER_MEDIAN
 from sim2real.processes import shared
 from sim2real.servo.linearised import Residual, servo_modes
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 MOST_LAGS = 6

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.fit import servos_at
@@ -24,8 +24,6 @@ from sim2real.inference.low_discrepancy import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
-
-Array = NDArray[np.float64]
 
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""
@@ -130,7 +128,7 @@ def with_effects(
     return Servos(plain.joint, row[None], *free)
 
 
-def own_parameters(servos: Servos) -> NDArray[np.bool_]:
+def own_parameters(servos: Servos) -> Mask:
     """Which of one servo's free parameters are no effect's, shape (F,)."""
     columns = servos.columns[0]
     return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))

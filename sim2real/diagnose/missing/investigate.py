@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, links
@@ -24,8 +24,6 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -316,7 +314,7 @@ def _link_data(
     return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)
 
 
-def link_residual(trace: Trace, used: NDArray[np.bool_], residual: Array, row: Array) -> Residual:
+def link_residual(trace: Trace, used: Mask, residual: Array, row: Array) -> Residual:
     """Residual (T,) of a servo with parameters ``row`` (P,), as the analysis of the link has it."""
     kp, kd, latency = (float(x) for x in row[:3])
     load = trace.load

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, as_read, own_parameters, with_effects
 from sim2real.diagnose.missing.screening import Candidate, Screen, candidates, screen
@@ -23,8 +23,6 @@ from sim2real.identification.servo_problem import (
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
@@ -199,9 +197,7 @@ class ServoSearch:
             index = np.array([best[key] for key in keys])
             goals = np.array([goal[key] for key in keys])
 
-            def hopeless(
-                places: Index, _: Array, losses: Array, promised: Array
-            ) -> NDArray[np.bool_]:
+            def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
                 reachable = self.limits.promise * promised - losses[places]
                 return np.asarray(reachable < goals[places])
 

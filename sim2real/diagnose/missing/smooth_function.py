@@ -11,16 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag
 
+from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, lag_products, whitened
 from sim2real.inference.evidence import chance_gain
 from sim2real.servo.linearised import gain_torques, through, torque_filter
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class JointMotion:
     trace: Trace
     angle: Array
     residual: Array
-    counts: NDArray[np.bool_]
+    counts: Mask
     others: Array
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.smooth_function import (
     JointMotion,
@@ -23,7 +23,6 @@ from sim2real.processes import shared
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
-Array = NDArray[np.float64]
 Windows = tuple[tuple[Window, ...], ...]
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.check import all_findings, check
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
@@ -19,8 +19,6 @@ from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, Join
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
-
-Array = NDArray[np.float64]
 
 
 def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -> Diagnosis:
