@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.errors import InputError
-from sim2real.identification.servo_problem import Hypothesis, Set, minimise, plain_servos
-from sim2real.identification.torque_speed_line import on_its_line
+from sim2real.identification.servo_problem import Set
 from sim2real.model import JointModel, Model
-from sim2real.noise import quantization_step
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
-from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS, LINE, stated
 from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
-
-_LINE = [COLUMNS.index(name) for name in LINE]
-_SATURATION = "torque_saturation"
-_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 
 
 @dataclass(frozen=True)
@@ -104,58 +95,6 @@ def prepared(case: Case) -> list[JointCase]:
     return joints
 
 
-def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
-    """The case, each joint that reaches the line of its data sheet with a model that has it.
-
-    One with references keeps what it knows, and a joint a given model that is no plain servo.
-    """
-    known = dict(case.model.joints) if case.model else {}
-    lines = {}
-    for joint in case.robot.joints if not case.references else ():
-        model, data = known.get(joint.name), traces(case.recordings, joint.name)
-        if not data or (model is not None and (model.law != "pd" or model.effects)):
-            continue
-        line = on_its_line(data, joint.servo, rng, room=1 / DECISION.data_sheet_share)
-        # What changes the error by less, nobody would miss.
-        if line is not None and line[1] < 1 - DECISION.negligible:
-            lines[joint.name] = line[0]
-    if not lines:
-        return case
-    return replace(case, model=replace(case.model or Model(joints={}), joints=known | lines))
-
-
-def lines_beside(
-    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
-) -> dict[int, JointModel]:
-    """Plain models on their lines, of joints that reach them beside what explains them best.
-
-    Something large that is missing hides the line from a fit of the plain servo.
-
-    Args:
-        batch: The recordings, joint by joint.
-        joints: The joints of the batch.
-        best: What explains each best at first sight.
-    """
-    models = {}
-    for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
-        row = servo.fit.servos.theta[0].copy()
-        if joint.before or joint.base or joint.stall_Nm is None or row[_LINE].any():
-            continue
-        assert joint.servo is not None
-        row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
-        # A limit at the data sheet's is the line by another name.
-        named_so = row[_LIMIT] > DECISION.data_sheet_share * joint.stall_Nm
-        other: Set = servo.members & {_SATURATION} if named_so else frozenset()
-        inertia = batch.load[batch.first_signal[j], :1]
-        plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
-        start = with_effects(plain, servo.members - other, row, float(row[0]), float(inertia[0]))
-        fit = minimise(batch, start, iterations=15)
-        more = float(fit.loglikelihood[0] - servo.fit.loglikelihood[0])
-        if more > (0.0 if other else DECISION.decisive_gain):
-            models[j] = stated(fit.servos.theta[0], joint.traces[0].load)
-    return models
-
-
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
     """The step on which all of a joint's angles lie, where it is well above the stated one, rad.
 
@@ -163,7 +102,7 @@ def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
         traces: The joint's recordings.
         stated_rad: ``position_step_rad`` of the data sheet.
     """
-    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in traces]
+    steps = [trace.quantization_step() for trace in traces]
     step = min(steps)
     coarse = step > DECISION.coarse_step_ratio * stated_rad and max(steps) <= 1.1 * step
     return step if coarse else None

@@ -15,12 +15,14 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.identification.held_out import simulated
 from sim2real.identification.servo_problem import Hypothesis, variants
-from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
+from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
+from sim2real.servo.trace import Trace
 
 _DRIFT = COLUMNS.index("clock_drift.s_per_s")
+_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 
 
 def on_one_clock(
@@ -55,11 +57,22 @@ def on_one_clock(
         for j in robot:
             moved = []
             for trace in joints[j].traces:
-                angle = simulated(trace, best[j].fit.servos.theta)[0]
+                angle = _simulated(trace, best[j].fit.servos.theta[0])
                 late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
                 moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
             corrected[j] = replace(joints[j], traces=moved)
     return corrected
+
+
+def _simulated(trace: Trace, theta: Array) -> Array:
+    """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
+    row = np.array(theta)
+    row[_INERTIA], row[_GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    kp, kd, inertia = float(row[0]), float(row[1]), row[_INERTIA] + row[INERTIA_LEFT_OUT]
+    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * kd / inertia, 1e-9)
+    step = min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest))
+    angles: Array = rollout(row[None], trace.t, trace.command, substep_s=step, threads=2)
+    return np.asarray(angles[0])
 
 
 def _known(

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.case import Case, JointCase, lines_beside, on_their_lines, prepared
+from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.changed.references import against_references, with_known_servos
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
@@ -24,6 +24,7 @@ from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.torque_speed_line import lines_beside, on_their_lines
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles

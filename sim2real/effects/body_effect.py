@@ -63,7 +63,7 @@ class Forces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SwimEffect:
+class SwimEffect:
     """What effects of the body and of the camera have in common.
 
     Attributes:
@@ -85,7 +85,7 @@ class _SwimEffect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyEffect(_SwimEffect):
+class BodyEffect(SwimEffect):
     """Physics of the body that the simulator omits by default.
 
     Attributes:
@@ -96,7 +96,7 @@ class BodyEffect(_SwimEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraEffect(_SwimEffect):
+class CameraEffect(SwimEffect):
     """An error of the poses that the camera measures.
 
     Attributes:

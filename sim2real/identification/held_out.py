@@ -11,13 +11,7 @@ from sim2real.arrays import Array
 from sim2real.identification.servo_problem import Servos, minimise, residual_angles, stacked
 from sim2real.inference.least_squares import rms
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, INERTIA_LEFT_OUT
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
-
-_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
-_STEPS_PER_RADIAN = 16.0
-"""Sub-steps per radian of the fastest mode."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +80,3 @@ def held_out(
         Unseen(tuple(errors), np.array(rows)) if errors else None
         for errors, rows in zip(residuals, theta, strict=True)
     ]
-
-
-def simulated(trace: Trace, theta: Array) -> Array:
-    """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
-    rows = np.array(theta)
-    rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    kp, kd = rows[0, :2]
-    inertia = trace.load.inertia_kgm2 + rows[0, INERTIA_LEFT_OUT]
-    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
-    # A common sub-step, so that integration errors cancel in differences of servos.
-    step = min(LONGEST_SUBSTEP_S, 1 / (_STEPS_PER_RADIAN * fastest))
-    return rollout(rows, trace.t, trace.command, substep_s=step, threads=2)

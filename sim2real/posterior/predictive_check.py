@@ -71,7 +71,7 @@ def predictive_check(
     ]
     angles = _angles(posterior, trace, values)
     noisy = angles + rng.normal(0.0, rms(residuals), angles.shape)
-    measured = np.where(trace.used, trace.position, np.nan)
+    measured = trace.measured
     present = np.isfinite(measured)
     covered = {}
     for level in LEVELS:

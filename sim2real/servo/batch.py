@@ -19,6 +19,7 @@ from sim2real.servo.rollout import (
     active_effects,
     coarse_substep,
     longest_substep,
+    padded,
     simulate,
     to_warp,
 )
@@ -106,7 +107,6 @@ class Batch:
         period: float | None = None,
     ) -> None:
         all_traces = [trace for traces in joints for trace in traces]
-        longest = max(trace.t.size for trace in all_traces)
         if period is None:
             period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
         self.device, self.threads, self.period = device, threads, period
@@ -114,19 +114,15 @@ class Batch:
         self.lags, self.white = lags(period), white
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
-        self.length = np.array([trace.t.size for trace in all_traces], dtype=np.int32)
-        self.load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in all_traces])
-        t, command, position = (np.zeros((len(all_traces), longest)) for _ in range(3))
-        counts = np.zeros((len(all_traces), longest), dtype=np.int32)
+        signals, position, self.load = padded(all_traces)
+        self.length = signals[2]
+        counts = np.zeros(position.shape, dtype=np.int32)
         for s, trace in enumerate(all_traces):
-            part = np.s_[s, : trace.t.size]
-            t[part], command[part] = trace.t, trace.command
-            position[part] = np.where(trace.used, trace.position, np.nan)
-            counts[part] = counting(trace.used, self.lags)
+            counts[s, : trace.t.size] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
         self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in all_traces])
-        self._signals = [to_warp(x, device) for x in (t, command, self.length)]
+        self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
 

@@ -119,6 +119,23 @@ def coarse_substep(substep_s: Array) -> Array:
     return np.minimum(longest, _COARSENING * substep_s)
 
 
+def padded(traces: Sequence[Trace]) -> tuple[tuple[Array, Array, Integers], Array, Array]:
+    """Recordings as arrays, padded to the length T of the longest.
+
+    Returns:
+        Times in s and set-points in rad, 0 beyond the end, shape (S, T), and numbers of samples,
+        shape (S,); measured angles in rad, NaN where not used, shape (S, T); inertia in kg m2 and
+        gravity torque in N m of the loads, shape (S, 2).
+    """
+    length = np.array([trace.t.size for trace in traces], dtype=np.int32)
+    t, command, position = (np.full((len(traces), length.max()), x) for x in (0.0, 0.0, np.nan))
+    for s, trace in enumerate(traces):
+        part = np.s_[s, : trace.t.size]
+        t[part], command[part], position[part] = trace.t, trace.command, trace.measured
+    load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
+    return (t, command, length), position, load
+
+
 class Simulator:
     """Simulates servos with any parameters on the recordings of one joint."""
 
@@ -130,15 +147,8 @@ class Simulator:
             threads: CPU threads.
         """
         self.traces, self.threads = traces, threads
-        S, T = len(traces), max(trace.t.size for trace in traces)
-        t, command, position = (np.full((S, T), x) for x in (0.0, 0.0, np.nan))
-        for s, trace in enumerate(traces):
-            part = np.s_[s, : trace.t.size]
-            t[part], command[part] = trace.t, trace.command
-            position[part] = np.where(trace.used, trace.position, np.nan)
-        length = np.array([trace.t.size for trace in traces], dtype=np.int32)
-        self._signals = [to_warp(x, "cpu") for x in (t, command, length)]
-        self._load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
+        signals, position, self._load = padded(traces)
+        self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = _pool(threads)
 

@@ -10,7 +10,7 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
-from sim2real.noise import noise_floor
+from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording
 
 _FULL, _NEARLY_FULL, _ROUNDING = 1.0, 0.95, 0.01
@@ -64,6 +64,15 @@ class Trace:
             position=self.position[part],
             used=self.used[part],
         )
+
+    @property
+    def measured(self) -> Array:
+        """Measured angles in rad, NaN where not used, shape (T,)."""
+        return np.where(self.used, self.position, np.nan)
+
+    def quantization_step(self) -> float:
+        """Step on which the used angles lie, in rad; 0 if there is none."""
+        return quantization_step(self.measured)
 
     def activity(self) -> float:
         """Total variation of the command in rad."""

@@ -38,12 +38,12 @@ from sim2real.diagnose.changed.explained import (
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, link
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
-from sim2real.diagnose.missing.investigate import link_residual
 from sim2real.diagnose.missing.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
 from sim2real.robot import Servo
+from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
 
@@ -358,7 +358,8 @@ def _uneven(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change 
     period = float(np.median(np.diff(of.traces[0].t)))
     links = []
     for r, trace in enumerate(of.traces):
-        residual = link_residual(trace, of.seen(r), -np.nan_to_num(of.left[r]), of.row)
+        seen = replace(trace, used=of.seen(r))
+        residual = Residual(seen, -np.nan_to_num(of.left[r]), *of.row[:3].tolist())
         links.append(link(LinkData(((residual,),), lags, least_gain)))
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
     worst = max(of.case, key=lambda r: late[r])

@@ -15,11 +15,10 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
-from sim2real.identification.fit import best_of, first_guess, gains
+from sim2real.identification.fit import best_of, first_guess
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.servo_problem import Hypothesis, minimise
 from sim2real.model import JointModel, Model
-from sim2real.noise import quantization_step
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row, stated
@@ -67,8 +66,7 @@ def law_of(
     """
     load = references[0].load
     start, others = first_guess(references, rng)
-    names = [p.name for p in gains(start, load.inertia_kgm2)]
-    servo_fit, _ = best_of(references, [start, *others], names)
+    servo_fit, _ = best_of(references, [start, *others])
     if way_of(references, case) == "law":
         noise = sensor_noise(references)
         servo_fit = choose_motor(references, servo_fit, servo, noise, rng).fit
@@ -125,7 +123,7 @@ def _coarser(joint: JointCase) -> float:
 
     Of all angles on a finer grid one in so many lies on the coarser one.
     """
-    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in joint.before)
+    grid = max(trace.quantization_step() for trace in joint.before)
     if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0
     levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]

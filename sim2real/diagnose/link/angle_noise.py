@@ -160,9 +160,9 @@ def with_noise(
         Segment(
             one,
             gain_derivatives(one),
-            np.where(one.used, one.residual, 0.0),
-            counting(one.used, lags),
-            np.zeros(one.used.size, dtype=bool),
+            np.where(one.trace.used, one.residual, 0.0),
+            counting(one.trace.used, lags),
+            np.zeros(one.trace.used.size, dtype=bool),
         )
         for one in given
     )

@@ -185,7 +185,7 @@ class LinkFit:
                 deviations[j::J] if self.common else deviations[: ends[j]][-len(joint.segments) :]
             )
             segments = tuple(
-                replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
+                replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
                 for s, x in zip(joint.segments, some, strict=True)
             )
             corrected = replace(joint, segments=segments)
@@ -241,6 +241,6 @@ def _track(segment: Segment, noise: Noise) -> Track:
     of, residual = segment.source, segment.left(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
     return Track(
-        of.t, of.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
+        of.trace.t, of.trace.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
         noise.model, noise.variance,
     )  # fmt: skip

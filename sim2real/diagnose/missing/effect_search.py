@@ -81,7 +81,7 @@ def search(
             if ledger.best.members != ledger.base and not problem.exhausted(ledger)
         ]
         some, angles = [ledgers[k] for k in going], [large[k] for k in going]
-        changed = beside_rivals(problem, some, angles, DECISION.decisive_gain)
+        changed = beside_rivals(problem, some, angles)
         selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem

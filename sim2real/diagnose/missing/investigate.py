@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array, Mask
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, links
@@ -23,7 +22,6 @@ from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.trace import Trace
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -306,18 +304,9 @@ def _link_data(
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
     left = tuple(
         tuple(
-            link_residual(t, t.used, residual[r, : t.t.size], fits[j].fit.servos.theta[0])
+            Residual(t, residual[r, : t.t.size], *fits[j].fit.servos.theta[0, :3].tolist())
             for r, t in enumerate(joints[j].traces)
         )
         for j, residual in zip(robot, residuals, strict=True)
     )
     return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)
-
-
-def link_residual(trace: Trace, used: Mask, residual: Array, row: Array) -> Residual:
-    """Residual (T,) of a servo with parameters ``row`` (P,), as the analysis of the link has it."""
-    kp, kd, latency = (float(x) for x in row[:3])
-    load = trace.load
-    return Residual(
-        trace.t, trace.command, used, residual, kp, kd, latency, load.inertia_kgm2, load.gravity_Nm
-    )

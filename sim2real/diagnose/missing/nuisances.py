@@ -121,7 +121,6 @@ def beside_rivals(
     problem: ServoSearch,
     ledgers: Sequence[Tried],
     large: Sequence[float],
-    surely: float,
     *,
     rivals: int = 8,
     promise: float = 2.0,
@@ -134,7 +133,6 @@ def beside_rivals(
         problem: The search that was.
         ledgers: What it tried.
         large: Angle from which a joint's nuisance is a finding, rad.
-        surely: Evidence that a sensor bent by more than that must earn.
         rivals: Sets of effects of each joint that are looked at.
         promise: Times the gain at first sight that a fit may make.
 
@@ -161,7 +159,7 @@ def beside_rivals(
         # Bent more than any sensor that is in order: no nuisance, and it has no name.
         bent = [t for t in tried if _BENT in t.members - _small(t, largest[one.case])]
         top = max(bent, key=lambda t: t.evidence, default=h)
-        if top.evidence > before[one.case].evidence + surely:
+        if top.evidence > before[one.case].evidence + DECISION.decisive_gain:
             one.keep(top)
     return [one for one in ledgers if one.best.members - NAMES != before[one.case].members - NAMES]
 

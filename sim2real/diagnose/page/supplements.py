@@ -83,7 +83,7 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
             np.interp(trace.t, trace.t[known], residual[known] + trace.position[known])
             for residual in (before, after)
         )
-        position = np.where(trace.used, trace.position, np.nan)
+        position = trace.measured
         torque, sd = residual_torque(
             trace.t,
             np.where(trace.used, plain - position, np.nan),
