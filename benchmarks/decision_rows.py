@@ -257,7 +257,7 @@ def _row(answer: Row, one: JointFindings, case: Case) -> Row:
         "unseen": errors,
         "excess_plain": finding.unmodelled.excess,
         "excess": finding.excess,
-        "left": finding.search.left(tried, tried.base),
+        "left": finding.search.remaining_gain(tried, tried.base),
         "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
         "tried": [
             [sorted(h.members - tried.base), h.evidence, float(h.fit.loglikelihood[0])]

@@ -43,8 +43,8 @@ class JointCase:
         traces: Its recordings.
         noise: Standard deviation of its sensor's noise, rad.
         step_rad: Step of its sensor where that is coarser than stated, or None.
-        given: The model of it to start from, or None.
-        before: Its references.
+        model: The model of it to start from, or None.
+        references: Its recordings from before, see ``Case``.
         servo: Its data sheet, or None.
     """
 
@@ -52,8 +52,8 @@ class JointCase:
     traces: list[Trace]
     noise: float
     step_rad: float | None
-    given: JointModel | None = None
-    before: Sequence[Trace] = ()
+    model: JointModel | None = None
+    references: Sequence[Trace] = ()
     servo: Servo | None = None
 
     @property
@@ -65,8 +65,8 @@ class JointCase:
 
     @property
     def base(self) -> Set:
-        """Effects that its given model has."""
-        return frozenset(e.effect for e in self.given.effects) if self.given else frozenset()
+        """Effects that its model has."""
+        return frozenset(e.effect for e in self.model.effects) if self.model else frozenset()
 
 
 def prepared(case: Case) -> list[JointCase]:
@@ -87,8 +87,8 @@ def prepared(case: Case) -> list[JointCase]:
             noise = sensor_noise(data)
             step = coarse_step(data, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
-            before = traces(case.references, joint.name)
-            joints.append(JointCase(joint.name, data, noise, step, model, before, joint.servo))
+            references = traces(case.references, joint.name)
+            joints.append(JointCase(joint.name, data, noise, step, model, references, joint.servo))
     if not joints:
         file = case.recordings[0].file
         raise InputError(file, "", "no motion", "commands and angles that change")

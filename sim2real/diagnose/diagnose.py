@@ -165,7 +165,7 @@ def _joint_results(
     ends = np.cumsum([0, *map(len, of_robots)])
     robots = [list(range(a, b)) for a, b in pairwise(ends)]
     joints, first_ledgers = _first_look(recorded, rng, device)
-    if not any(joint.before for joint in joints):
+    if not any(joint.references for joint in joints):
         batch = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(batch, joints, robots, [ledger.best for ledger in first_ledgers])
     batch = Batch([joint.traces for joint in joints], device)
@@ -198,7 +198,7 @@ def _first_look(
     lines = lines_beside(batch, joints, [ledger.best for ledger in ledgers])
     if not lines:
         return list(joints), ledgers
-    joints = [replace(joint, given=lines.get(j, joint.given)) for j, joint in enumerate(joints)]
+    joints = [replace(joint, model=lines.get(j, joint.model)) for j, joint in enumerate(joints)]
     some = [joints[j] for j in lines]
     again = Batch([joint.traces for joint in some], device, period=batch.period)
     for j, ledger in zip(lines, _looked(again, some, rng), strict=True):
@@ -207,9 +207,9 @@ def _first_look(
 
 
 def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator) -> list[Tried]:
-    plain = baselines(batch, [joint.given for joint in joints])
+    plain = baselines(batch, [joint.model for joint in joints])
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
-    if not all(joint.before for joint in joints):
+    if not all(joint.references for joint in joints):
         large = [DECISION.nuisance_finding_size * joint.noise for joint in joints]
         first_look(ServoSearch(batch, DECISION.false_alarms, rng), ledgers, large)
     return ledgers

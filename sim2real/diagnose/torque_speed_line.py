@@ -97,7 +97,7 @@ def lines_beside(
     models = {}
     for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
         row = servo.fit.servos.theta[0].copy()
-        if joint.before or joint.base or joint.stall_Nm is None or row[_LINE].any():
+        if joint.references or joint.base or joint.stall_Nm is None or row[_LINE].any():
             continue
         assert joint.servo is not None
         row[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s

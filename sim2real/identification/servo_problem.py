@@ -164,10 +164,10 @@ class Fits:
         """A selection of the fits."""
         return Fits(*(value[index] for value in vars(self).values()))
 
-    def one(self, n: int) -> Fits:
+    def single(self, n: int) -> Fits:
         """A single fit, without places that hold no parameter."""
-        single = self[np.array([n])]
-        return single.wide(int(single.servos.free.sum()))
+        fit = self[np.array([n])]
+        return fit.wide(int(fit.servos.free.sum()))
 
     def resampled(self, weights: Array) -> Array:
         """Log-likelihood of a single fit for each set of weights of its blocks (D, B), shape (D,).

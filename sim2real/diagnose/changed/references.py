@@ -81,10 +81,10 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         joint: The joint; one without references keeps its finding.
         finding: What is missing.
     """
-    before = joint.before
-    if not before or joint.given is None or joint.servo is None:
+    before = joint.references
+    if not before or joint.model is None or joint.servo is None:
         return finding
-    row = joint_row(joint.given, before[0].load, joint.name)
+    row = joint_row(joint.model, before[0].load, joint.name)
     change = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in change.groups if group.probability >= DECISION.named]
@@ -110,7 +110,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         best=tried.tried.get(rich, tried.plain),
         posterior=change.posterior(tried.base),
         groups=(*coarse, *change.groups),
-        left=nameless,
+        unexplained=nameless,
         unknown=change.nameless,
         unmodelled=replace(finding.unmodelled, windows=change.windows),
         link=change.link,
@@ -123,7 +123,7 @@ def _coarser(joint: JointCase) -> float:
 
     Of all angles on a finer grid one in so many lies on the coarser one.
     """
-    grid = max(trace.quantization_step() for trace in joint.before)
+    grid = max(trace.quantization_step() for trace in joint.references)
     if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0
     levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
@@ -137,7 +137,7 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
     A recording of the same command as before knows of no missing physics that is in both.
     """
     for joint in joints:
-        if joint.before and way_of(joint.before, joint.traces) == "law":
+        if joint.references and way_of(joint.references, joint.traces) == "law":
             trace = max(joint.traces, key=Trace.activity)
             return Experiment(
                 component=joint.name,

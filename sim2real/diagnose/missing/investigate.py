@@ -43,7 +43,7 @@ class Finding:
         posterior: Their probabilities.
         best: The likeliest set.
         mismatch: Whether something is missing at all.
-        left: Whether the likeliest set leaves something.
+        unexplained: Whether the likeliest set leaves something.
         groups: What is missing, likeliest first.
         unmodelled: What could be missing without a name.
         unknown: Probability that what is missing is not in the catalogue.
@@ -58,7 +58,7 @@ class Finding:
     posterior: EffectPosterior
     best: Hypothesis
     mismatch: bool
-    left: bool
+    unexplained: bool
     groups: tuple[Group, ...]
     unmodelled: Unmodelled
     unknown: float
@@ -73,7 +73,7 @@ class Finding:
         return self.tried.case in self.search.unfinished
 
     @property
-    def said(self) -> Set:
+    def effects(self) -> Set:
         """Effects of its groups."""
         return frozenset(effect for group in self.groups for effect in group.members)
 
@@ -183,7 +183,7 @@ def _pass(
         noise=[joint.noise for joint in joints],
         bases=bases,
         best=[ledger.best for ledger in known],
-        needed=not all(joint.before for joint in joints),
+        needed=not all(joint.references for joint in joints),
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(ledgers, robots, rng)
@@ -209,7 +209,7 @@ def _pass(
                 posterior=probable[j],
                 best=best[j],
                 mismatch=structured or problem.remains(tried, tried.base),
-                left=excesses[j] > DECISION.structured_excess,
+                unexplained=excesses[j] > DECISION.structured_excess,
                 groups=tuple(groups),
                 unmodelled=without[j],
                 unknown=0.0,

@@ -65,7 +65,7 @@ def diagnosis(
         # What has changed since references is worth saying, whatever its size.
         is_small = not case.references and all(change < negligible for change in changes)
         (small if is_small else large).append(_named_effect(results, entry))
-    if any(joint.finding.mismatch and joint.finding.left for joint in joints):
+    if any(joint.finding.mismatch and joint.finding.unexplained for joint in joints):
         small = []  # beside something without a name a trifle is no finding
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
@@ -186,7 +186,7 @@ def _verdict(
 ) -> Verdict:
     differing = [joint.finding for joint in joints if joint.finding.mismatch]
     uncatalogued = any(f.unknown > DECISION.named for f in differing)
-    unsolved = uncatalogued or any(f.left for f in differing)
+    unsolved = uncatalogued or any(f.unexplained for f in differing)
     if changed and not effects and not uncatalogued:
         return "unchanged"
     if not differing or (small and not effects and not unsolved):
