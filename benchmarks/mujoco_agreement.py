@@ -16,7 +16,7 @@ from sim2real.exporters.mujoco import HAS, mujoco
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 
 def signals() -> tuple[Array, dict[str, Array]]:

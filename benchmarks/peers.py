@@ -36,7 +36,7 @@ from sim2real.model import Model, read_model
 from sim2real.output import write_json
 from sim2real.recording import PER_INERTIA, Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))

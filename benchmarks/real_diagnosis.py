@@ -31,7 +31,7 @@ from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.drawing import save_png
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))

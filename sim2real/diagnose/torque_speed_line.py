@@ -43,7 +43,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
         model, data = known.get(joint.name), traces(case.recordings, joint.name)
         if not data or (model is not None and (model.law != "pd" or model.effects)):
             continue
-        line = _on_its_line(data, joint.servo, rng, room=1 / DECISION.data_sheet_share)
+        line = _on_its_line(data, joint.servo, rng)
         # What changes the error by less, nobody would miss.
         if line is not None and line[1] < 1 - DECISION.negligible:
             lines[joint.name] = line[0]
@@ -53,7 +53,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
 
 
 def _on_its_line(
-    traces: Sequence[Trace], servo: Servo, rng: np.random.Generator, *, room: float
+    traces: Sequence[Trace], servo: Servo, rng: np.random.Generator
 ) -> tuple[JointModel, float] | None:
     """The servo with its motor's line, and its residual relative to that of the linear servo.
 
@@ -63,7 +63,6 @@ def _on_its_line(
         traces: Recordings of one joint.
         servo: Its data sheet.
         rng: Generator for the search for a starting point.
-        room: Largest factor between the fitted line and the data sheet's.
     """
     noise = sensor_noise(traces)
     start, others = first_guess(traces, rng)
@@ -71,7 +70,7 @@ def _on_its_line(
     if rms(plain.residuals) < EXPLAINED * noise:
         return None
     prior = motor_prior(servo, traces)
-    parameters = list(prior.parameters)
+    parameters, room = list(prior.parameters), 1 / DECISION.data_sheet_share
     for name in LINE:
         k = prior.index(name)
         middle = float(np.exp(parameters[k].nominal))
@@ -106,7 +105,7 @@ def lines_beside(
         other: Set = servo.members & {_SATURATION} if named_so else frozenset()
         inertia = batch.load[batch.first_signal[j], :1]
         plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
-        start = with_effects(plain, servo.members - other, row, float(row[0]), float(inertia[0]))
+        start = with_effects(plain, servo.members - other, row, float(inertia[0]))
         fit = minimise(batch, start, iterations=15)
         more = float(fit.loglikelihood[0] - servo.fit.loglikelihood[0])
         if more > (0.0 if other else DECISION.decisive_gain):

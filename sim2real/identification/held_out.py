@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,8 +68,7 @@ def held_out(
     theta: list[list[Array]] = [[] for _ in joints]
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
         members = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
-        start = stacked([servos[pairs[k][0]] for k in members])
-        start = replace(start, joint=np.array(members, dtype=np.int32))
+        start = stacked([servos[pairs[k][0]] for k in members]).of_joints(members)
         fits = minimise(training, start, iterations=10, white=white)
         errors = residual_angles(scoring, fits)
         for k, error, row in zip(members, errors, fits.servos.theta, strict=True):

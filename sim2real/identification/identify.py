@@ -288,13 +288,13 @@ def _figures(
     best: Fit, heldout: tuple[Array, ...], fitted: list[Trace], noise: float
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
-    period = float(np.median(np.diff(fitted[0].t)))
     return {
         "train": rms(errors),
         "heldout": rms(heldout) if heldout else None,
         "noise": noise,
         "whiteness": whiteness(errors),
-        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
+        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors]))
+        * fitted[0].period_s,
         "robust_outliers": float(np.mean(np.abs(np.concatenate(errors)) > 4 * best.scale_rad)),
     }
 

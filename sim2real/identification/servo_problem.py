@@ -57,6 +57,10 @@ class Servos:
         """A selection of the servos."""
         return Servos(*(value[index] for value in vars(self).values()))
 
+    def of_joints(self, joint: Sequence[int]) -> Servos:
+        """The same servos on other joints of a batch, shape (N,)."""
+        return replace(self, joint=np.array(joint, dtype=np.int32))
+
     def wide(self, width: int) -> Servos:
         """Add or remove places for free parameters at the end, to ``width`` places."""
         fill = {"columns": -1, "unit": 1.0, "low": 0.0, "high": 0.0}
@@ -163,6 +167,10 @@ class Fits:
     def __getitem__(self, index: Index | Mask | slice) -> Fits:
         """A selection of the fits."""
         return Fits(*(value[index] for value in vars(self).values()))
+
+    def of_joints(self, joint: Sequence[int]) -> Fits:
+        """The same fits on other joints of a batch, shape (N,)."""
+        return replace(self, servos=self.servos.of_joints(joint))
 
     def single(self, n: int) -> Fits:
         """A single fit, without places that hold no parameter."""

@@ -121,7 +121,7 @@ class Batch:
             counts[s, : trace.t.size] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
-        self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in all_traces])
+        self._span_s = np.array([trace.duration_s for trace in all_traces])
         self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)

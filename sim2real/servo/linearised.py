@@ -126,7 +126,7 @@ def gain_derivatives(residual: Residual) -> Array:
         Shape (T, 3).
     """
     modes, t, T = servo_modes(residual), residual.trace.t, residual.trace.t.size
-    period = float(np.median(np.diff(t)))
+    period = residual.trace.period_s
     change = np.diff(residual.trace.command, prepend=residual.trace.command[0])
     arrival = t + residual.latency_s
     offset = (np.searchsorted(t, arrival) - np.arange(T))[arrival <= t[-1]]

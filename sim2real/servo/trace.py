@@ -70,6 +70,16 @@ class Trace:
         """Measured angles in rad, NaN where not used, shape (T,)."""
         return np.where(self.used, self.position, np.nan)
 
+    @property
+    def period_s(self) -> float:
+        """Median time between samples, s."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def duration_s(self) -> float:
+        """Time between the first and the last sample, s."""
+        return float(self.t[-1] - self.t[0])
+
     def quantization_step(self) -> float:
         """Step on which the used angles lie, in rad; 0 if there is none."""
         return quantization_step(self.measured)
@@ -151,7 +161,7 @@ def check_runs(traces: Sequence[Trace], joint: str) -> None:
     """
     count = order = 0
     for trace in traces:
-        order = max(order, lags(float(np.median(np.diff(trace.t)))))
+        order = max(order, lags(trace.period_s))
         count += int(counting(trace.used, order).sum())
     if count <= order:
         found = f"{count} measured angles that follow {order} others without a gap"

@@ -355,7 +355,7 @@ def _uneven(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change 
     The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
     1, so that it takes nothing for itself that repeats may have from the link, too.
     """
-    period = float(np.median(np.diff(of.traces[0].t)))
+    period = of.traces[0].period_s
     links = []
     for r, trace in enumerate(of.traces):
         seen = replace(trace, used=of.seen(r))

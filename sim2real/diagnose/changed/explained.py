@@ -84,7 +84,7 @@ def simulated(
     """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
     simulator = Simulator(traces, threads=1)
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
-    period = min(float(np.median(np.diff(trace.t))) for trace in traces)
+    period = min(trace.period_s for trace in traces)
     longest = min(LONGEST_SUBSTEP_S, period / substeps)
     step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
     return simulator.angles(rows, min(step, longest))

@@ -92,8 +92,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
     rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
-        kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
-        servos = with_effects(plain, rich, change.row, kp, inertia)
+        servos = with_effects(plain, rich, change.row, before[0].load.inertia_kgm2)
         servos = replace(servos, theta=change.row[None])
         fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
@@ -145,7 +144,7 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
                 command=f"the command of {trace.name}",
                 context="none",
                 separation=0.0,
-                duration_s=float(trace.t[-1] - trace.t[0]),
+                duration_s=trace.duration_s,
                 statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
                 "references: beside a repeat what the model lacks cancels, and far smaller "
                 "changes show.",

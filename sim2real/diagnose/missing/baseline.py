@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -90,9 +89,7 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
     for j, (tried, base) in enumerate(zip(known, bases, strict=True)):
         plain = tried.plain.fit.servos
         inertia = float(batch.load[batch.first_signal[j], 0])
-        kp = float(plain.theta[0, 0])
-        servo = with_effects(plain, base, plain.theta[0], kp, inertia, base)
-        servos.append(replace(servo, joint=np.array([j], dtype=np.int32)))
+        servos.append(with_effects(plain, base, plain.theta[0], inertia, base).of_joints([j]))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 
 
@@ -100,20 +97,20 @@ def with_effects(
     plain: Servos,
     effects: Set,
     theta: Array,
-    kp: float,
     inertia: float,
     held: Set = frozenset(),
 ) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
 
     Args:
-        plain: The plain servo, of one row; its gains, latency and line are free.
+        plain: The plain servo, of one row; its gains, latency and line are free, and effects are
+            scaled to its kp.
         effects: Effects whose parameters are free; others of ``theta`` are dropped.
         theta: Where to start, shape (P,).
-        kp: Gain that the effects are scaled to, N m/rad.
-        inertia: Inertia that they are scaled to, kg m2.
+        inertia: Inertia that the effects are scaled to, kg m2.
         held: Those of the effects that stay as they are in ``theta``.
     """
+    kp = float(plain.theta[0, 0])
     options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
     row = np.zeros_like(theta)
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]

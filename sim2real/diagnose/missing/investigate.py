@@ -155,10 +155,8 @@ def investigate(
 
 def placed(tried: Tried, joint: int) -> Tried:
     """What was tried in another batch, as of this joint of the whole one."""
-    at = np.array([joint], dtype=np.int32)
     moved = {
-        members: replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=at)))
-        for members, h in tried.tried.items()
+        members: replace(h, fit=h.fit.of_joints([joint])) for members, h in tried.tried.items()
     }
     return replace(tried, case=joint, tried=moved)
 

@@ -123,10 +123,9 @@ class ServoSearch:
         widths = [h.fit.servos.columns.shape[1] for _, h in places]
         for width in sorted(set(widths)):
             same = [k for k, w in enumerate(widths) if w == width]
-            fits = joined([places[k][1].fit for k in same])
             # A finding may have been moved to a place in another batch.
-            joint = np.array([places[k][0].case for k in same], dtype=np.int32)
-            fits = replace(fits, servos=replace(fits.servos, joint=joint))
+            fits = joined([places[k][1].fit for k in same])
+            fits = fits.of_joints([places[k][0].case for k in same])
             seen = screen(self.batch, fits, [lists[k] for k in same], blocks=BLOCKS)
             screens.update(zip(same, seen, strict=True))
         return [screens[k] for k in range(len(places))]
@@ -158,15 +157,14 @@ class ServoSearch:
         chosen = []
         for _, index in starts[:most]:
             option = options[seen.candidate[index]]
-            theta = self.start(ledger, members, members)
+            theta = ledger.tried[members].fit.servos.theta[0].copy()
             theta[option.columns] = option.starts[seen.start[index]]
             chosen.append((option.effect.name, theta))
         return chosen
 
-    def start(self, ledger: Tried, members: Set, of: Set | None = None) -> Array:
-        """The parameter row of a set, or of the best one."""
-        known = ledger.best if of is None else ledger.tried[of]
-        return np.array(known.fit.servos.theta[0])
+    def start(self, ledger: Tried, members: Set) -> Array:
+        """The parameter row of the best set, from which every other is refitted."""
+        return np.array(ledger.best.fit.servos.theta[0])
 
     def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
@@ -177,7 +175,7 @@ class ServoSearch:
                 ledger.plain.fit.servos,
                 members,
                 as_read(theta, members),
-                *self.strength(ledger),
+                self.strength(ledger)[1],
                 self.held.get(ledger.case, frozenset()),
             )
             for ledger, members, theta in jobs

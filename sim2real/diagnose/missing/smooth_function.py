@@ -177,7 +177,7 @@ def _torque_filter(servo: ServoMotion, trace: Trace) -> tuple[Array, Array]:
     2010), section 7.2.2. Numerator and denominator are as ``scipy.signal.lfilter`` takes them.
     """
     inertia, kd, stiffness = trace.load.inertia_kgm2, servo.kd, servo.kp + trace.load.gravity_Nm
-    c = 2 / float(np.median(np.diff(trace.t)))
+    c = 2 / trace.period_s
     a = np.array(
         [
             inertia * c**2 + kd * c + stiffness,
@@ -244,7 +244,7 @@ def _shaking(
     power: Array = np.zeros(transform_length // 2 + 1)
     for part in np.split(left, ends):
         power += np.abs(np.fft.rfft(part, transform_length)) ** 2
-    hertz = np.fft.rfftfreq(transform_length, float(np.median(np.diff(motions[0].trace.t))))
+    hertz = np.fft.rfftfreq(transform_length, motions[0].trace.period_s)
     power[(hertz < shaken_Hz[0]) | (hertz > shaken_Hz[1])] = 0.0
     blocks = []
     for motion, filtered in zip(motions, problem.filters, strict=True):

@@ -93,7 +93,7 @@ def excess(residual: Array, traces: Sequence[Trace], batch: Batch, noise_rad: fl
     """
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
-        numerator, denominator, spread = RESIDUAL_WANDER.filter(float(np.median(np.diff(trace.t))))
+        numerator, denominator, spread = RESIDUAL_WANDER.filter(trace.period_s)
         innovation = lfilter(numerator, denominator, row[: trace.t.size])
         used = trace.used.copy()
         used[: batch.lags] = False
@@ -122,7 +122,7 @@ def _intermittent(
             for j, residual in remaining.items()
             if any(w := _windows(residual, joints[j], segments.get(j)))
             and sum(b - a for of_trace in w for a, b in of_trace)
-            < DECISION.segments_share * sum(float(t.t[-1] - t.t[0]) for t in joints[j])
+            < DECISION.segments_share * sum(t.duration_s for t in joints[j])
         }
         if not segments:
             return {}
@@ -132,13 +132,13 @@ def _intermittent(
             batch.device,
             batch.threads,
         )
-        start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
+        start = plain[np.array(order)].servos.of_joints(range(len(order)))
         white = minimise(outside, start, iterations=8, white=True)
         fits = minimise(outside, white.servos, iterations=8)
-        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
         square = fits.error2 / np.maximum(fits.count, 1)
         level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
-        for k, (j, residual) in enumerate(zip(order, residual_angles(batch, whole), strict=True)):
+        after = residual_angles(batch, fits.of_joints(order))
+        for k, (j, residual) in enumerate(zip(order, after, strict=True)):
             remaining[j] = residual
             gains[j] = float(level[k] * plain.count[j] - plain.loglikelihood[j])
             if fits.count[k] <= outside.lags:  # too few samples outside explain nothing
@@ -186,7 +186,7 @@ def _motions(
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            _angle(residuals[i, k], other)
+            simulated_angle(residuals[i, k], other)
             for i in siblings
             for k, other in enumerate(joints[i])
             if other.file == trace.file and other.t.size == trace.t.size
@@ -194,7 +194,7 @@ def _motions(
         motions.append(
             JointMotion(
                 trace,
-                _angle(residuals[joint, r], trace),
+                simulated_angle(residuals[joint, r], trace),
                 residuals[joint, r, : trace.t.size],
                 counts,
                 np.array(others).reshape(len(others), trace.t.size),
@@ -203,7 +203,7 @@ def _motions(
     return motions
 
 
-def _angle(residual: Array, trace: Trace) -> Array:
+def simulated_angle(residual: Array, trace: Trace) -> Array:
     """Simulated angles of a recording; where none was measured, between its neighbours."""
     used = np.flatnonzero(trace.used)
     angle = residual[used] + trace.position[used]

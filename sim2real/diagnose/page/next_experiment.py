@@ -195,7 +195,7 @@ def _for_plans(rival: Hypothesis, plans: Sequence[_Plan]) -> Servos:
     many = rival.fit.servos[np.zeros(len(plans), dtype=np.intp)]
     theta = many.theta.copy()
     theta[[plan.context == "lower_supply" for plan in plans], 0] *= 0.75
-    return replace(many, joint=np.arange(len(plans), dtype=np.int32), theta=theta)
+    return replace(many.of_joints(range(len(plans))), theta=theta)
 
 
 def _statement(plan: _Plan, score: float, members: Sequence[str], component: str) -> str:

@@ -240,7 +240,7 @@ def _where(joint: JointFindings, segments: Sequence[tuple[Window, ...]]) -> str:
     driven = gain > DECISION.report.driving_gain
     words = _WORDS[state] if driven else "the residual depends on no single state"
     seconds = sum(b - a for of_trace in segments for a, b in of_trace)
-    if seconds > DECISION.report.throughout_share * sum(float(t.t[-1] - t.t[0]) for t in traces):
+    if seconds > DECISION.report.throughout_share * sum(t.duration_s for t in traces):
         return f"throughout: {words}" if driven else "throughout"
     if without.windows is None or not any(segments):
         return words
