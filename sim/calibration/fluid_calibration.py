@@ -8,7 +8,7 @@ the size of a cell, the shift of a parameter from coarse to fine cells equals it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,6 +24,7 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
 
 _ROUNDS = 2
@@ -84,7 +85,7 @@ def calibrate_in_fluid(
     held_out: float = HELD_OUT_SHARE,
     uncalibrated: Model | None = None,
     seed: int = 0,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> InFluid:
     """Fit water, centre of mass and servos to swims in the fluid.
 

@@ -29,6 +29,7 @@ from sim2real.body import body_effect
 from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
@@ -55,7 +56,7 @@ def diagnose_swims(
     references: Sequence[Swim] = (),
     law_error: LawError = LAW_ERROR,
     resimulate: Callable[[Model], tuple[Swum, Model] | None] = lambda result: None,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """Find the effects of body and camera that the simulator leaves out.
 

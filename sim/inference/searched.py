@@ -9,7 +9,7 @@ better than all effects, the diagnosis abstains. Thresholds are in ``law_error.j
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -29,6 +29,7 @@ from sim2real.arrays import Array
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
 
 MOST = 2
@@ -187,7 +188,7 @@ def searched(
     robot: Robot,
     simulate: Swum,
     prior: SwimPrior,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
     simulated: Model | None = None,
 ) -> Searched:
     """Try sets of effects on swims of one robot.
@@ -227,7 +228,7 @@ def searched(
 
 
 def _search(
-    problem: TwinSwims, progress: Callable[[float], None]
+    problem: TwinSwims, progress: Progress
 ) -> tuple[dict[Members, Hypothesis[Fit]], list[Hypothesis[Fit]], Hypothesis[Fit]]:
     """Every set that was tried by its members, sorted by evidence, and the best with an effect."""
     plain = problem.plain()

@@ -17,12 +17,11 @@ from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.identification.servo_problem import Hypothesis, variants
 from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
 from sim2real.servo.trace import Trace
 
 _DRIFT = COLUMNS.index("clock_drift.s_per_s")
-_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 
 
 def on_one_clock(
@@ -66,13 +65,11 @@ def on_one_clock(
 
 def _simulated(trace: Trace, theta: Array) -> Array:
     """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
-    row = np.array(theta)
-    row[_INERTIA], row[_GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    kp, kd, inertia = float(row[0]), float(row[1]), row[_INERTIA] + row[INERTIA_LEFT_OUT]
+    kp, kd, inertia = float(theta[0]), float(theta[1]), trace.load.inertia_kgm2
+    inertia += float(theta[INERTIA_LEFT_OUT])
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * kd / inertia, 1e-9)
     step = min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest))
-    angles: Array = rollout(row[None], trace.t, trace.command, substep_s=step, threads=2)
-    return np.asarray(angles[0])
+    return np.asarray(rollout_on(trace, theta[None], substep_s=step, threads=2)[0])
 
 
 def _known(

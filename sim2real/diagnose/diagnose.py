@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -30,13 +30,12 @@ from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
+from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
-
-Progress = Callable[[float], None]
 
 _ALIKE = 1.25
 """Sampling periods that differ by less than about that may share a batch: its noise model has one

@@ -34,6 +34,7 @@ _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
 _LANES = 4
 """Coefficients of the autoregression are padded to a multiple of this."""
+_LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def rollout(
@@ -85,6 +86,18 @@ def rollout(
     else:
         list(_pool(len(parts)).map(simulate_part, parts))
     return position
+
+
+def rollout_on(
+    trace: Trace, theta: Array, *, substep_s: float | None = None, threads: int = 1
+) -> Array:
+    """Measured angles in rad of servos (B, P) on a recording's commands and load, shape (B, T).
+
+    ``substep_s`` and ``threads`` are those of ``rollout``.
+    """
+    rows = np.array(theta)
+    rows[:, _LOAD] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    return rollout(rows, trace.t, trace.command, substep_s=substep_s, threads=threads)
 
 
 def longest_substep(
@@ -261,9 +274,6 @@ class WhitenedServo(Simulator):
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads)
-
-
-_LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def active_effects(rows: Array) -> NDArray[np.int64]:

@@ -83,7 +83,7 @@ class Change:
 
 
 def what_changed(
-    before: Sequence[Trace],
+    references: Sequence[Trace],
     case: Sequence[Trace],
     row: Array,
     servo: Servo,
@@ -92,13 +92,13 @@ def what_changed(
     """What of a joint differs from its references.
 
     Args:
-        before: The joint's references.
+        references: The joint's references.
         case: Its recordings in question.
         row: Parameters of the servo as the references tell it, shape (P,).
         servo: Its data sheet.
         step_rad: Step of the case's sensor.
     """
-    of = explained(before, case, row, servo)
+    of = explained(references, case, row, servo)
     load = misstated(of)
     if load is not None:
         effects, with_load, gain = load

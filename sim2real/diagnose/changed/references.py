@@ -43,10 +43,10 @@ def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[C
         if case.model is None:
             joints = {}
             for joint in case.robot.joints:
-                before = traces(case.references, joint.name)
+                references = traces(case.references, joint.name)
                 now = traces(case.recordings, joint.name)
-                if before and now:
-                    joints[joint.name] = law_of(before, now, joint.servo, rng)
+                if references and now:
+                    joints[joint.name] = law_of(references, now, joint.servo, rng)
             known[k] = replace(case, model=Model(joints=joints))
     return known
 
@@ -81,18 +81,18 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         joint: The joint; one without references keeps its finding.
         finding: What is missing.
     """
-    before = joint.references
-    if not before or joint.model is None or joint.servo is None:
+    references = joint.references
+    if not references or joint.model is None or joint.servo is None:
         return finding
-    row = joint_row(joint.model, before[0].load, joint.name)
-    change = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    row = joint_row(joint.model, references[0].load, joint.name)
+    change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in change.groups if group.probability >= DECISION.named]
     link = change.link.effect if change.link is not None else ""
     rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
-        servos = with_effects(plain, rich, change.row, before[0].load.inertia_kgm2)
+        servos = with_effects(plain, rich, change.row, references[0].load.inertia_kgm2)
         servos = replace(servos, theta=change.row[None])
         fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))

@@ -7,7 +7,7 @@ fitted anew by plain least squares, and chosen by how it predicts recordings tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from sim2real.diagnose.result import Diagnosis, NamedEffect
 from sim2real.identification.held_out import held_out
 from sim2real.identification.servo_problem import Hypothesis, Tried
 from sim2real.model import JointModel
+from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import Trace, traces
@@ -37,7 +38,7 @@ def predicting(
     diagnosis: Diagnosis,
     recordings: Sequence[Recording],
     seed: int,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """A diagnosis whose model predicts best; what it names, and how surely, stays.
 

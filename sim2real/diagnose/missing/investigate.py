@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, unmod
 from sim2real.effects import CATALOGUE, named
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
+from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
@@ -108,7 +109,7 @@ def investigate(
     known: Sequence[Tried],
     *,
     rng: np.random.Generator,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> list[Finding]:
     """Find what each joint is missing.
 
@@ -167,7 +168,7 @@ def _pass(
     robots: Sequence[Sequence[int]],
     known: Sequence[Tried],
     rng: np.random.Generator,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> list[Finding]:
     """The findings with the noise model of a batch."""
     bases = [joint.base for joint in joints]
